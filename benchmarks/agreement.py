@@ -1,0 +1,66 @@
+"""How far twin and analytical model agree, over the whole published grid of generation 2.
+
+    uv run python benchmarks/agreement.py [--default] [--quick]
+
+Matched physics: `wheel` law and the same track on both sides, bends stiff enough to follow their free
+value. Without `--default` that is what is shown; with it, the shipped robot and the default friction.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import product
+
+from grid import Run, run_all, table
+
+from srs_twin import compare
+from srs_twin.comparison.metrics import plant_metrics
+
+FREQUENCIES_HZ = (1.0, 1.5, 2.0)
+PRESSURES_KPA = (41.0, 48.0, 55.0)
+MATCHED_STIFFNESS = 20.0  # N·m/rad: bends follow within 2 % RMS
+
+
+def main() -> None:
+    """Print one table for each of straight and turning, with and without gaps."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--default", action="store_true", help="default settings instead of matched ones")
+    arguments.add_argument("--quick", action="store_true", help="the corner and middle points only")
+    given = arguments.parse_args()
+    common = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
+    law = "axis" if given.default else "wheel"
+    points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
+    if given.quick:
+        points = points[::4]
+    for gaps, offset in product((False, True), (0.0, 0.2)):
+        runs = [
+            Run(plant, frequency=f, supply_pa=p * 1e3, offset=offset, gaps=gaps, options=options, **common)
+            for f, p in points
+            for plant, options in (("analytical", {"friction": law}), ("twin", {}))
+        ]
+        done = run_all(runs)
+        print(f"\n{'with' if gaps else 'without'} gaps, offset {offset}\n")
+        print(_table(points, list(zip(done[::2], done[1::2], strict=True))), flush=True)
+
+
+def _table(points: list, pairs: list) -> str:
+    head = (
+        "f Hz", "p kPa", "analytical mm/s", "twin mm/s", "speed %", "analytical rad/s", "twin rad/s", "yaw %",
+        "shape % body", "bend RMS %",
+    )  # fmt: skip
+    rows = []
+    for (f, p), (reference, candidate) in zip(points, pairs, strict=True):
+        a, b = plant_metrics(reference), plant_metrics(candidate)
+        c = compare(reference, candidate).metrics
+        yaw_a, yaw_b = a["yaw_rate_rad_s"], b["yaw_rate_rad_s"]
+        rows.append((
+            f"{f:g}", f"{p:g}", f"{1e3 * a['com_speed_m_s']:.1f}", f"{1e3 * b['com_speed_m_s']:.1f}",
+            f"{100 * c['com_speed_rel']:+.1f}", f"{yaw_a:.4f}", f"{yaw_b:.4f}",
+            f"{100 * (yaw_b / yaw_a - 1):+.1f}" if abs(yaw_a) > 1e-3 else "–",
+            f"{100 * c['shape_rms_body']:.2f}", f"{100 * c['bend_rms_rel']:.2f}",
+        ))  # fmt: skip
+    return table(head, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Digital twin of the WPI soft robotic snake: a MuJoCo twin and an analytical model under the same valves."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from types import ModuleType
+from typing import Any
+
+__version__ = "0.1.0"
+
+# Public name → module that defines it. Handed out lazily, so that importing the package costs nothing.
+_HOME = {
+    "AnalyticalSnake": "srs_twin.plants.analytical",
+    "TwinSnake": "srs_twin.plants.twin",
+    "Plant": "srs_twin.plants.base",
+    "SnakeState": "srs_twin.plants.base",
+    "Controller": "srs_twin.control.base",
+    "Gait": "srs_twin.control.gait",
+    "rollout": "srs_twin.rollout",
+    "Trajectory": "srs_twin.trajectory",
+    "Event": "srs_twin.trajectory",
+    "compare": "srs_twin.comparison.compare",
+    "Comparison": "srs_twin.comparison.compare",
+    "RobotSpec": "srs_twin.spec",
+    "load_robot": "srs_twin.spec",
+    "Scenario": "srs_twin.scenario",
+    "load_scenario": "srs_twin.scenario",
+    "SrsError": "srs_twin.errors",
+    "InputError": "srs_twin.errors",
+    "DivergedError": "srs_twin.errors",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'srs_twin' has no attribute '{name}'")
+    return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+class _Package(ModuleType):
+    """Keeps a public name from being shadowed by its module: `rollout` is the function of rollout.py."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if isinstance(value, ModuleType) and _HOME.get(name) == value.__name__:
+            value = getattr(value, name)
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

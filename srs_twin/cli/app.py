@@ -1,0 +1,51 @@
+"""Puts the verbs together. Importing this costs typer and nothing else."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any
+
+import typer
+
+from srs_twin import __version__
+from srs_twin.cli import DEBUG, compare, models, run, schema, view
+
+# Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
+# importing it would double the time that `--help` takes.
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("run")(run.run)
+app.command("compare")(compare.compare)
+app.command("view")(view.view)
+app.add_typer(models.app, name="models")
+app.command("schema")(schema.schema)
+
+
+def command() -> Any:
+    """Return the whole command, to be called with ``args`` and ``prog_name``."""
+    return typer.main.get_command(app)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"srs-twin {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    debug: Annotated[
+        bool, typer.Option("--debug", help=f"Show the traceback of an error (also {DEBUG}=1).")
+    ] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Soft robotic snake: the same valve commands drive an analytical model and a MuJoCo twin."""
+    if debug:
+        os.environ[DEBUG] = "1"

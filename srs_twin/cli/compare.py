@@ -1,0 +1,19 @@
+"""`srs-twin compare`: both plants under the same valves, and how far apart they are."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from srs_twin.cli.batch import CheckOption, OutOption, QuietOption, run_all
+
+
+def compare(
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a file.")],
+    out: OutOption = None,
+    check: CheckOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a scenario on both plants and measure the difference."""
+    run_all([scenario], out=out, check=check, quiet=quiet, plants=("analytical", "twin"))

@@ -1,0 +1,80 @@
+"""`srs-twin models`: MJCF from the robots' numbers, and whether MJCF is fit for use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from srs_twin.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from srs_twin.mjcf_check import ModelReport
+
+app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models: export and check.")
+
+
+@app.command()
+def export(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME...]", help="Robots, or files of robots; default all.")
+    ] = None,
+    out: Annotated[str, typer.Option("--out", metavar="DIR", help="Where models/<robot>/ go.")] = "models",
+) -> None:
+    """Write robots as MJCF, each in a folder of its own."""
+    from srs_twin.files import shipped_names
+    from srs_twin.mjcf import export_robot
+    from srs_twin.running import open_folder
+    from srs_twin.spec import load_robot
+
+    robots = [load_robot(name) for name in names or shipped_names("robot")]
+    for robot in robots:
+        folder = Path(out) / robot.name
+        open_folder(folder)
+        export_robot(robot, folder)
+        typer.echo(str(folder / "scene.xml"))
+
+
+@app.command()
+def check(
+    models: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FILE|NAME...]", help="MJCF files or robots; default all shipped."),
+    ] = None,
+) -> None:
+    """Compile models and give each a second of random control."""
+    from srs_twin.files import shipped_names
+    from srs_twin.mjcf_check import check_mjcf
+
+    bad = 0
+    for model in models or shipped_names("robot"):
+        path = _find(model)
+        report = check_mjcf(path)
+        bad += bool(report.faults)
+        for line in _lines(path, report):
+            typer.echo(line, err=bool(report.faults))
+    if bad:
+        raise typer.Exit(InputError.exit_code)
+
+
+def _lines(path: Path, report: ModelReport) -> list[str]:
+    if report.faults:
+        return [f"{path}: {fault}" for fault in report.faults]
+    s = report.sizes
+    return [
+        f"{path}: fit for use ({s['bodies']} bodies, {s['joints']} joints, {s['actuators']} actuators, "
+        f"{s['mass_kg']:.4g} kg, {1e3 * s['timestep_s']:g} ms; 1 s of random control without a warning)"
+    ]
+
+
+def _find(model: str) -> Path:
+    """Return the scene of a shipped robot, or the file that a path means."""
+    from srs_twin.files import data_root, shipped_names
+
+    if "/" in model or model.endswith(".xml"):
+        return Path(model)
+    names = shipped_names("robot")
+    if model not in names:
+        raise UnknownNameError("robot", model, names)
+    return data_root() / "models" / model / "scene.xml"

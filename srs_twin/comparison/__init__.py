@@ -1,0 +1,1 @@
+"""Metrics of one trajectory, and the comparison of two."""

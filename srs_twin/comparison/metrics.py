@@ -1,0 +1,124 @@
+"""Metrics of one trajectory: speed, turning, bends, valve openings, and what it cost to compute."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from srs_twin.comparison.gait_window import GaitWindow
+from srs_twin.comparison.sampling import body_length, require
+from srs_twin.trajectory import Trajectory
+
+# Metrics of a plant that are one number each: what an expectation can name.
+METRIC_UNITS = {
+    "com_speed_m_s": "m/s",
+    "path_length_m": "m",
+    "yaw_rate_rad_s": "rad/s",
+    "turning_radius_m": "m",
+    "mean_bend_amplitude_rad": "rad",
+    "wall_s": "s",
+    "realtime_factor": "1",
+}
+
+# Metrics of a plant that are lists, head first.
+LIST_METRIC_UNITS = {"bend_amplitude_rad": "rad", "bend_bias_rad": "rad", "valve_switches": "1"}
+
+# Metrics of `compare`, each one number; they stand here so that naming them needs nothing else.
+COMPARISON_UNITS = {
+    "com_speed_rel": "1",
+    "yaw_rate_abs": "rad/s",
+    "shape_rms_m": "m",
+    "shape_rms_body": "1",
+    "path_rms_m": "m",
+    "bend_rms_rad": "rad",
+    "bend_rms_rel": "1",
+    "heading_rms_rad": "rad",
+}
+
+# Straight is what turns on a circle of more body lengths than this (for gen 2 some 20 m, where a path of
+# 2 m leaves its tangent by 0.1 m), or by less than this angle in a gait period (0.06°, what contact creep
+# does to a snake that does not get anywhere).
+STRAIGHT_BODY_LENGTHS = 100.0
+STRAIGHT_TURN_RAD = 1e-3
+
+_GAIT_METRICS = (
+    "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
+    "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad",
+)  # fmt: skip
+
+
+def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dict[str, Any]:
+    """Measure one run.
+
+    The gait metrics are taken over whole gait periods after a warm-up of two (`GaitWindow`), and are None
+    where nothing is periodic or the run has fewer than three whole periods:
+
+    - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass over its time, negative
+      where that path runs against the period-mean heading.
+    - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
+    - ``turning_radius_m``: radius of the circle on which each period carries the centre of mass, positive
+      where its centre lies on the left; None when straight (`STRAIGHT_BODY_LENGTHS`, `STRAIGHT_TURN_RAD`).
+    - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over them; head first.
+      ``mean_bend_amplitude_rad`` is the mean over the segments.
+    - ``bend_bias_rad``: mean bend, head first.
+
+    The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
+    a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
+    wall seconds (both None without a wall time).
+
+    Args:
+        trajectory: one run, with ``body_length_m`` and ``gait_frequency_hz`` in its metadata.
+        wall_s: how long it took to compute, s.
+
+    Returns:
+        JSON values by the names above; units in `METRIC_UNITS` and `LIST_METRIC_UNITS`.
+
+    Raises:
+        InputError: columns or metadata are missing or unusable.
+    """
+    require(trajectory, "com_x", "com_y", "heading", "bend")
+    steps = np.diff(trajectory.com, axis=0)
+    simulated = float(trajectory.time[-1] - trajectory.time[0])
+    window = GaitWindow.of(trajectory)
+    gait = dict.fromkeys(_GAIT_METRICS) if window is None else _gait_metrics(trajectory, window)
+    return {
+        **gait,
+        "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+        "valve_switches": trajectory.metadata.get("valve_switches"),
+        "wall_s": wall_s,
+        "realtime_factor": simulated / wall_s if wall_s else None,
+    }
+
+
+def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, Any]:
+    heading, turning = window.running(trajectory, trajectory["heading"])
+    _, velocity = window.running(trajectory, trajectory.com)
+    along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
+    speed = math.copysign(np.hypot(velocity[:, 0], velocity[:, 1]).mean(), along.mean())
+    yaw_rate = float(turning.mean())
+    bend = trajectory.stack("bend")
+    amplitude = window.amplitude(trajectory, bend)
+    return {
+        "com_speed_m_s": speed,
+        "yaw_rate_rad_s": yaw_rate,
+        "turning_radius_m": _turning_radius(speed, yaw_rate, window.period, body_length(trajectory)),
+        "bend_amplitude_rad": amplitude.tolist(),
+        "bend_bias_rad": window.mean(trajectory, bend).tolist(),
+        "mean_bend_amplitude_rad": float(amplitude.mean()),
+    }
+
+
+def _turning_radius(speed: float, yaw_rate: float, period: float, length: float) -> float | None:
+    """Return the signed radius (m), None when straight.
+
+    In one period the body is carried speed · period along a chord and turns by yaw_rate · period; the chord
+    of that angle has this radius. (Speed over yaw rate would be that of the averaged path, which the
+    averaging draws inwards: by 1 % where a period turns by half a radian.)
+    """
+    turn = yaw_rate * period
+    if abs(turn) < STRAIGHT_TURN_RAD:
+        return None
+    radius = speed * period / (2 * math.sin(turn / 2))
+    return radius if abs(radius) <= STRAIGHT_BODY_LENGTHS * length else None

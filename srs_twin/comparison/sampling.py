@@ -1,0 +1,91 @@
+"""Smooth signals from the samples of a trajectory, so that nothing depends on where the samples fall."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+
+def label(trajectory: Trajectory) -> str:
+    """Return what to call a trajectory in a message: its plant, or 'trajectory'."""
+    return str(trajectory.metadata.get("plant", "trajectory"))
+
+
+def require(trajectory: Trajectory, *names: str) -> None:
+    """Check that a trajectory can be measured.
+
+    Args:
+        trajectory: one run.
+        names: columns that must be there besides ``time``; ``"x"`` stands for ``x_1…``.
+
+    Raises:
+        InputError: a column is missing or holds a non-finite value, there is no sample, or time does not
+            increase from sample to sample.
+    """
+    who = label(trajectory)
+    missing = [name for name in ("time", *names) if not trajectory.has(name)]
+    if missing:
+        raise InputError(f"{who}: no column '{missing[0]}'; it cannot be measured without")
+    if len(trajectory) == 0:
+        raise InputError(f"{who}: the trajectory holds no samples")
+    for name in ("time", *names):
+        values = trajectory[name] if name in trajectory.columns else trajectory.stack(name)
+        bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+        if bad.size:
+            raise InputError(
+                f"{who}: column '{name}' is not finite at sample {bad[0]}; cut the run before it"
+            )
+    if np.any(np.diff(trajectory.time) <= 0):
+        raise InputError(f"{who}: time must increase from sample to sample")
+
+
+def positive_number(trajectory: Trajectory, name: str) -> float | None:
+    """Return a positive number from the metadata, or None where it is null or absent.
+
+    Raises:
+        InputError: something else stands there.
+    """
+    value = trajectory.metadata.get(name)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+        raise InputError(
+            f"{label(trajectory)}: metadata {name} is {value!r}; it must be a positive number or null"
+        )
+    return float(value)
+
+
+def body_length(trajectory: Trajectory) -> float:
+    """Return the body length from the metadata, m.
+
+    Raises:
+        InputError: it is not there.
+    """
+    length = positive_number(trajectory, "body_length_m")
+    if length is None:
+        raise InputError(
+            f"{label(trajectory)}: metadata body_length_m is missing; distances are measured against it"
+        )
+    return length
+
+
+def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
+    """Return the cubic spline through samples of a trajectory.
+
+    Its error is of fourth order in the sample period, that of its antiderivative over a period smaller still.
+
+    Args:
+        trajectory: two samples or more.
+        values: shape (samples, …).
+    """
+    # Imported here: half a second that nobody who only asks for the names of the metrics should pay.
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(trajectory.time, values)

@@ -1,0 +1,1 @@
+"""Controllers: what decides the valves, whichever plant they drive."""

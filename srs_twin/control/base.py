@@ -1,0 +1,48 @@
+"""Controller: what decides the valves. It never knows which plant it drives."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Event
+
+if TYPE_CHECKING:
+    from srs_twin.plants.base import SnakeState
+
+
+class Controller(ABC):
+    """Maps what can be sensed to valve commands, once a tick.
+
+    Controllers read `SnakeState.sensed` and what a camera would give, never `bend`.
+
+    Attributes:
+        kind: the name of this controller in scenario files.
+        frequency: gait frequency in Hz, None where nothing is periodic.
+    """
+
+    kind: str
+    frequency: float | None = None
+
+    @abstractmethod
+    def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
+        """Prepare for a robot and a control tick (s).
+
+        Raises:
+            InputError: a valve layout or tick it cannot drive.
+        """
+
+    @abstractmethod
+    def step(self, state: SnakeState) -> np.ndarray:
+        """Return the valves for the coming tick, (segments, 2) or (slots, segments, 2), int8."""
+
+    def signals(self) -> dict[str, Any]:
+        """Return what is worth recording now: name → float or array (numbered from 1 when recorded)."""
+        return {}
+
+    def events(self) -> list[Event]:
+        """Return the events since the last call."""
+        return []

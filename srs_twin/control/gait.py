@@ -1,0 +1,92 @@
+r"""Lateral undulation: a square wave of valve states that travels from head to tail (Eq. 13).
+
+$$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
+
+S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 the reverse; sign(0) = +1. The wave
+runs head to tail and drives the snake forward (E12: Eq. 13 as printed runs the other way). φ > 0 turns
+left. The mirror image of a gait is −φ together with ψ shifted by π.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from srs_twin.control.base import Controller
+from srs_twin.errors import InputError, whole_steps
+from srs_twin.plants.base import SnakeState
+from srs_twin.spec import RobotSpec
+
+SLOT_S = 1e-4
+"""Edges inside a tick fall on a raster of 0.1 ms."""
+
+
+class Gait(Controller):
+    """Open-loop gait of Eq. 13.
+
+    Attributes:
+        frequency: f, Hz.
+        offset: φ, between −1 and 1; may be changed while it runs.
+        phase: ψ, rad.
+    """
+
+    kind = "gait"
+    frequency: float
+
+    def __init__(
+        self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None
+    ) -> None:
+        if not (math.isfinite(frequency) and frequency > 0):
+            raise InputError(f"gait frequency {frequency!r} Hz is not allowed; it must be above 0")
+        self.frequency = frequency
+        self.offset = offset
+        self.phase = phase
+        self._phase_step = phase_step
+
+    @property
+    def offset(self) -> float:
+        """φ, the steering offset."""
+        return self._offset
+
+    @offset.setter
+    def offset(self, value: float) -> None:
+        if not abs(value) < 1:
+            raise InputError(f"gait offset {value!r} is not allowed; it must lie between -1 and 1")
+        self._offset = float(value)
+
+    def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
+        """Take β from the robot unless one was given, and the slots from the tick."""
+        slots = whole_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
+        step = spec.phase_step if self._phase_step is None else self._phase_step
+        self._lag = step * np.arange(spec.segments) - self.phase
+        self._middle = (np.arange(slots) + 0.5) / slots
+        self._tick = tick
+
+    def step(self, state: SnakeState) -> np.ndarray:
+        """Return the valves of the coming tick; with slots only when an edge falls inside it."""
+        first, last = self._wave(state.time + self._tick * self._middle[[0, -1]])
+        # A tick shorter than the shorter half wave holds one edge at most: equal ends, no edge.
+        if self._tick < self._shorter_half_wave() and (first == last).all():
+            return _antagonistic(first)
+        wave = self._wave(state.time + self._tick * self._middle)
+        return _antagonistic(wave[0] if (wave == wave[0]).all() else wave)
+
+    def signals(self) -> dict[str, float]:
+        """Return the offset."""
+        return {"offset": self._offset}
+
+    def _shorter_half_wave(self) -> float:
+        """Return how long S keeps its less frequent sign, s."""
+        return (math.pi - 2 * math.asin(abs(self._offset))) / (2 * math.pi * self.frequency)
+
+    def _wave(self, time: np.ndarray) -> np.ndarray:
+        """Return S, shape (times, segments), int8."""
+        value = np.sin(2 * math.pi * self.frequency * time[:, None] - self._lag) + self._offset
+        # Rounding must not decide the sign of an exact zero.
+        return np.where(value >= -1e-12, 1, -1).astype(np.int8)
+
+
+def _antagonistic(wave: np.ndarray) -> np.ndarray:
+    """Return valves (…, segments, 2) from the signs S (…, segments)."""
+    return np.stack([wave, -wave], axis=-1)

@@ -1,0 +1,100 @@
+"""What can go wrong, each with its own exit code and a message that says what to do.
+
+Every error the package raises on purpose is an `SrsError`. Its text is complete: where, what was given,
+what is allowed, what was probably meant. The command line prints it and exits with `exit_code`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class SrsError(Exception):
+    """Base of all errors raised on purpose.
+
+    Attributes:
+        exit_code: what the command line exits with (2 bad input, 3 diverged, 4 internal).
+    """
+
+    exit_code = 4
+
+
+class InputError(SrsError):
+    """Something a person gave cannot be used; nothing was written. Exit code 2."""
+
+    exit_code = 2
+
+
+class UnknownNameError(InputError):
+    """A name that is not among the available ones; says which is closest."""
+
+    def __init__(self, kind: str, given: str, available: Iterable[str]) -> None:
+        names = sorted(available)
+        listed = ", ".join(names) if names else "none"
+        super().__init__(f"unknown {kind} '{given}'{did_you_mean(given, names)} (available: {listed})")
+
+
+class TimeStepError(InputError):
+    """A period that is no whole multiple of a shorter one; prints both."""
+
+    def __init__(self, name: str, period_s: float, step_name: str, step_s: float) -> None:
+        whole = max(1, round(period_s / step_s))
+        super().__init__(
+            f"{name} {period_s:g} s is no multiple of {step_name} {step_s:g} s; "
+            f"{whole * step_s:g} s or {step_name} {period_s / whole:g} s would be"
+        )
+
+
+class InputFileError(InputError):
+    """All that is wrong with a file, each line as ``path:line:column: key.path: message``.
+
+    Attributes:
+        lines: the messages, in the order of the file.
+    """
+
+    def __init__(self, lines: Iterable[str]) -> None:
+        self.lines = tuple(lines)
+        super().__init__("\n".join(self.lines))
+
+
+class DivergedError(SrsError):
+    """A simulation left the range of the finite and plausible. Exit code 3.
+
+    Attributes:
+        time: simulated time at which it was found, s.
+        trajectory: what was recorded up to there (set by `rollout`), or None.
+    """
+
+    exit_code = 3
+
+    def __init__(self, plant: str, time: float, what: str) -> None:
+        super().__init__(f"{plant} diverged at t = {time:.4g} s: {what}")
+        self.time = time
+        self.trajectory: Any = None
+
+
+def did_you_mean(given: str, available: Iterable[str]) -> str:
+    """Return '; did you mean X?' for the closest available name, or an empty string."""
+    close = difflib.get_close_matches(given, list(available), n=1, cutoff=0.6)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def whole_steps(name: str, period_s: float, step_name: str, step_s: float) -> int:
+    """Return how many steps fill a period.
+
+    Args:
+        name: what the period is called in the message.
+        period_s: the longer time, s.
+        step_name: what the step is called in the message.
+        step_s: the shorter time, s.
+
+    Raises:
+        TimeStepError: the ratio is not a whole number (relative tolerance 1e-9).
+    """
+    ratio = period_s / step_s
+    steps = round(ratio)
+    if steps < 1 or abs(ratio - steps) > 1e-9 * max(1.0, ratio):
+        raise TimeStepError(name, period_s, step_name, step_s)
+    return steps

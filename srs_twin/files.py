@@ -1,0 +1,141 @@
+"""Files: where the shipped data lie, how a name or path becomes text, how results are written whole."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from srs_twin.errors import InputError, UnknownNameError, did_you_mean
+
+MAX_BYTES = 64 * 1024
+"""No file that a person writes is larger; what is, was not meant for us."""
+
+_FOLDERS = {"robot": "calibration/robots", "scenario": "scenarios"}
+_SUFFIXES = (".yaml", ".yml")
+
+
+def data_root() -> Path:
+    """Return the folder that holds calibration/, models/ and scenarios/.
+
+    In a wheel that is ``srs_twin/_data``; in an editable checkout, which has none, the checkout itself.
+    """
+    package = Path(__file__).resolve().parent
+    packed = package / "_data"
+    return packed if packed.is_dir() else package.parent
+
+
+def shipped_folder(kind: str) -> Path:
+    """Return the folder in which names of this kind ("robot" or "scenario") are looked up."""
+    return data_root() / _FOLDERS[kind]
+
+
+def shipped_names(kind: str) -> list[str]:
+    """Return the names of this kind that come with the package, sorted."""
+    return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
+
+
+def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
+    """Return the file that a name or path means.
+
+    A path is what has a slash or ends in .yaml or .yml, and is taken as given (from the current folder);
+    anything else is a name, looked up in the shipped folder.
+
+    Args:
+        kind: "robot" or "scenario".
+        name_or_path: as a person wrote it.
+
+    Raises:
+        InputError: no file is there.
+        UnknownNameError: no shipped file has that name.
+    """
+    given = os.fspath(name_or_path)
+    if isinstance(name_or_path, os.PathLike) or "/" in given or os.sep in given or given.endswith(_SUFFIXES):
+        return _existing(Path(given))
+    names = shipped_names(kind)
+    if given not in names:
+        raise UnknownNameError(kind, given, names)
+    return shipped_folder(kind) / f"{given}.yaml"
+
+
+def shown(path: Path) -> str:
+    """Return a path as messages show it: from the current folder where it lies inside it."""
+    if path.is_absolute() and path.is_relative_to(Path.cwd()):
+        return str(path.relative_to(Path.cwd()))
+    return str(path)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a small UTF-8 file; a byte order mark is dropped.
+
+    Raises:
+        InputError: missing, a folder, not readable, too large or not UTF-8.
+    """
+    try:
+        with _existing(path).open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
+    if len(raw) > MAX_BYTES:
+        raise InputError(f"{shown(path)}: larger than {MAX_BYTES // 1024} kB; no file of ours is")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = f"byte {error.start + 1} is 0x{raw[error.start]:02x}"
+        raise InputError(f"{shown(path)}: not UTF-8 text ({byte}); save it as UTF-8") from error
+
+
+@contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a path beside ``path`` to write to; it becomes ``path`` when the block ends without an error.
+
+    Missing folders are made. Whoever looks at ``path`` sees the old file or the whole new one; after an
+    error nothing is left.
+
+    Raises:
+        InputError: the place cannot be written.
+    """
+    target = Path(path)
+    # The suffix stays last: some writers choose their format by it.
+    part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        part.replace(target)
+    except OSError as error:
+        raise InputError(f"{shown(target)}: cannot be written ({error.strerror or error})") from error
+    finally:
+        _remove(part)
+
+
+def _remove(part: Path) -> None:
+    try:
+        part.unlink(missing_ok=True)
+    except OSError:
+        # Where the folder itself cannot be used there is nothing to remove, and the first error counts.
+        return
+
+
+def _existing(path: Path) -> Path:
+    """Return the path if it is a file that can be read; say what it is instead if not."""
+    try:
+        if path.is_file():
+            return path
+        if path.is_dir():
+            inside = sorted(p.name for p in path.glob("*.yaml"))
+            hint = f", such as {path / inside[0]}" if inside else ""
+            raise InputError(f"{shown(path)}: a folder; give one file{hint}")
+        if path.exists():
+            raise InputError(f"{shown(path)}: not a regular file")
+    except (OSError, ValueError) as error:
+        # ValueError: a NUL in the name; OSError: a name too long, a folder that may not be entered.
+        raise InputError(f"{shown(path)!r}: cannot be read ({error})") from error
+    raise InputError(f"{shown(path)}: no such file{_sibling(path)}")
+
+
+def _sibling(path: Path) -> str:
+    """Return a did-you-mean over the YAML files in the same folder."""
+    siblings = [str(path.with_name(p.name)) for p in path.parent.glob("*.yaml")] if path.name else []
+    return did_you_mean(str(path), siblings)

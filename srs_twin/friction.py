@@ -1,0 +1,73 @@
+r"""Friction of a wheeled connector on the floor: one law a function, force and slopes together.
+
+Each law takes the contact's velocity along (t) and across (n) its heading, its normal load and the two
+coefficients, and returns ``(f_t, f_n, df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``; the slopes serve the
+implicit integrator. sgn v is regularised to v/√(v² + ε²) with a slip speed ε. Elementwise, so arrays of
+any shape will do, and compiled by the kernels.
+
+- `axis`: drag along and Coulomb friction across, independent of each other (the text's law, one point):
+  f = −N (μ_t sgn v_t, μ_n sgn v_n).
+- `wheel`: a contact of friction coefficient μ_n that rolls: its axial force is what the axle's drag μ_t
+  lets through and never more than the sliding cone gives,
+  f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t; the rest of the cone acts across.
+- `viscous`: linear drag, f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s; a law to test with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+LAWS = ("axis", "wheel", "viscous")
+"""Names, in the order in which the kernels number them."""
+
+
+def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return force (N) and slopes (N·s/m) of the `axis` law.
+
+    Args:
+        v_t, v_n: contact velocity along and across, m/s.
+        load: normal load, N.
+        mu_t, mu_n: coefficients.
+        slip: regularisation speed ε, m/s.
+    """
+    s_t = np.sqrt(v_t * v_t + slip * slip)
+    s_n = np.sqrt(v_n * v_n + slip * slip)
+    k_t, k_n = load * mu_t, load * mu_n
+    none = 0.0 * v_t
+    return (
+        -k_t * v_t / s_t,
+        -k_n * v_n / s_n,
+        -k_t * slip * slip / s_t**3,
+        none,
+        none,
+        -k_n * slip * slip / s_n**3,
+    )
+
+
+def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return force (N) and slopes (N·s/m) of the `wheel` law. Arguments as in `axis`."""
+    s2 = v_t * v_t + v_n * v_n + slip * slip
+    s = np.sqrt(s2)
+    s_n = np.sqrt(v_n * v_n + slip * slip)
+    slide_t = mu_n * v_t / s  # what a locked wheel would feel along
+    rest = np.sqrt(np.maximum(mu_n * mu_n - mu_t * mu_t, 0.0))
+    iso = load * mu_n / (s2 * s)
+    # Rolling: the drag saturates along, the rest of the cone acts across; else the isotropic cone.
+    # Blended by arithmetic, not np.where, so that the compiled scalar form is the same code.
+    roll = 1.0 * (np.abs(slide_t) > mu_t)
+    skid = 1.0 - roll
+    return (
+        -load * (roll * mu_t * np.sign(v_t) + skid * slide_t),
+        -load * (roll * rest * v_n / s_n + skid * mu_n * v_n / s),
+        -skid * iso * (s2 - v_t * v_t),
+        skid * iso * v_t * v_n,
+        skid * iso * v_t * v_n,
+        -roll * load * rest * slip * slip / s_n**3 - skid * iso * (s2 - v_n * v_n),
+    )
+
+
+def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return force (N) and slopes (N·s/m) of the `viscous` law. Arguments as in `axis`; no `slip`."""
+    none = 0.0 * v_t
+    k_t, k_n = load * mu_t, load * mu_n
+    return -k_t * v_t, -k_n * v_n, none - k_t, none, none, none - k_n

@@ -1,0 +1,284 @@
+r"""RobotSpec → MuJoCo model: the only place that builds MJCF.
+
+A free-floating chain in three dimensions. Connector i is a body with two real hinge wheels; a segment is
+a chain of n equal bending hinges (stiffness n·k and damping n·c each, in series k and c) with one pitch
+and one roll hinge in its middle, so that the floor's load is shared. Chamber pressures are the controls,
+in Pa: actuators ``plus_j`` and ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose
+length is the segment's bend q_j.
+
+Where the hinges stand: with n hinges that share a bend q equally, the chord agrees with the arc's
+l·sin(q/2)/(q/2) through order q² when the first and last lie 1/(2(n+1)) of the length from the ends and
+the others evenly between them.
+
+Friction: wheels touch the floor as spheres, one contact each straight below the axle, isotropic with μ_n;
+the axle's `frictionloss` is μ_t × load × radius. Contacts are explicit pairs, which name the floor, so
+they belong to the scene and not to the robot.
+
+Preload: MuJoCo's contact is convex, which lifts a sliding wheel off the floor; left alone, a snake's wheels
+are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``, which
+take no control, push every axle down with κ times its static load, and the pairs' coefficient is
+μ_n/(1 + κ): the friction of the static load, as in the analytical models, from a contact that stays closed.
+Floor forces less the preload are the true loads. See docs/models.md for what each choice costs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.spec import RobotSpec
+
+GRAVITY = 9.81
+_NET_FORCE = 3  # contact sensor: sum over the contacts found
+_LINK_SHARE = 0.02  # of a segment's share of mass; the text lumps all of it at the connectors
+_GYRATION = 0.005  # m, of a connector about its own centre: near the text's point mass
+_OUT_OF_PLANE_DAMPING_TIME = 0.01  # s, c/k of the pitch and roll hinges, estimated
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """What belongs to the simulation and not to the robot.
+
+    Attributes:
+        timestep: s.
+        hinges_per_segment: bending hinges a segment, 1 or more.
+        contact_time: time constant of the normal contact, s.
+        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
+        axle_time: the same for the axles' friction, s.
+        preload: κ, by how many times its static load each wheel is pressed down besides; 0: none.
+    """
+
+    timestep: float = 0.001
+    hinges_per_segment: int = 4
+    contact_time: float = 0.002
+    slip_time: float = 0.0003
+    axle_time: float = 0.002
+    preload: float = 19.0
+
+
+def hinge_places(hinges: int) -> np.ndarray:
+    """Return where the bending hinges stand, as fractions of the segment length, shape (hinges,)."""
+    if hinges < 1:
+        raise InputError(f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more")
+    if hinges == 1:
+        return np.array([0.5])
+    edge = 1 / (2 * (hinges + 1))
+    return np.linspace(edge, 1 - edge, hinges)
+
+
+def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None) -> mujoco.MjSpec:
+    """Build the robot: bodies, joints, tendons and actuators, no floor.
+
+    Args:
+        spec: the robot.
+        numerics: time step, discretisation, contact.
+        supply_pa: upper end of the controls' range, Pa; default the pulsed limit.
+    """
+    mj = mujoco.MjSpec()
+    mj.modelname = spec.name
+    mj.compiler.degree = False
+    mj.compiler.autolimits = True
+    _set_options(mj, numerics)
+    body = mj.worldbody.add_body(
+        name="connector_1", pos=[spec.geometry.body_length / 2, 0, spec.geometry.com_height]
+    )
+    body.add_freejoint(name="root")
+    _add_connector(body, spec, 1, numerics)
+    for j in range(1, spec.segments + 1):
+        body = _add_segment(body, spec, j, numerics)
+        _add_connector(body, spec, j + 1, numerics)
+    limit = max(spec.supply.pulsed_limit, supply_pa or 0.0)
+    for j in range(1, spec.segments + 1):
+        _add_muscles(mj, spec, j, numerics, limit)
+    _add_preload(mj, spec, numerics)
+    return mj
+
+
+def preload_force(spec: RobotSpec, numerics: Numerics) -> np.ndarray:
+    """Return the force that presses each wheel down besides its load, head first, shape (N, 2), N."""
+    return np.repeat(numerics.preload * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+
+
+def scene_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None) -> mujoco.MjSpec:
+    """Build the robot on a floor, with its contact pairs and floor-force sensors (world frame, N).
+
+    Arguments as in `robot_mjcf`.
+    """
+    mj = robot_mjcf(spec, numerics, supply_pa=supply_pa)
+    mj.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], contype=0, conaffinity=0,
+        rgba=[0.7, 0.72, 0.75, 1],
+    )  # fmt: skip
+    mj.worldbody.add_light(
+        name="sun", pos=[0, 0, 2], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    )
+    force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+    for tread in treads(spec):
+        mj.add_pair(name=tread, geomname1="floor", geomname2=tread, **contact(spec, numerics))
+        mj.add_sensor(
+            name=f"floor_force_{tread}", type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM, objname="floor",
+            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=tread, intprm=[force, _NET_FORCE, 1],
+        )  # fmt: skip
+    return mj
+
+
+def treads(spec: RobotSpec) -> list[str]:
+    """Return the names of the wheels' contact geoms: head first, left before right."""
+    return [f"tread_{side}_{i}" for i in range(1, spec.geometry.connectors + 1) for side in ("left", "right")]
+
+
+def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
+    """Return the attributes of a wheel-floor pair."""
+    mu = spec.friction.mu_n / (1 + numerics.preload)
+    return {
+        "condim": 3,
+        "friction": [mu, mu, 0.005, 0.0001, 0.0001],
+        "solref": [numerics.contact_time, 1],
+        "solreffriction": [numerics.slip_time, 1],
+    }
+
+
+def _set_options(mj: mujoco.MjSpec, numerics: Numerics) -> None:
+    option = mj.option
+    option.timestep = numerics.timestep
+    option.gravity = [0, 0, -GRAVITY]
+    option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    option.impratio = 1
+    option.iterations = 50
+    option.tolerance = 1e-10
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def _set_inertia(body: mujoco.MjsBody, mass: float) -> None:
+    """Give a body a compact mass at its origin."""
+    body.mass = mass
+    body.ipos = [0, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
+    body.inertia = [mass * _GYRATION**2] * 3
+    body.explicitinertial = True
+
+
+def _link_mass(spec: RobotSpec, numerics: Numerics) -> float:
+    """Return the mass of one link between two hinges, kg; taken off the connectors."""
+    links = numerics.hinges_per_segment - 1
+    share = _LINK_SHARE * min(spec.mass.connectors)
+    return share / links if links else 0.0
+
+
+def _add_connector(body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
+    g, mass = spec.geometry, spec.mass.connectors[i - 1]
+    neighbours = (i > 1) + (i < g.connectors)
+    links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
+    _set_inertia(body, mass - 2 * spec.mass.wheel - links)
+    body.add_geom(
+        name=f"plate_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.003, g.width / 2, g.width / 2.5],
+        contype=0, conaffinity=0, mass=0, rgba=[0.2, 0.22, 0.25, 1], group=2,
+    )  # fmt: skip
+    spin = spec.mass.wheel * g.wheel_radius**2 / 2
+    for side, sign in (("left", 1), ("right", -1)):
+        wheel = body.add_body(
+            name=f"wheel_{side}_{i}", pos=[0, sign * g.half_track, g.wheel_radius - g.com_height],
+            mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=[spin / 2, spin, spin / 2], explicitinertial=True,
+        )  # fmt: skip
+        wheel.add_joint(
+            name=f"axle_{side}_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0],
+            frictionloss=spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius,
+            solref_friction=[numerics.axle_time, 1],
+        )  # fmt: skip
+        wheel.add_geom(
+            name=f"tread_{side}_{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[g.wheel_radius, 0, 0],
+            contype=0, conaffinity=0, mass=0, group=3,
+        )  # fmt: skip
+        wheel.add_geom(
+            name=f"rim_{side}_{i}", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[g.wheel_radius, 0.0015, 0],
+            quat=[math.sqrt(0.5), math.sqrt(0.5), 0, 0], contype=0, conaffinity=0, mass=0,
+            rgba=[0.05, 0.05, 0.05, 1], group=2,
+        )  # fmt: skip
+
+
+def _add_segment(body: mujoco.MjsBody, spec: RobotSpec, j: int, numerics: Numerics) -> mujoco.MjsBody:
+    """Grow segment j tailwards from connector j; return the body of connector j + 1.
+
+    Each hinge carries the body behind it; the last one carries the next connector. Stations are distances
+    behind connector j of a straight segment.
+    """
+    g, bending, n = spec.geometry, spec.bending, numerics.hinges_per_segment
+    hinges = g.rigid_gap / 2 + g.segment_length * hinge_places(n)
+    origins = np.append(hinges[:-1], g.pitch)
+    middle = n // 2
+    _add_skin(body, spec, f"skin_{j}_0", 0.0, -hinges[0])
+    parent_origin = 0.0
+    for k in range(n):
+        last = k == n - 1
+        name = f"connector_{j + 1}" if last else f"link_{j}_{k + 1}"
+        body = body.add_body(name=name, pos=[parent_origin - origins[k], 0, 0])
+        parent_origin = origins[k]
+        anchor = origins[k] - hinges[k]
+        _add_hinge(
+            body, f"hinge_{j}_{k + 1}", anchor, [0, 0, -1], n * bending.stiffness, bending.damping_time
+        )
+        if k == middle:
+            centre = origins[k] - g.pitch / 2
+            time = _OUT_OF_PLANE_DAMPING_TIME
+            _add_hinge(body, f"pitch_{j}", centre, [0, 1, 0], bending.pitch_stiffness, time)
+            _add_hinge(body, f"roll_{j}", centre, [1, 0, 0], bending.roll_stiffness, time)
+        if last:
+            _add_skin(body, spec, f"skin_{j}_{k + 1}", anchor, 0.0)
+        else:
+            _set_inertia(body, _link_mass(spec, numerics))
+            _add_skin(body, spec, f"skin_{j}_{k + 1}", 0.0, hinges[k] - hinges[k + 1])
+    return body
+
+
+def _add_skin(body: mujoco.MjsBody, spec: RobotSpec, name: str, front: float, back: float) -> None:
+    """Draw the soft body between two stations of a body's x axis."""
+    body.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[spec.geometry.width / 2.5, 0, 0],
+        fromto=[front, 0, 0, back, 0, 0], contype=0, conaffinity=0, mass=0, group=2,
+        rgba=[0.9, 0.8, 0.62, 1],
+    )  # fmt: skip
+
+
+def _add_hinge(
+    body: mujoco.MjsBody, name: str, anchor: float, axis: list[float], stiffness: float, damping_time: float
+) -> None:
+    body.add_joint(
+        name=name, type=mujoco.mjtJoint.mjJNT_HINGE, pos=[anchor, 0, 0], axis=axis,
+        stiffness=stiffness, damping=stiffness * damping_time,
+    )  # fmt: skip
+
+
+def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics, limit_pa: float) -> None:
+    """Add tendon ``bend_j`` and its two chambers."""
+    tendon = mj.add_tendon(name=f"bend_{j}")
+    for k in range(1, numerics.hinges_per_segment + 1):
+        tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
+    moment_per_pascal = spec.bending.stiffness * spec.actuator.gain
+    for name, sign in (("plus", 1), ("minus", -1)):
+        actuator = mj.add_actuator(
+            name=f"{name}_{j}", target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON,
+            ctrllimited=True, ctrlrange=[0, limit_pa],
+        )  # fmt: skip
+        actuator.gainprm[0] = sign * moment_per_pascal
+
+
+def _add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+    """Press each axle down with a constant force along the world's z."""
+    mj.worldbody.add_site(name="origin")
+    for i, force in enumerate(preload_force(spec, numerics).sum(axis=1), start=1):
+        g = spec.geometry
+        mj.body(f"connector_{i}").add_site(name=f"axle_{i}", pos=[0, 0, g.wheel_radius - g.com_height])
+        actuator = mj.add_actuator(
+            name=f"press_{i}", target=f"axle_{i}", trntype=mujoco.mjtTrn.mjTRN_SITE, refsite="origin",
+            gear=[0, 0, 1, 0, 0, 0], biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            ctrllimited=True, ctrlrange=[0, 1],
+        )  # fmt: skip
+        actuator.gainprm[0] = 0.0
+        actuator.biasprm[0] = -force

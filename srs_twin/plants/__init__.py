@@ -1,0 +1,1 @@
+"""Plants: the analytical model and the MuJoCo twin, behind one contract."""

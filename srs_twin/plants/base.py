@@ -1,0 +1,104 @@
+"""Plant: what takes valve commands and moves. SnakeState: what can be seen of it at one moment."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from srs_twin.spec import RobotSpec
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SnakeState:
+    """One moment of a snake, SI, world frame (z up, yaw counter-clockwise), connectors head first.
+
+    Attributes:
+        time: s.
+        com: centre of mass, shape (2,), m.
+        com_velocity: shape (2,), m/s.
+        heading: mean of the connector headings, unwrapped, rad.
+        position: connectors, shape (N, 2), m.
+        theta: connector headings, unwrapped, shape (N,), rad.
+        bend: q_j = θ_j − θ_{j+1}, shape (segments,), rad.
+        bend_rate: shape (segments,), rad/s.
+        pressure: gauge pressure of the + and − chamber, shape (segments, 2), Pa.
+        valves: valve states that led here, shape (segments, 2).
+        sensed: what the curvature sensors say of `bend`, shape (segments,), rad.
+        contact_force: horizontal floor force on each connector, shape (N, 2), N.
+        qpos: the twin's generalised positions, else empty.
+    """
+
+    time: float
+    com: np.ndarray
+    com_velocity: np.ndarray
+    heading: float
+    position: np.ndarray
+    theta: np.ndarray
+    bend: np.ndarray
+    bend_rate: np.ndarray
+    pressure: np.ndarray
+    valves: np.ndarray
+    sensed: np.ndarray
+    contact_force: np.ndarray
+    qpos: np.ndarray
+
+
+class Plant(ABC):
+    """A snake that obeys valve commands, analytical or in MuJoCo.
+
+    Attributes:
+        name: "analytical" or "twin".
+        spec: the robot.
+        tick: control tick, s; a multiple of the plant's time step.
+    """
+
+    name: str
+    spec: RobotSpec
+    tick: float
+
+    @abstractmethod
+    def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
+        """Lay the snake straight, at rest, chambers empty.
+
+        Args:
+            pose: centre of mass x, y (m) and mean heading (rad).
+            seed: for whatever is random in the plant (sensor noise).
+        """
+
+    @abstractmethod
+    def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
+        """Advance one tick and return that many equally spaced states, the last at its end.
+
+        Args:
+            valves: see `step`.
+            samples: 1 or more; tick / samples must be a multiple of the time step.
+
+        Raises:
+            InputError: a wrong shape, or a state other than −1, 0, +1.
+            DivergedError: the state is no longer finite and plausible.
+        """
+
+    def step(self, valves: np.ndarray) -> SnakeState:
+        """Advance one tick.
+
+        Args:
+            valves: int8 of shape (segments, 2), +1 fill, 0 hold, −1 vent, columns + and − chamber; or
+                (slots, segments, 2): equal parts of the tick, in order.
+
+        Raises:
+            InputError, DivergedError: as in `advance`.
+        """
+        return self.advance(valves, 1)[-1]
+
+    @abstractmethod
+    def openings(self) -> np.ndarray:
+        """Return how often each chamber's inlet has opened since `reset`, shape (segments, 2)."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings worth recording beside a trajectory (JSON values)."""
+        return {"plant": self.name, "robot": self.spec.name, "tick_s": self.tick}

@@ -1,0 +1,243 @@
+"""Robot files: one snake, every number with its unit, status and source; converted to a RobotSpec in SI.
+
+The unit stands in the key and again in the record, and the two are checked against each other, so that a
+number copied from a table with another unit is refused. The published robots are in calibration/robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from pydantic import Discriminator, Field, Tag
+
+from srs_twin.documents import Loc
+from srs_twin.spec import Actuator, Bending, Friction, Geometry, Mass, RobotSpec, Supply
+from srs_twin.validation import Strict
+
+Status = Literal["measured", "calibrated", "estimated"]
+Value = TypeVar("Value")
+Unit = TypeVar("Unit")
+
+PA_PER_KPA = 1000.0
+
+
+class Record(Strict, Generic[Value, Unit]):
+    """One number and where it comes from."""
+
+    value: Value = Field(description="The number, in the unit that the key names.")
+    unit: Unit = Field(description="The unit, the same as in the key; '1' for a pure number.")
+    status: Status = Field(
+        description="measured: stated in the source as measured or set; "
+        "calibrated: found by a fit to measurements; estimated: our assumption."
+    )
+    source: str = Field(min_length=1, max_length=1000, description="Section, table, or how it was estimated.")
+
+    @classmethod
+    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+        """Give the models of all records one readable name in JSON schemas."""
+        return "Record"
+
+
+def between(low: float, high: float) -> Any:
+    """Return the bounds of a number."""
+    return Field(ge=low, le=high)
+
+
+Seconds = Annotated[float, between(1e-6, 100.0)]
+Pressure = Annotated[float, between(0.1, 2000.0)]
+Stiffness = Record[Annotated[float, between(1e-4, 1e6)], Literal["N*m/rad"]]
+Length = Record[Annotated[float, between(1e-4, 1.0)], Literal["m"]]
+Kilograms = Annotated[float, between(1e-4, 100.0)]
+
+
+def _one_or_many(value: Any) -> str:
+    return "each" if isinstance(value, list) else "all"
+
+
+Masses = Annotated[
+    Annotated[Kilograms, Tag("all")]
+    | Annotated[Annotated[list[Kilograms], Field(min_length=2, max_length=64)], Tag("each")],
+    Discriminator(_one_or_many),
+]
+
+
+class GeometryFile(Strict):
+    """Lengths of the body."""
+
+    connectors: Record[Annotated[int, between(2, 64)], Literal["1"]] = Field(
+        description="Number of connectors N (the text's links), 2 to 64; one more than segments."
+    )
+    segment_length_m: Record[Annotated[float, between(1e-3, 1.0)], Literal["m"]] = Field(
+        description="Length of the part of a segment that bends, m, 0.001 to 1."
+    )
+    rigid_gap_m: Record[Annotated[float, between(0.0, 1.0)], Literal["m"]] = Field(
+        description="Length of the part of a segment that stays straight, half of it at each end, m, 0 to 1."
+    )
+    half_track_m: Length = Field(description="Distance of a wheel from the centre line, m, 0.0001 to 1.")
+    wheel_radius_m: Length = Field(description="Radius of a wheel, m, 0.0001 to 1.")
+    com_height_m: Length = Field(description="Height of the centre of mass over the floor, m, 0.0001 to 1.")
+    width_m: Length = Field(description="Width of the soft body, m, 0.0001 to 1; no effect on the motion.")
+
+
+class MassFile(Strict):
+    """Masses."""
+
+    connectors_kg: Record[Masses, Literal["kg"]] = Field(
+        description="Mass at a connector with its wheels and its share of the body, kg, 0.0001 to 100: "
+        "one number for all, or a list, head first."
+    )
+    wheel_kg: Record[Annotated[float, between(1e-6, 100.0)], Literal["kg"]] = Field(
+        description="Mass of one wheel, part of its connector's, kg, 0.000001 to 100."
+    )
+
+
+class FrictionFile(Strict):
+    """Coulomb coefficients of the wheels on the floor."""
+
+    mu_t: Record[Annotated[float, between(0.0, 10.0)], Literal["1"]] = Field(
+        description="Along the heading (drag of a rolling wheel), 0 to 10."
+    )
+    mu_n: Record[Annotated[float, between(0.0, 10.0)], Literal["1"]] = Field(
+        description="Across the heading (a wheel that slides sideways), 0 to 10."
+    )
+
+
+class BendingFile(Strict):
+    """Compliance of one segment."""
+
+    stiffness_nm_per_rad: Stiffness = Field(description="Stiffness of bending, N*m/rad, 0.0001 to 1e6.")
+    damping_time_s: Record[Seconds, Literal["s"]] = Field(
+        description="Damping over stiffness, s, 1e-6 to 100; the actuator's tau_mode makes a free module "
+        "obey Eq. 14 exactly."
+    )
+    pitch_stiffness_nm_per_rad: Stiffness = Field(
+        description="Stiffness against bending out of the floor plane, N*m/rad, 0.0001 to 1e6."
+    )
+    roll_stiffness_nm_per_rad: Stiffness = Field(
+        description="Stiffness against twisting, N*m/rad, 0.0001 to 1e6."
+    )
+
+
+class ActuatorFile(Strict):
+    """Pneumatic response of one module; its gain is bend_rad over at_pressure_kpa."""
+
+    tau_fill_s: Record[Seconds, Literal["s"]] = Field(description="tau_1 of filling, s, 1e-6 to 100.")
+    tau_vent_s: Record[Seconds, Literal["s"]] = Field(description="tau_1 of venting, s, 1e-6 to 100.")
+    tau_mode_s: Record[Seconds, Literal["s"]] = Field(
+        description="tau_2, the valve and the fast mechanical mode, s, 1e-6 to 100."
+    )
+    bend_rad: Record[Annotated[float, between(1e-3, 6.3)], Literal["rad"]] = Field(
+        description="Bend of a free module at rest under at_pressure_kpa, rad, 0.001 to 6.3."
+    )
+    at_pressure_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="Pressure in one chamber that gives bend_rad, kPa, 0.1 to 2000."
+    )
+
+
+class SupplyFile(Strict):
+    """Gauge pressures."""
+
+    nominal_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="What a scenario gets that names no pressure, kPa, 0.1 to 2000."
+    )
+    continuous_limit_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="Most that a chamber may hold, kPa, 0.1 to 2000."
+    )
+    pulsed_limit_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="Most that may be supplied while chambers alternate (a gait, PWM), kPa, 0.1 to 2000."
+    )
+
+
+class GaitFile(Strict):
+    """What the robot's gaits have in common."""
+
+    phase_step_rad: Record[Annotated[float, between(-6.3, 6.3)], Literal["rad"]] = Field(
+        description="Lag of a segment's gait behind the one before it, rad, -6.3 to 6.3 (E18)."
+    )
+
+
+class RobotFile(Strict):
+    """A robot file."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40, description="Short name.")
+    title: str = Field(min_length=1, max_length=200, description="One line for people.")
+    geometry: GeometryFile
+    mass: MassFile
+    friction: FrictionFile
+    bending: BendingFile
+    actuator: ActuatorFile
+    supply: SupplyFile
+    gait: GaitFile
+
+    def records(self) -> dict[str, Record[Any, Any]]:
+        """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
+        sections = {name: getattr(self, name) for name in type(self).model_fields}
+        return {
+            f"{name}.{key}": getattr(section, key)
+            for name, section in sections.items() if isinstance(section, Strict)
+            for key in type(section).model_fields
+        }  # fmt: skip
+
+    def spec(self) -> RobotSpec:
+        """Return the robot in SI."""
+        geometry, bending, actuator, supply = self.geometry, self.bending, self.actuator, self.supply
+        return RobotSpec(
+            name=self.name,
+            title=self.title,
+            geometry=Geometry(
+                connectors=geometry.connectors.value,
+                segment_length=geometry.segment_length_m.value,
+                rigid_gap=geometry.rigid_gap_m.value,
+                half_track=geometry.half_track_m.value,
+                wheel_radius=geometry.wheel_radius_m.value,
+                com_height=geometry.com_height_m.value,
+                width=geometry.width_m.value,
+            ),
+            mass=Mass(connectors=tuple(self.masses()), wheel=self.mass.wheel_kg.value),
+            friction=Friction(mu_t=self.friction.mu_t.value, mu_n=self.friction.mu_n.value),
+            bending=Bending(
+                stiffness=bending.stiffness_nm_per_rad.value,
+                damping_time=bending.damping_time_s.value,
+                pitch_stiffness=bending.pitch_stiffness_nm_per_rad.value,
+                roll_stiffness=bending.roll_stiffness_nm_per_rad.value,
+            ),
+            actuator=Actuator(
+                tau_fill=actuator.tau_fill_s.value,
+                tau_vent=actuator.tau_vent_s.value,
+                tau_mode=actuator.tau_mode_s.value,
+                gain=actuator.bend_rad.value / (actuator.at_pressure_kpa.value * PA_PER_KPA),
+            ),
+            supply=Supply(
+                nominal=supply.nominal_kpa.value * PA_PER_KPA,
+                continuous_limit=supply.continuous_limit_kpa.value * PA_PER_KPA,
+                pulsed_limit=supply.pulsed_limit_kpa.value * PA_PER_KPA,
+                limit_source=supply.pulsed_limit_kpa.source,
+            ),
+            phase_step=self.gait.phase_step_rad.value,
+        )
+
+    def masses(self) -> list[float]:
+        """Return the mass of each connector as written, kg, head first."""
+        value = self.mass.connectors_kg.value
+        return list(value) if isinstance(value, list) else [value] * self.geometry.connectors.value
+
+    def contradictions(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of what does not fit together."""
+        connectors, masses = self.geometry.connectors.value, self.masses()
+        if len(masses) != connectors:
+            yield (
+                ("mass", "connectors_kg", "value"),
+                f"{len(masses)} masses for {connectors} connectors; give {connectors}, or one number for all",
+            )
+        if 2 * (wheel := self.mass.wheel_kg.value) >= min(masses):
+            yield (
+                ("mass", "wheel_kg", "value"),
+                f"two wheels of {wheel:g} kg must weigh less than the lightest connector, {min(masses):g} kg",
+            )
+        nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
+        if nominal > limit:
+            yield (
+                ("supply", "nominal_kpa", "value"),
+                f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
+            )

@@ -1,0 +1,242 @@
+"""The way of the data in one place: scenario → plants → trajectories → metrics → comparison → files."""
+
+from __future__ import annotations
+
+import json
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from srs_twin import __version__
+from srs_twin.comparison.compare import compare
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.control.base import Controller
+from srs_twin.documents import dump_yaml
+from srs_twin.errors import DivergedError, InputError
+from srs_twin.files import atomic_write, shown
+from srs_twin.plants.base import Plant, SnakeState
+from srs_twin.rollout import rollout
+from srs_twin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from srs_twin.scenario import Outcome, Scenario
+
+PLANTS = ("analytical", "twin")
+METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
+REPORT, RECORDING = "report.html", "recording.rrd"
+# metrics.json first: as long as it stands, the folder is complete.
+PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run gave and where it lies.
+
+    Attributes:
+        name: the scenario's.
+        folder: where the files are.
+        trajectories: plant → trajectory, up to the divergence where there was one.
+        metrics: what stands in metrics.json; empty where a plant diverged.
+        outcomes: the scenario's expectations, checked; empty where a plant diverged.
+        diverged: what stopped a plant, its message naming the file that keeps its trajectory.
+    """
+
+    name: str
+    folder: Path
+    trajectories: Mapping[str, Trajectory]
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    outcomes: tuple[Outcome, ...] = ()
+    diverged: tuple[DivergedError, ...] = ()
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A scenario whose plants and controllers stand ready and whose folder can be written.
+
+    Attributes:
+        scenario: what is run.
+        folder: where the files go.
+        parts: plant → the plant itself and the controller that drives it.
+    """
+
+    scenario: Scenario
+    folder: Path
+    parts: Mapping[str, tuple[Plant, Controller]]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the folder holds a whole run."""
+        return (self.folder / METRICS).is_file()
+
+    def execute(self, progress: Progress | None = None) -> RunResult:
+        """Simulate every plant, measure, compare and write the files, metrics.json last.
+
+        A plant that diverges leaves what it did up to there, and the others still run; then there is
+        nothing to compare, so that neither pictures nor metrics.json are written.
+
+        Args:
+            progress: called with the plant's name and the part that is done, 0 to 1.
+
+        Raises:
+            InputError: a file cannot be written.
+        """
+        self._clear()
+        with atomic_write(self.folder / RESOLVED) as path:
+            path.write_text(dump_yaml(self.scenario.document), "utf-8")
+        trajectories: dict[str, Trajectory] = {}
+        walls: dict[str, float] = {}
+        diverged: list[DivergedError] = []
+        for kind in self.parts:
+            start = time.perf_counter()
+            try:
+                trajectories[kind] = self._drive(kind, progress)
+            except DivergedError as error:
+                diverged.append(self._located(kind, error))
+                trajectories[kind] = error.trajectory
+            walls[kind] = time.perf_counter() - start
+            with atomic_write(self.folder / f"{kind}.parquet") as path:
+                trajectories[kind].to_parquet(path)
+        if diverged:
+            return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
+        return self._measure(trajectories, walls)
+
+    def _drive(self, kind: str, progress: Progress | None) -> Trajectory:
+        plant, controller = self.parts[kind]
+        scenario = self.scenario
+        observers = () if progress is None else (_Watcher(kind, scenario.duration, progress),)
+        trajectory = rollout(
+            plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed,
+            record_hz=scenario.record_hz, observers=observers,
+        )  # fmt: skip
+        if progress is not None:
+            progress(kind, 1.0)
+        return trajectory
+
+    def _located(self, kind: str, error: DivergedError) -> DivergedError:
+        """Say in the message which scenario it was and where its trajectory is kept."""
+        kept = shown(self.folder / f"{kind}.parquet")
+        error.args = (f"{self.scenario.name}: {error}; what it did up to there is in {kept}",)
+        return error
+
+    def _measure(self, trajectories: Mapping[str, Trajectory], walls: Mapping[str, float]) -> RunResult:
+        # rerun alone takes half a second to import: not before there is something to show.
+        from srs_twin.viewing.report import write_report
+        from srs_twin.viewing.rerun_log import write_recording
+
+        scenario = self.scenario
+        # The plants' own robot: a scenario may have taken its gaps away.
+        spec = [plant.spec for plant, _ in self.parts.values()][-1]
+        both = all(plant in trajectories for plant in PLANTS)
+        comparison = compare(*(trajectories[plant] for plant in PLANTS)) if both else None
+        metrics: dict[str, Any] = {
+            "scenario": scenario.name,
+            "robot": scenario.robot.name,
+            "plants": {k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()},
+            "comparison": comparison.metrics if comparison else None,
+        }
+        outcomes = tuple(expectation.check(metrics) for expectation in scenario.expect)
+        metrics["expectations"] = [asdict(outcome) for outcome in outcomes]
+        metrics["versions"] = versions()
+        with atomic_write(self.folder / REPORT) as path:
+            write_report(
+                path, scenario_title=scenario.title, spec=spec, trajectories=trajectories,
+                metrics=metrics, comparison=comparison,
+            )  # fmt: skip
+        with atomic_write(self.folder / RECORDING) as path:
+            write_recording(
+                path,
+                spec=spec,
+                trajectories=trajectories,
+                comparison=comparison,
+                title=scenario.title,
+            )
+        with atomic_write(self.folder / METRICS) as path:
+            path.write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
+        return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)
+
+    def _clear(self) -> None:
+        """Remove what an earlier run left, so that the folder never holds files of two runs."""
+        for product in PRODUCTS:
+            try:
+                (self.folder / product).unlink(missing_ok=True)
+            except OSError as error:
+                where = shown(self.folder / product)
+                raise InputError(f"{where}: cannot be replaced ({error.strerror})") from error
+
+
+class _Watcher:
+    """Observer of a rollout: reports a plant's progress, a hundred times at most."""
+
+    def __init__(self, kind: str, duration: float, progress: Progress) -> None:
+        self._kind, self._duration, self._progress = kind, duration, progress
+        self._told = 0
+        progress(kind, 0.0)
+
+    def __call__(self, state: SnakeState) -> None:
+        part = state.time / self._duration
+        if self._told < int(100 * part) < 100:
+            self._told = int(100 * part)
+            self._progress(self._kind, part)
+
+
+def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None) -> PreparedRun:
+    """Build the plants and controllers of a scenario and open its folder; simulate nothing.
+
+    Args:
+        scenario: what to run.
+        out: folder for the files; made where it is missing, may hold other files.
+        plants: which plants, in this order; None takes those the scenario names.
+
+    Raises:
+        InputError: a plant, a controller or the folder cannot be had as asked.
+    """
+    kinds = tuple(plants or scenario.plants)
+    parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
+    open_folder(out)
+    return PreparedRun(scenario, out, parts)
+
+
+def run_scenario(
+    scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None, progress: Progress | None = None
+) -> RunResult:
+    """Run a scenario and leave its files: `prepare`, then `PreparedRun.execute`.
+
+    Raises:
+        InputError: bad input, or a folder that cannot be written; found before simulating.
+    """
+    return prepare(scenario, out, plants=plants).execute(progress)
+
+
+def open_folder(folder: Path) -> None:
+    """Make a folder and see that it can be written.
+
+    Raises:
+        InputError: it cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # Permission bits say nothing to root and little on network drives: try it.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            f"{folder}: cannot write there ({reason}); give another folder with --out"
+        ) from error
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that decide the numbers of a run."""
+    return {
+        "srs_twin": __version__,
+        "mujoco": metadata.version("mujoco"),
+        "numpy": metadata.version("numpy"),
+        "python": platform.python_version(),
+    }

@@ -1,0 +1,192 @@
+"""From a scenario file to a Scenario, with everything that is wrong reported at once."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from srs_twin.documents import Document, load_yaml
+from srs_twin.errors import InputFileError, TimeStepError, whole_steps
+from srs_twin.files import find
+from srs_twin.robot_file import PA_PER_KPA, RobotFile
+from srs_twin.robots import resolve_robot
+from srs_twin.scenario.expectation import COMPARISON, Expectation
+from srs_twin.scenario.file import PLANTS, ExpectationFile, ScenarioFile, WorldFile
+from srs_twin.scenario.scenario import (
+    AnalyticalSettings,
+    GaitSettings,
+    PlantSettings,
+    Scenario,
+    TwinSettings,
+)
+from srs_twin.validation import validate
+from srs_twin.world import Bounds, Circle, Goal, World
+
+
+def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
+    """Load a scenario: a shipped name (gen2_straight) or the path of a scenario file.
+
+    Raises:
+        InputError: not found or not readable.
+        InputFileError: everything that is wrong with it, one line each.
+    """
+    path = find("scenario", name_or_path)
+    # The name becomes a folder: what a file name may hold and a folder or a YAML key should not is replaced.
+    name = re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
+    return _scenario(load_yaml(path), name)
+
+
+def parse_scenario(data: Mapping[str, Any], *, name: str = "scenario") -> Scenario:
+    """Make a scenario of plain data, as `Scenario.document` holds them.
+
+    Raises:
+        InputFileError: everything that is wrong with them; lines have no line numbers.
+    """
+    return _scenario(Document(name, data), name)
+
+
+def _scenario(document: Document, name: str) -> Scenario:
+    file = validate(ScenarioFile, document, document.data)
+    robot, foreign = _robot(document)
+    warnings = _overpressure(document, robot) if robot else []
+    if file:
+        _check_times(document, file)
+        _check_expectations(document, file)
+    document.finish(foreign)
+    assert file is not None and robot is not None, "no problem was reported"
+    if file.world.obstacles:
+        warnings.append("no plant feels obstacles: they are for planning and pictures")
+    return _build(file, robot, file.name or name, tuple(warnings))
+
+
+def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
+    """Return the robot, and what is wrong with a robot file of its own."""
+    given = document.get("robot")
+    if given is None and document.known(("robot",)) == ():
+        return None, ()
+    try:
+        return resolve_robot(document, given, prefix=("robot",)), ()
+    except InputFileError as error:
+        return None, error.lines
+
+
+def _overpressure(document: Document, robot: RobotFile) -> list[str]:
+    """Refuse a supply pressure above the robot's limit, or warn of it where it was allowed.
+
+    This looks at the document itself, so that the pressure is judged even where another key is wrong.
+    """
+    given, limit = document.get("supply", "pressure_kpa"), robot.supply.pulsed_limit_kpa
+    number = isinstance(given, (int, float)) and not isinstance(given, bool) and math.isfinite(given)
+    if not number or given <= limit.value:
+        return []
+    text = (
+        f"{given:g} kPa is above the {limit.value:g} kPa that {robot.name} may be given in pulses, as a gait "
+        f"gives it ({limit.source})"
+    )
+    if True in (document.get("allow_overpressure"), document.get("supply", "allow_overpressure")):
+        return [f"supply.pressure_kpa: {text}"]
+    document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true")
+    return []
+
+
+def _check_times(document: Document, file: ScenarioFile) -> None:
+    for kind in PLANTS:
+        plant = getattr(file.plants, kind)
+        if plant is None:
+            continue
+        key, interval = "duration_s", 1 / file.record_hz
+        try:
+            whole_steps("duration", file.duration_s, f"the {kind} plant's tick", plant.tick_s)
+            key = "record_hz"
+            if interval > plant.tick_s:
+                whole_steps("recording interval", interval, f"the {kind} plant's tick", plant.tick_s)
+            else:
+                whole_steps(f"the {kind} plant's tick", plant.tick_s, "recording interval", interval)
+                whole_steps("recording interval", interval, f"the {kind} plant's time step", plant.timestep_s)
+        except TimeStepError as error:
+            document.report((key,), str(error))
+
+
+def _check_expectations(document: Document, file: ScenarioFile) -> None:
+    runs = {kind for kind in PLANTS if getattr(file.plants, kind)}
+    for i, each in enumerate(file.expect):
+        if each.plant and each.plant not in runs:
+            document.report(("expect", i, "plant"), f"{each.plant} does not run here; add it to plants")
+        if each.of and len(runs) < 2:
+            document.report(("expect", i, "of"), "a comparison needs both plants; add the other to plants")
+
+
+def _build(file: ScenarioFile, robot: RobotFile, name: str, warnings: tuple[str, ...]) -> Scenario:
+    pressure_kpa = file.supply.pressure_kpa
+    if pressure_kpa is None:
+        pressure_kpa = robot.supply.nominal_kpa.value
+    gait, start, title = file.controller, file.start, file.title or name
+    allow_overpressure = file.allow_overpressure or file.supply.allow_overpressure
+    document = file.model_dump(mode="json", exclude_none=True) | {
+        "name": name,
+        "title": title,
+        "robot": robot.model_dump(mode="json"),
+        "supply": {"pressure_kpa": pressure_kpa},
+        "allow_overpressure": allow_overpressure,
+    }
+    return Scenario(
+        name=name,
+        title=title,
+        robot=robot.spec(),
+        duration=file.duration_s,
+        seed=file.seed,
+        record_hz=file.record_hz,
+        supply_pa=pressure_kpa * PA_PER_KPA,
+        allow_overpressure=allow_overpressure,
+        controller=GaitSettings(gait.frequency_hz, gait.offset, gait.phase_rad, gait.phase_step_rad),
+        pose=(start.x_m, start.y_m, start.heading_rad),
+        world=_world(file.world),
+        plants=_plants(file),
+        expect=tuple(_expectation(each) for each in file.expect),
+        document=document,
+        warnings=warnings,
+    )
+
+
+def _plants(file: ScenarioFile) -> dict[str, PlantSettings]:
+    plants: dict[str, PlantSettings] = {}
+    if model := file.plants.analytical:
+        plants["analytical"] = AnalyticalSettings(
+            gaps=model.gaps,
+            timestep=model.timestep_s,
+            tick=model.tick_s,
+            model=model.model,
+            friction=model.friction,
+            slip_speed=model.slip_speed_m_s,
+        )
+    if twin := file.plants.twin:
+        plants["twin"] = TwinSettings(
+            gaps=twin.gaps,
+            timestep=twin.timestep_s,
+            tick=twin.tick_s,
+            wheels=twin.wheels,
+            hinges_per_segment=twin.hinges_per_segment,
+        )
+    return plants
+
+
+def _world(file: WorldFile) -> World:
+    bounds, goal = file.bounds, file.goal
+    return World(
+        obstacles=tuple(Circle(each.x_m, each.y_m, each.radius_m) for each in file.obstacles),
+        bounds=Bounds((bounds.x_m[0], bounds.x_m[1]), (bounds.y_m[0], bounds.y_m[1])) if bounds else None,
+        goal=Goal(goal.x_m, goal.y_m, goal.heading_rad, goal.radius_m) if goal else None,
+    )
+
+
+def _expectation(file: ExpectationFile) -> Expectation:
+    of = file.plant or COMPARISON
+    low = -math.inf if file.above is None else file.above
+    high = math.inf if file.below is None else file.below
+    if file.near is not None:
+        tolerance = file.abs if file.abs is not None else (file.rel or 0.0) * abs(file.near)
+        low, high = file.near - tolerance, file.near + tolerance
+    return Expectation(file.metric, of, low, high, file.near, file.source)

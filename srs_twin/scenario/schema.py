@@ -1,0 +1,63 @@
+"""The JSON Schema of scenario files, for editors; overrides of a robot's fields included."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from srs_twin.robot_file import RobotFile
+from srs_twin.scenario.file import ROBOT_TEXT, ScenarioFile
+
+
+def scenario_json_schema() -> dict[str, Any]:
+    """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
+    schema, robot = ScenarioFile.model_json_schema(), RobotFile.model_json_schema()
+    parts = robot.pop("$defs")
+    # The names of records spell out their bounds; numbers do.
+    names = {name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(parts, start=1)}
+    definitions = {names[name]: _renamed(part, names) for name, part in parts.items()}
+    robot = _renamed(robot, names)
+    schema["properties"]["robot"] = {
+        "title": "Robot",
+        "description": ROBOT_TEXT,
+        "anyOf": [{"type": "string"}, _override(robot, definitions), robot],
+    }
+    schema["$defs"] |= definitions
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
+
+
+def _renamed(node: Any, names: Mapping[str, str]) -> Any:
+    """Point references to the definitions under their new names."""
+    if isinstance(node, list):
+        return [_renamed(each, names) for each in node]
+    if not isinstance(node, dict):
+        return node
+    renamed = {key: _renamed(value, names) for key, value in node.items()}
+    if "$ref" in node:
+        renamed["$ref"] = f"#/$defs/{names[node['$ref'].removeprefix('#/$defs/')]}"
+    return renamed
+
+
+def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of {base: …} with any field given as a plain number or as a whole record."""
+
+    def definition(node: dict[str, Any]) -> dict[str, Any]:
+        return definitions[node["$ref"].rsplit("/", 1)[1]]
+
+    properties: dict[str, Any] = {"base": {"type": "string", "description": "Name or path of the robot."}}
+    for name, node in robot["properties"].items():
+        if "$ref" not in node:
+            properties[name] = node
+            continue
+        fields = {}
+        for key, record in definition(node)["properties"].items():
+            plain = definition(record)["properties"]["value"]
+            fields[key] = {
+                "description": record["description"],
+                "anyOf": [
+                    {k: v for k, v in plain.items() if k not in ("title", "description")},
+                    {"$ref": record["$ref"]},
+                ],
+            }
+        properties[name] = {"type": "object", "properties": fields, "additionalProperties": False}
+    return {"type": "object", "properties": properties, "required": ["base"], "additionalProperties": False}

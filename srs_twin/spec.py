@@ -1,0 +1,228 @@
+"""RobotSpec: everything a plant needs to know of one snake, frozen, SI, validated.
+
+Numbers come from ``calibration/robots/*.yaml``, where each carries its source and status; here they are
+plain floats. Signs and frames: connectors i = 1…N from head to tail, segment j between connectors j and
+j+1, bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.errors import InputError
+
+
+def _require(ok: bool, name: str, value: float, allowed: str) -> None:
+    if not ok:
+        raise InputError(f"{name}: {value!r} is not allowed; {allowed}")
+
+
+def _positive(owner: object, *names: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        _require(math.isfinite(value) and value > 0, name, value, "it must be finite and above 0")
+
+
+def _not_negative(owner: object, *names: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        _require(math.isfinite(value) and value >= 0, name, value, "it must be finite and 0 or more")
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Lengths of the body.
+
+    Attributes:
+        connectors: N, number of connectors (the text's links), 2 or more.
+        segment_length: l, the pressurised part of a segment, which bends, m.
+        rigid_gap: L_o, the part of a segment that stays straight, half of it at each end, m (Fig. 35).
+        half_track: distance of each wheel's contact from the connector's centre line, m.
+        wheel_radius: m.
+        com_height: height of a connector's centre of mass above the floor, m.
+        width: width of the soft body, m (drawn and swept, no effect on the motion).
+    """
+
+    connectors: int
+    segment_length: float
+    rigid_gap: float
+    half_track: float
+    wheel_radius: float
+    com_height: float
+    width: float
+
+    def __post_init__(self) -> None:
+        _require(self.connectors >= 2, "connectors", self.connectors, "a snake has 2 or more")
+        _positive(self, "segment_length", "half_track", "wheel_radius", "com_height", "width")
+        _not_negative(self, "rigid_gap")
+
+    @property
+    def segments(self) -> int:
+        """Number of bending segments, N − 1."""
+        return self.connectors - 1
+
+    @property
+    def pitch(self) -> float:
+        """Length of a straight segment with its gap, l + L_o, m."""
+        return self.segment_length + self.rigid_gap
+
+    @property
+    def body_length(self) -> float:
+        """Distance from head to tail of the straight snake, gaps included, m."""
+        return self.segments * self.pitch
+
+
+@dataclass(frozen=True)
+class Mass:
+    """Masses.
+
+    Attributes:
+        connectors: mass at each connector with its wheels, head first, shape (N,), kg.
+        wheel: mass of one wheel, part of its connector's mass, kg.
+    """
+
+    connectors: tuple[float, ...]
+    wheel: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "wheel")
+        for i, mass in enumerate(self.connectors, start=1):
+            _require(math.isfinite(mass) and mass > 0, f"mass of connector {i}", mass, "it must be above 0")
+            _require(2 * self.wheel < mass, "wheel", self.wheel, f"two wheels must weigh less than {mass} kg")
+
+    @property
+    def total(self) -> float:
+        """Mass of the whole snake, kg."""
+        return sum(self.connectors)
+
+    def array(self) -> np.ndarray:
+        """Connector masses as an array, shape (N,), kg."""
+        return np.array(self.connectors)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb coefficients of a connector's wheels on the floor (Eq. 17).
+
+    Attributes:
+        mu_t: along the heading (axle drag of a rolling wheel).
+        mu_n: across it (a wheel that slides sideways).
+    """
+
+    mu_t: float
+    mu_n: float
+
+    def __post_init__(self) -> None:
+        _not_negative(self, "mu_t", "mu_n")
+
+
+@dataclass(frozen=True)
+class Bending:
+    """Compliance of one segment. Only dynamic bends (twin, `compliant`) feel it.
+
+    Attributes:
+        stiffness: k, bending stiffness about z, N·m/rad.
+        damping_time: c/k, s. With τ₂ of the actuator here, a free module obeys Eq. 14 exactly.
+        pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
+        roll_stiffness: stiffness against twisting, N·m/rad.
+    """
+
+    stiffness: float
+    damping_time: float
+    pitch_stiffness: float
+    roll_stiffness: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "stiffness", "damping_time", "pitch_stiffness", "roll_stiffness")
+
+    @property
+    def damping(self) -> float:
+        """Bending damping c, N·m·s/rad."""
+        return self.stiffness * self.damping_time
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Pneumatic response of one module (Eq. 14–16 as corrected by E1 and E2).
+
+    Attributes:
+        tau_fill: τ₁ of a filling chamber, s.
+        tau_vent: τ₁ of a venting chamber, s.
+        tau_mode: τ₂, valve and fast mechanical mode, s.
+        gain: free bend per differential chamber pressure, rad/Pa (C₀ over the pressure that gave it).
+    """
+
+    tau_fill: float
+    tau_vent: float
+    tau_mode: float
+    gain: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "tau_fill", "tau_vent", "tau_mode", "gain")
+
+
+@dataclass(frozen=True)
+class Supply:
+    """Pressures, gauge.
+
+    Attributes:
+        nominal: what a scenario gets that names no pressure, Pa.
+        continuous_limit: most that a chamber may hold, Pa.
+        pulsed_limit: most that may be supplied while chambers alternate (a gait, PWM), Pa.
+        limit_source: where the limits are stated, quoted in the refusal.
+    """
+
+    nominal: float
+    continuous_limit: float
+    pulsed_limit: float
+    limit_source: str
+
+    def __post_init__(self) -> None:
+        _positive(self, "nominal", "continuous_limit", "pulsed_limit")
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """One snake.
+
+    Attributes:
+        name: short name, also the name of its MJCF model.
+        title: one line for people.
+        phase_step: β, by which the gait of a segment lags the one before it, rad (E18).
+    """
+
+    name: str
+    title: str
+    geometry: Geometry
+    mass: Mass
+    friction: Friction
+    bending: Bending
+    actuator: Actuator
+    supply: Supply
+    phase_step: float
+
+    def __post_init__(self) -> None:
+        given, wanted = len(self.mass.connectors), self.geometry.connectors
+        _require(given == wanted, "mass.connectors", given, f"the robot has {wanted} connectors")
+        _require(math.isfinite(self.phase_step), "phase_step", self.phase_step, "it must be finite")
+
+    @property
+    def segments(self) -> int:
+        """Number of bending segments, N − 1."""
+        return self.geometry.segments
+
+
+def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
+    """Load a robot: a shipped name (gen1 to gen4) or the path of a robot file.
+
+    Raises:
+        InputError: not found, not readable, or everything that is wrong with it (`InputFileError`).
+    """
+    # Here, not above: files need pydantic and YAML, a spec made in code needs neither.
+    from srs_twin.robots import load_robot_file
+
+    return load_robot_file(name_or_path).spec()

@@ -1,0 +1,155 @@
+"""Trajectory: what a rollout recorded. Named columns over time with units, events, metadata; Parquet."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+
+_UNITS = {
+    "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
+    "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
+    "valve_minus": "1", "qpos": "mixed",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at one moment (an ILC update, replanning, saturation, contact).
+
+    Attributes:
+        time: s.
+        kind: short name, e.g. ``"ilc_update"``.
+        text: one line for people.
+    """
+
+    time: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Columns over time of one rollout. Frozen; arrays are not to be written to.
+
+    Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``
+    (head first), ``bend_1…``, ``sensed_1…``, ``pressure_plus_1…``, ``pressure_minus_1…``,
+    ``valve_plus_1…``, ``valve_minus_1…``, the controller's signals, and for the twin ``qpos_1…``.
+
+    Attributes:
+        columns: name → float array, each of shape (samples,).
+        units: name → unit, for the columns that the project does not name itself.
+        events: in order of time.
+        metadata: JSON values: plant, robot, tick, gait frequency, switch counts. No wall times.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return one column, shape (samples,)."""
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.time)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Sample times, shape (samples,), s."""
+        return self.columns["time"]
+
+    @property
+    def com(self) -> np.ndarray:
+        """Centre of mass in the world, shape (samples, 2), m."""
+        return np.stack([self["com_x"], self["com_y"]], axis=-1)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Connector positions in the world, head first, shape (samples, N, 2), m."""
+        return np.stack([self.stack("x"), self.stack("y")], axis=-1)
+
+    def stack(self, name: str) -> np.ndarray:
+        """Return numbered columns side by side: ``stack("bend")`` has shape (samples, segments).
+
+        Raises:
+            KeyError: there is no ``<name>_1``.
+        """
+        arrays: list[np.ndarray] = []
+        while (column := self.columns.get(f"{name}_{len(arrays) + 1}")) is not None:
+            arrays.append(column)
+        if not arrays:
+            raise KeyError(name)
+        return np.stack(arrays, axis=-1)
+
+    def has(self, name: str) -> bool:
+        """Say whether a column ``name`` or ``name_1`` is there."""
+        return name in self.columns or f"{name}_1" in self.columns
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column."""
+        return self.units.get(name) or _UNITS.get(re.sub(r"_\d+$", "", name), "1")
+
+    def to_parquet(self, path: Any) -> None:
+        """Write to a Parquet file or file-like object; equal trajectories give equal bytes.
+
+        Units stand in each field's metadata, events and metadata as JSON in the schema's.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        fields = [pa.field(n, pa.float64(), metadata={"unit": self.unit(n)}) for n in self.columns]
+        about = {
+            "srs_twin.events": json.dumps([asdict(e) for e in self.events]),
+            "srs_twin.metadata": json.dumps(dict(self.metadata), sort_keys=True),
+        }
+        table = pa.Table.from_arrays(
+            [pa.array(np.ascontiguousarray(c, dtype=float)) for c in self.columns.values()],
+            schema=pa.schema(fields, metadata=about),
+        )
+        pq.write_table(
+            table, path, compression="zstd", use_dictionary=False,
+            column_encoding={n: "BYTE_STREAM_SPLIT" for n in self.columns},
+        )  # fmt: skip
+
+    @classmethod
+    def from_parquet(cls, path: Any) -> Trajectory:
+        """Read what `to_parquet` wrote.
+
+        Raises:
+            InputError: not a Parquet file, or not one of a trajectory.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            # One file: pq.read_table would take a folder and join whatever lies in it.
+            with pq.ParquetFile(path) as file:
+                table = file.read()
+            about = table.schema.metadata or {}
+            if not {b"srs_twin.events", b"srs_twin.metadata"} <= about.keys():
+                raise TypeError("a Parquet file of something else")
+            events = tuple(Event(**e) for e in json.loads(about[b"srs_twin.events"]))
+            metadata = json.loads(about[b"srs_twin.metadata"])
+            columns = {n: table.column(n).to_numpy() for n in table.column_names}
+            units = {f.name: (f.metadata or {}).get(b"unit", b"1").decode() for f in table.schema}
+            if not isinstance(metadata, dict):
+                raise TypeError("its metadata is no mapping")
+            for f in table.schema:
+                if f.type != pa.float64():
+                    raise TypeError(f"column {f.name} holds {f.type}, not float64")
+        except FileNotFoundError as error:
+            raise InputError(f"{path}: no such file") from error
+        except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path}: not a trajectory written by srs-twin ({error})") from error
+        if "time" not in columns:
+            raise InputError(f"{path}: a trajectory needs a column 'time'")
+        return cls(columns, units, events, metadata)

@@ -1,0 +1,172 @@
+"""Plain data against a strict pydantic model; what does not fit is said in words, where it stands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from srs_twin.documents import Document, Loc, child, has_child
+from srs_twin.errors import did_you_mean
+
+Schema = Mapping[str, Any]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Strict(BaseModel):
+    """Base of all models of files: no conversions, no unknown keys, finite numbers only."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc = ()) -> Model | None:
+    """Return plain data as a model, or None after reporting all that is wrong to the document.
+
+    Args:
+        model: a subclass of `Strict`.
+        document: what the problems are reported to.
+        data: plain data, ``document.data`` or a part of it.
+        prefix: path of the data in the document.
+    """
+    try:
+        return model.model_validate_json(json.dumps(data), strict=True)
+    except ValidationError as error:
+        schema = model.model_json_schema()
+        for item in error.errors(include_url=False):
+            # What is missing, and a default that does not fit what was given, are not in the data.
+            absent = item["type"] in ("missing", "value_error")
+            loc = _locate(item["loc"], data, absent=absent)
+            message = _message(item, schema, loc)
+            where = prefix + loc if absent else document.visible(prefix, loc)
+            document.report(where, message, at_key=item["type"] == "extra_forbidden")
+        return None
+
+
+def allowed(schema: Schema, root: Schema) -> str:
+    """Return in words what a JSON schema admits: 'a number from 0.01 to 50'.
+
+    Args:
+        schema: the schema of one value.
+        root: the whole schema, which holds the definitions.
+    """
+    texts = [_allowed(option, root) for option in _options(schema, root)]
+    return " or ".join(dict.fromkeys(filter(None, texts)))
+
+
+def _message(item: Any, schema: Schema, loc: Loc) -> str:
+    kind = item["type"]
+    if kind == "extra_forbidden":
+        keys = _keys(schema, loc[:-1])
+        close = did_you_mean(str(loc[-1]), keys)
+        return f"unknown key{close or '; known here: ' + ', '.join(keys)}"
+    if kind == "value_error":
+        return str(item["ctx"]["error"])
+    options = list(_schemas_at(schema, loc))
+    words = " or ".join(dict.fromkeys(allowed(option, schema) for option in options))
+    if kind == "missing":
+        return f"missing; it must be {words}"
+    given = item["input"]
+    choices = [c for o in options for c in _choices(o, schema)]
+    close = did_you_mean(given, choices) if isinstance(given, str) and len(choices) > 1 else ""
+    return f"must be {words}, not {_given(given)}{close}"
+
+
+def _locate(loc: Loc, data: Any, *, absent: bool) -> Loc:
+    """Drop what pydantic puts into a path that is not in the data: names of union members."""
+    kept: list[str | int] = []
+    for i, part in enumerate(loc):
+        if has_child(data, part):
+            data = child(data, part)
+        elif not (absent and i == len(loc) - 1):
+            continue
+        kept.append(part)
+    return tuple(kept)
+
+
+def _given(value: Any) -> str:
+    """Return a value as a person who wrote it in YAML recognises it."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f"text {value!r}" if len(value) <= 40 else f"text {value[:40]!r}…"
+    if isinstance(value, dict):
+        return "a block of keys"
+    return f"a list of {len(value)}" if isinstance(value, list) else _number(value)
+
+
+def _number(value: float) -> str:
+    """Return a number as text: whole ones in full, others short."""
+    if value != value:
+        return "NaN"
+    if abs(value) > 1e300:
+        return "infinity"
+    return str(int(value)) if value == int(value) and abs(value) < 1e15 else f"{value:g}"
+
+
+def _allowed(schema: Schema, root: Schema) -> str:
+    if choices := _choices(schema, root):
+        names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
+        return names[0] if len(names) == 1 else f"one of {', '.join(names)}"
+    kind = schema.get("type")
+    if kind in ("number", "integer"):
+        return ("a whole number" if kind == "integer" else "a number") + _range(schema)
+    if kind == "array":
+        inner = allowed(schema.get("items", {}), root)
+        count = f" of {schema['minItems']}" if schema.get("minItems") == schema.get("maxItems", -1) else ""
+        return f"a list{count} (each {inner})" if inner else f"a list{count}"
+    if kind == "object":
+        keys = ", ".join(schema.get("properties", {}))
+        return f"a block of keys ({keys})" if keys else "a block of keys"
+    if kind == "string":
+        longest = schema.get("maxLength")
+        return f"text of 1 to {longest} characters" if longest else "text"
+    return {"boolean": "true or false"}.get(str(kind), "")
+
+
+def _range(schema: Schema) -> str:
+    low, high = schema.get("minimum"), schema.get("maximum")
+    if low is not None and high is not None:
+        return f" from {_number(low)} to {_number(high)}"
+    return f" of at least {_number(low)}" if low is not None else ""
+
+
+def _choices(schema: Schema, root: Schema) -> list[Any]:
+    found = []
+    for option in _options(schema, root):
+        found += [option["const"]] if "const" in option else list(option.get("enum", ()))
+    return found
+
+
+def _options(schema: Schema, root: Schema) -> Iterator[Schema]:
+    """Yield what a schema is a choice of, references resolved."""
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
+    inner = schema.get("anyOf") or schema.get("oneOf")
+    if not inner:
+        yield schema
+        return
+    for option in inner:
+        yield from _options(option, root)
+
+
+def _schemas_at(root: Schema, loc: Loc) -> Iterator[Schema]:
+    """Yield the schemas that a value at a path may have."""
+    found: list[Schema] = [root]
+    for part in loc:
+        step: list[Schema] = []
+        for schema in found:
+            for option in _options(schema, root):
+                inner = (
+                    option.get("properties", {}).get(part) if isinstance(part, str) else option.get("items")
+                )
+                step += [inner] if inner is not None else []
+        found = step
+    yield from found
+
+
+def _keys(root: Schema, loc: Loc) -> list[str]:
+    return [key for s in _schemas_at(root, loc) for o in _options(s, root) for key in o.get("properties", {})]

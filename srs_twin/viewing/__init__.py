@@ -1,0 +1,1 @@
+"""Recordings, plots and reports of finished runs."""

@@ -1,0 +1,213 @@
+"""Write report.html: what ran, what came out, how far the plants lie apart, and plots of it, in one file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.checks import check_drawable
+from srs_twin.viewing.html import Markup, element, page, picture, table
+from srs_twin.viewing.plan_view import plan_view
+from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
+
+if TYPE_CHECKING:
+    from srs_twin.comparison.compare import Comparison
+
+# The difference of these is given in per cent of the analytical value, of others in their own unit.
+_RELATIVE = {"com_speed_m_s", "turning_radius_m", "path_length_m", "mean_bend_amplitude_rad"}
+# How long a computer took says nothing of the difference of two plants.
+_NOT_COMPARED = {"wall_s", "realtime_factor"}
+
+# How the names of metrics end, longest first, and what is said instead.
+_ENDINGS = {
+    "_rad_s": "", "_m_s": "", "_rad": "", "_m": "", "_s": "",
+    "_rel": ", relative", "_abs": ", size of difference", "_body": " over body length",
+}  # fmt: skip
+
+_READING = (
+    "Both plants got the same valve commands. The analytical model (dashed, a ghost in the recording) is the "
+    "reference, the MuJoCo twin (solid) the candidate; differences are twin minus analytical, in per cent "
+    "where that is marked.",
+    "CoM speed is that of the period-averaged path of the centre of mass over whole gait periods after a "
+    "warm-up of two, forward positive. Yaw rates, bends and turning radii are positive to the left. Bends "
+    "are listed head first.",
+    "Shape difference: both bodies are laid centre of mass on centre of mass at zero mean heading; the rest "
+    "is the distance of like connectors, root mean square. Path difference: the distance of the centres of "
+    "mass at equal times; it grows with every difference of speed or heading.",
+    "A published value is what the dissertation states for this experiment; an expectation is what the "
+    "scenario file allows. A dash means that there is no such number: nothing periodic, or a straight path.",
+)
+
+
+def write_report(
+    path: str | Path,
+    *,
+    scenario_title: str,
+    spec: RobotSpec,
+    trajectories: Mapping[str, Trajectory],
+    metrics: Mapping[str, Any],
+    comparison: Comparison | None = None,
+) -> None:
+    """Write the report of one run; it needs nothing from outside itself.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        scenario_title: one line for people.
+        spec: the robot that ran.
+        trajectories: plant → what it did.
+        metrics: what stands in metrics.json.
+        comparison: adds the plot of differences over time.
+
+    Raises:
+        InputError: there is no trajectory, or one of them is empty.
+    """
+    check_drawable(trajectories)
+    duration = max(float(run.time[-1]) for run in trajectories.values())
+    plants = " and ".join(trajectories)
+    parts = [
+        element("h1", scenario_title),
+        element("p", f"{spec.title}, {duration:g} s simulated, {plants}", cls="sub"),
+        element("h2", "Results"),
+        result_table(metrics),
+        *_expectations(metrics.get("expectations") or ()),
+        element("h2", "Plots"),
+        *_pictures(trajectories, spec, comparison),
+        element("h2", "How to read this"),
+        *(element("p", sentence) for sentence in _READING),
+        element("h2", "Settings"),
+        *_settings(spec, trajectories, metrics.get("versions") or {}),
+    ]
+    Path(path).write_text(page(scenario_title, *parts), encoding="utf-8")
+
+
+def result_table(metrics: Mapping[str, Any]) -> Markup:
+    """Return the table of metrics: one column a plant, the difference, and what was published."""
+    plants: Mapping[str, Mapping[str, Any]] = metrics["plants"]
+    published = _published(metrics.get("expectations") or ())
+    both = {"analytical", "twin"} <= plants.keys()
+    headings = ["metric", "unit", *plants, *(["difference"] if both else []), "published"]
+    rows = []
+    for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
+        values = [measured.get(name) for measured in plants.values()]
+        if any(value is not None for value in values):
+            apart = [_difference(name, plants)] if both else []
+            rows.append([_words(name), unit, *map(_text, values), *apart, published.get(name, "")])
+    for name, unit in COMPARISON_UNITS.items():
+        value = (metrics.get("comparison") or {}).get(name)
+        if value is not None:
+            blank = [""] * len(plants)
+            rows.append(
+                [_words(name), unit, *blank, *([_text(value)] if both else []), published.get(name, "")]
+            )
+    return table(headings, rows, numbers=range(2, len(headings)))
+
+
+def _published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return metric → published value, of the expectations that state one and its source."""
+    stated = [e for e in expectations if e.get("near") is not None and e.get("source")]
+    return {e["metric"]: f"{_text(e['near'])} ({e['source']})" for e in stated}
+
+
+def _expectations(expectations: Sequence[Mapping[str, Any]]) -> list[Markup]:
+    if not expectations:
+        return []
+    rows = []
+    for each in expectations:
+        verdict = (
+            element("span", "met", cls="met") if each["met"] else element("span", "missed", cls="missed")
+        )
+        of = each.get("of") or ""
+        rows.append(
+            [
+                verdict,
+                each["metric"],
+                of,
+                _text(each.get("value")),
+                each.get("allowed") or "",
+                each.get("source") or "",
+            ]
+        )
+    missed = sum(not each["met"] for each in expectations)
+    summary = f"{missed} of {len(expectations)} missed" if missed else f"all {len(expectations)} met"
+    headings = ["", "metric", "of", "value", "allowed", "source"]
+    return [element("h2", f"Expectations: {summary}"), table(headings, rows, numbers=[3])]
+
+
+def _pictures(
+    trajectories: Mapping[str, Trajectory], spec: RobotSpec, comparison: Comparison | None
+) -> list[Markup]:
+    made = [
+        picture(plan_view(trajectories, spec), "Paths and bodies from above. Forward is from tail to head."),
+        picture(bend_plot(trajectories), "Bend of each segment; positive bends the head end to the left."),
+        picture(pressure_plot(trajectories), "Pressure of the + chamber less that of the − chamber."),
+        picture(speed_plot(trajectories), "Speed of the centre of mass."),
+    ]
+    if comparison is not None and len(comparison.time):
+        made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
+    return made
+
+
+def _settings(
+    spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, Any]
+) -> list[Markup]:
+    about = {plant: run.metadata for plant, run in trajectories.items()}
+    keys = dict.fromkeys(key for metadata in about.values() for key in metadata)
+    runs = [[key, *(_text(metadata.get(key)) for metadata in about.values())] for key in keys]
+    robot = [[name, _text(value)] for name, value in _leaves(asdict(spec))]
+    used = [[name, str(version)] for name, version in versions.items()]
+    return [
+        _folded("Plants and controller", table(["setting", *about], runs)),
+        _folded(f"Robot {spec.name} (SI units)", table(["parameter", "value"], robot)),
+        _folded("Versions", table(["package", "version"], used)),
+    ]
+
+
+def _folded(title: str, content: Markup) -> Markup:
+    return element("details", element("summary", title), content)
+
+
+def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
+    """Return ('geometry.width', 0.03)… of nested mappings."""
+    found: list[tuple[str, Any]] = []
+    for name, value in tree.items():
+        found += _leaves(value, f"{above}{name}.") if isinstance(value, Mapping) else [(above + name, value)]
+    return found
+
+
+def _difference(name: str, plants: Mapping[str, Mapping[str, Any]]) -> str:
+    ours, theirs = plants["analytical"].get(name), plants["twin"].get(name)
+    if name in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
+        return ""
+    if name in _RELATIVE:
+        return f"{100 * (theirs - ours) / abs(ours):+.1f} %" if ours else ""
+    return f"{theirs - ours:+.3g}"
+
+
+def _words(name: str) -> str:
+    """Return 'CoM speed' for com_speed_m_s: the unit has a column of its own."""
+    for ending, words in _ENDINGS.items():
+        if name.endswith(ending):
+            name = name.removesuffix(ending) + words
+            break
+    return {"wall": "time to compute"}.get(name, name.replace("com_", "CoM ").replace("_", " "))
+
+
+def _text(value: Any) -> str:
+    """Return a JSON value for people; a dash where there is none."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool | str):
+        return str(value)
+    if isinstance(value, int | float):
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(
+            f"[{_text(each)}]" if isinstance(each, list | tuple) else _text(each) for each in value
+        )
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,136 @@
+"""Write a finished run as a Rerun recording, whole columns at once; nothing is logged while it simulates.
+
+Entity tree: `world/floor`, `world/<plant>/{body/segment_j, connectors, wheels, trail, com}`,
+`module/<j>/{bend, pressure}/<plant>`, `body/{speed, heading}/<plant>`, `comparison/{shape, path}`.
+The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
+as the views' names say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.blueprint import TIMELINE, Layout, run_blueprint
+from srs_twin.viewing.checks import check_drawable
+from srs_twin.viewing.colors import Style, style_of
+from srs_twin.viewing.scene import Entities, send_snake
+from srs_twin.viewing.signals import forward_speed, gait_period, period_speed, pressure_difference
+
+if TYPE_CHECKING:
+    from srs_twin.comparison.compare import Comparison
+
+SCENE_HZ = 50.0
+"""Shapes are kept at most this often; plots keep every sample."""
+
+
+def write_recording(
+    path: str | Path,
+    *,
+    spec: RobotSpec,
+    trajectories: Mapping[str, Trajectory],
+    comparison: Comparison | None = None,
+    title: str = "",
+) -> None:
+    """Write `recording.rrd`: both snakes on the floor, and their signals side by side in plots.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        spec: the robot that ran.
+        trajectories: plant → what it did. With a twin, the other plants are ghosts.
+        comparison: gives the plots of shape and path difference.
+        title: the recording's name in the viewer.
+
+    Raises:
+        InputError: there is no trajectory, or one of them is empty.
+    """
+    check_drawable(trajectories)
+    log = rr.RecordingStream("srs_twin")
+    low, high = _extent(trajectories, spec)
+    layout = _layout(trajectories, spec, comparison is not None)
+    log.save(path)
+    # Active, not only default: a viewer that has shown another robot before must not keep its layout.
+    log.send_blueprint(run_blueprint(layout), make_active=True, make_default=True)
+    log.set_log_time_enabled(False)
+    log.set_log_tick_enabled(False)
+    log.send_recording_name(title or spec.title)
+    _send_floor(log, low, high)
+    for index, (plant, run) in enumerate(trajectories.items()):
+        style = style_of(plant, index)
+        ghost = plant != "twin" and "twin" in trajectories
+        scene = thinned(run, SCENE_HZ)
+        entities = Entities(log, f"world/{plant}", scene.time)
+        send_snake(entities, scene, spec.geometry, style, ghost=ghost)
+        _send_signals(log, plant, run, style)
+    if comparison is not None:
+        for index, (name, error) in enumerate(
+            (("shape", comparison.shape_error), ("path", comparison.path_error))
+        ):
+            _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
+    log.flush()
+    log.disconnect()
+
+
+def thinned(trajectory: Trajectory, rate_hz: float) -> Trajectory:
+    """Return every n-th sample, so that at most `rate_hz` remain."""
+    steps = np.diff(trajectory.time[:2])
+    every = max(1, round(1 / (rate_hz * steps[0]))) if len(steps) and steps[0] > 0 else 1
+    columns = {name: column[::every] for name, column in trajectory.columns.items()}
+    return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
+
+
+def _layout(trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool) -> Layout:
+    followed = trajectories.get("twin") or next(iter(trajectories.values()))
+    return Layout(
+        plants=list(trajectories),
+        segments=spec.segments,
+        start=followed.com[0],
+        heading=float(followed["heading"][0]),
+        body_length=spec.geometry.body_length,
+        period=gait_period(followed),
+        compared=compared,
+    )
+
+
+def _extent(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([run.position.reshape(-1, 2) for run in trajectories.values()])
+    margin = spec.geometry.half_track + spec.geometry.pitch
+    return np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
+
+
+def _send_floor(log: rr.RecordingStream, low: np.ndarray, high: np.ndarray) -> None:
+    margin = 0.25 * float(np.hypot(*(high - low)))
+    (x0, y0), (x1, y1) = low - margin, high + margin
+    corners = [[x0, y0, -0.001], [x1, y0, -0.001], [x1, y1, -0.001], [x0, y1, -0.001]]
+    floor = rr.Mesh3D(
+        vertex_positions=corners, triangle_indices=[[0, 1, 2], [0, 2, 3]], albedo_factor=[228, 230, 233]
+    )
+    log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log.log("world/floor", floor, static=True)
+
+
+def _send_signals(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+    bends, pressures = run.stack("bend"), pressure_difference(run)
+    for j in range(bends.shape[1]):
+        _send_series(log, f"module/{j + 1}/bend/{plant}", run.time, bends[:, j], style)
+        if np.isfinite(pressures).any():
+            _send_series(log, f"module/{j + 1}/pressure/{plant}", run.time, 1e-3 * pressures[:, j], style)
+    _send_series(log, f"body/heading/{plant}", run.time, run["heading"], style)
+    period = gait_period(run)
+    time, speed = (run.time, forward_speed(run)) if period is None else period_speed(run, period)
+    _send_series(log, f"body/speed/{plant}", time, speed, style)
+
+
+def _send_series(
+    log: rr.RecordingStream, path: str, time: np.ndarray, values: np.ndarray, style: Style
+) -> None:
+    line = rr.SeriesLines(colors=[style.rgb], names=[style.label], widths=[style.width])
+    log.log(path, line, static=True)
+    scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float))
+    log.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], scalars)

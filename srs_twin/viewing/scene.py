@@ -1,0 +1,163 @@
+"""Both snakes in three dimensions: tubes, connectors, wheels, trails, as whole columns of Rerun shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+
+from srs_twin.spec import Geometry
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.blueprint import TIMELINE
+from srs_twin.viewing.colors import Style, pressure_colors
+from srs_twin.viewing.signals import pressure_difference
+from srs_twin.viewing.tubes import body_line, centre_lines, wheel_centres
+
+PIECES = 6
+"""Capsules an arc; at 90° each stands for 15°, where the rounded ends still hide the corners."""
+Rgba = tuple[int, int, int, int]
+_GHOST_ALPHA = 120
+_PLATES: Rgba = (70, 74, 82, 255)
+_WHEELS: Rgba = (28, 30, 34, 255)
+
+
+@dataclass(frozen=True)
+class Entities:
+    """The entities of one snake in a recording.
+
+    Attributes:
+        log: where they are sent.
+        root: path above them, `world/<plant>`.
+        time: one row a sample, (samples,), s.
+    """
+
+    log: rr.RecordingStream
+    root: str
+    time: np.ndarray
+
+    def fixed(self, name: str, shape: rr.AsComponents) -> None:
+        """Log what stays the same (a component must not also be sent by `moving`: fixed ones win)."""
+        self.log.log(f"{self.root}/{name}", shape, static=True)
+
+    def moving(self, name: str, columns: rr.ComponentColumnList, count: int = 1) -> None:
+        """Send columns with `count` values a sample."""
+        rows = columns.partition(np.full(len(self.time), count))
+        self.log.send_columns(f"{self.root}/{name}", [rr.TimeColumn(TIMELINE, duration=self.time)], rows)
+
+
+def send_snake(to: Entities, snake: Trajectory, geometry: Geometry, style: Style, *, ghost: bool) -> None:
+    """Log one snake: a ghost is see-through and of one colour, the other shows its pressures."""
+    ghostly = (*style.rgb, _GHOST_ALPHA)
+    if ghost:
+        _send_hull(to, snake, geometry, ghostly)
+    else:
+        _send_tubes(to, snake, geometry)
+    plates, wheels = (ghostly, ghostly) if ghost else (_PLATES, _WHEELS)
+    _send_connectors(to, snake, geometry, [(*style.rgb, plates[3])] + [plates] * (geometry.connectors - 1))
+    _send_wheels(to, snake, geometry, wheels)
+    _send_trail(to, snake, style)
+
+
+def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
+    """Log each segment as capsules along its centre line, in the colour of its pressure difference."""
+    lines = centre_lines(snake, geometry, PIECES)
+    colors = pressure_colors(pressure_difference(snake))
+    for j in range(geometry.segments):
+        name, line = f"body/segment_{j + 1}", lines[:, j]
+        step = np.diff(line, axis=1)
+        # The chords of an arc hardly change as it bends (0.3 % at 90°), so their lengths are logged once.
+        lengths = np.hypot(*step[0].T)
+        tube = rr.Capsules3D.from_fields(lengths=lengths, radii=[geometry.width / 2], fill_mode="solid")
+        to.fixed(name, tube)
+        poses = rr.Capsules3D.columns(
+            translations=_at_height(line[:, :-1], _height(geometry)),
+            quaternions=_along(np.arctan2(step[..., 1], step[..., 0])),
+        )
+        to.moving(name, poses, step.shape[1])
+        to.moving(name, rr.Capsules3D.columns(colors=_packed(colors[:, j])))
+
+
+def _send_hull(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
+    """Log the body as one six-sided tube; capsules overlap and would not look see-through."""
+    line = body_line(snake, geometry, PIECES)
+    along = np.gradient(line, axis=1)
+    left = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.linalg.norm(along, axis=-1, keepdims=True)
+    angle = np.arange(6) * np.pi / 3
+    # A little thinner than the other body, so that two at the same place do not flicker.
+    radius = 0.46 * geometry.width
+    side = line[:, :, None] + radius * np.cos(angle)[:, None] * left[:, :, None]
+    up = np.broadcast_to(_height(geometry) + radius * np.sin(angle), side.shape[:-1])
+    vertices = np.concatenate([side, up[..., None]], axis=-1).astype(np.float32)
+    triangles = _tube_triangles(line.shape[1])
+    hull = rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=color, face_rendering="front")
+    to.fixed("body", hull)
+    to.moving("body", rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)), 6 * line.shape[1])
+
+
+def _tube_triangles(rings: int) -> np.ndarray:
+    """Return the triangles between rings of six vertices, shape (n, 3), counter-clockwise from outside."""
+    ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(6), indexing="ij")
+    here, after = 6 * ring + corner, 6 * ring + (corner + 1) % 6
+    quads = np.stack([here, here + 6, after, after, here + 6, after + 6], axis=-1)
+    return quads.reshape(-1, 3)
+
+
+def _send_connectors(to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]) -> None:
+    half = [
+        max(geometry.rigid_gap / 4, 0.1 * geometry.half_track),
+        geometry.half_track - 0.2 * geometry.wheel_radius,
+        0.35 * geometry.width,
+    ]
+    to.fixed("connectors", rr.Boxes3D.from_fields(half_sizes=[half], colors=colors, fill_mode="solid"))
+    theta = snake.stack("theta")
+    nothing = np.zeros_like(theta)
+    turn = np.stack([nothing, nothing, np.sin(theta / 2), np.cos(theta / 2)], axis=-1)
+    poses = rr.Boxes3D.columns(
+        centers=_at_height(snake.position, _height(geometry)),
+        quaternions=turn.reshape(-1, 4).astype(np.float32),
+    )
+    to.moving("connectors", poses, geometry.connectors)
+
+
+def _send_wheels(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
+    radius, count = geometry.wheel_radius, 2 * geometry.connectors
+    wheel = rr.Cylinders3D.from_fields(
+        lengths=[0.4 * radius], radii=[radius], colors=[color], fill_mode="solid"
+    )
+    to.fixed("wheels", wheel)
+    axle = np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
+    centres = _at_height(wheel_centres(snake, geometry), radius)
+    to.moving("wheels", rr.Cylinders3D.columns(centers=centres, quaternions=_along(axle)), count)
+
+
+def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
+    """Log the centre of mass, and its trail as a short line a sample: the view shows those so far."""
+    ends = np.stack([np.concatenate([snake.com[:1], snake.com[:-1]]), snake.com], axis=1)
+    strips = _at_height(ends, 0.002).reshape(-1, 2, 3)
+    to.fixed("trail", rr.LineStrips3D.from_fields(colors=[style.rgb], radii=[0.002]))
+    to.moving("trail", rr.LineStrips3D.columns(strips=strips))
+    to.fixed("com", rr.Points3D.from_fields(colors=[style.rgb], radii=[0.004]))
+    to.moving("com", rr.Points3D.columns(positions=_at_height(snake.com, 0.003)))
+
+
+def _height(geometry: Geometry) -> float:
+    """Return how high the centre line is drawn, m; a body wider than it is high must not sink in."""
+    return max(geometry.com_height, geometry.width / 2)
+
+
+def _at_height(points: np.ndarray, height: float) -> np.ndarray:
+    """Return (…, 2) points as (n, 3) at one height, float32."""
+    flat = points.reshape(-1, 2)
+    return np.column_stack([flat, np.full(len(flat), height)]).astype(np.float32)
+
+
+def _along(yaw: np.ndarray) -> np.ndarray:
+    """Return quaternions (n, 4), xyzw, that lay +z (the axis of capsules) along a yaw in the floor."""
+    s, c = np.sin(yaw / 2), np.cos(yaw / 2)
+    return (np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)).reshape(-1, 4).astype(np.float32)
+
+
+def _packed(rgba: np.ndarray) -> np.ndarray:
+    """Return (n, 4) bytes as 0xRRGGBBAA, which Rerun takes without a copy per colour."""
+    return np.ascontiguousarray(rgba).view(">u4").reshape(-1).astype(np.uint32)

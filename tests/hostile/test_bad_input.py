@@ -1,0 +1,244 @@
+"""What people and fuzzers put into scenario files: always a clear refusal, never a traceback."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin.documents import parse_yaml
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.scenario import load_scenario, parse_scenario
+
+GOOD = """\
+title: Generation 2, straight
+robot: gen2
+duration_s: 1
+supply: {pressure_kpa: 48.3}
+controller: {kind: gait, frequency_hz: 2.0, offset: 0.0}
+world: {}
+plants:
+  analytical: {model: complete, friction: axis}
+  twin: {wheels: rolling}
+expect:
+  - {metric: com_speed_m_s, plant: twin, near: 0.214, rel: 0.15, source: Table 10}
+"""
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch):
+    """Return the message with which a file of this text is refused."""
+    monkeypatch.chdir(tmp_path)
+
+    def refused(text: str | bytes) -> str:
+        with open("x.yaml", "wb") as stream:
+            stream.write(text.encode() if isinstance(text, str) else text)
+        with pytest.raises(InputError) as error:
+            load_scenario("x.yaml")
+        assert error.value.exit_code == 2
+        assert os.listdir() == ["x.yaml"], "nothing else was written"
+        return str(error.value)
+
+    return refused
+
+
+def test_the_good_one_is_good(tmp_path):
+    (tmp_path / "x.yaml").write_text("\ufeff" + GOOD.replace("\n", "\r\n"), newline="")
+    assert load_scenario(tmp_path / "x.yaml").warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("written", "given"),
+    [
+        ("0", "0"), ("-2", "-2"), ("1e3", "1000"), (".nan", "NaN"), (".inf", "infinity"),
+        ("1e999", "infinity"), ("9" * 5000, "infinity"), ("NaN", "text 'NaN'"), ("2Hz", "text '2Hz'"),
+        ("'2.0'", "text '2.0'"), ("true", "true"), ("[2]", "a list of 1"), ("{a: 1}", "a block of keys"),
+        ("~", "nothing"),
+    ],
+)  # fmt: skip
+def test_a_frequency_that_is_none(refused, written, given):
+    expected = f"x.yaml:5:40: controller.frequency_hz: must be a number from 0.01 to 50, not {given}"
+    assert refused(GOOD.replace("frequency_hz: 2.0", f"frequency_hz: {written}")) == expected
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("2.0", "2,0", "5:42: controller.0: unknown key"),
+        ("2.0", "", "5:26: controller.frequency_hz: must be a number from 0.01 to 50, not nothing"),
+        ("frequency_hz", "frequency", "5:26: controller.frequency: unknown key; did you mean frequency_hz?"),
+        ("offset: 0.0", "offset: 1", "5:53: controller.offset: must be a number from -0.95 to 0.95, not 1"),
+        (
+            "duration_s: 1",
+            "duration_s: 1e9",
+            "3:13: duration_s: must be a number from 0.001 to 3600, not 10000",
+        ),
+        ("duration_s: 1", "duration: 1", "3:1: duration: unknown key; did you mean duration_s?"),
+        (
+            "world: {}",
+            "world: []",
+            "6:8: world: must be a block of keys (obstacles, bounds, goal), not a list",
+        ),
+        ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin has nothing after it; write 'twin: {}' for"),
+        ("kind: gait", "kind: smc", "5:20: controller.kind: must be gait, not text 'smc'"),
+        (
+            "48.3",
+            "96.5",
+            "4:24: supply.pressure_kpa: 96.5 kPa is above the 68.9476 kPa that gen2 may be given in",
+        ),
+        ("48.3", "48kPa", "4:24: supply.pressure_kpa: must be a number from 0.1 to 2000, not text '48kPa'"),
+        (
+            "48.3}",
+            "96, allow_overpressure: yes}",
+            "4:48: supply.allow_overpressure: must be true or false, not t",
+        ),
+        (
+            "friction: axis",
+            "tick_s: 0.0205",
+            "8:41: plants.analytical.tick_s: tick 0.0205 s is no multiple of",
+        ),
+        ("wheels: rolling", "wheels: skid", "9:18: plants.twin.wheels: must be rolling, not text 'skid'"),
+        (
+            "gen2\n",
+            "{base: gen2, mass: {wheel_kg: -1}}\n",
+            "2:38: robot.mass.wheel_kg: must be a number from 1e-06",
+        ),
+        ("gen2\n", "gen2\nrobot: gen3\n", "3:1: robot: given twice; the first is in line 2"),
+        ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
+        (
+            "gen2\n",
+            "!!python/name:os.system\n",
+            "2:8: tags (tag:yaml.org,2002:python/name:os.system) are not",
+        ),
+        ("gen2\n", "../../../etc/passwd\n", "2:8: robot: ../../../etc/passwd: no such file"),
+        (
+            "world: {}",
+            "world: {goal: {x_m: 1}}",
+            "6:15: world.goal.y_m: missing; it must be a number from -1000 to",
+        ),
+        (
+            "world: {}",
+            "\tworld: {}",
+            "6:1: not YAML: while scanning for the next token: found character '\\t'",
+        ),
+        ("world: {}", "world: {}}", "6:10: not YAML: "),
+        ("title: G", "---\ntitle: x\n---\ntitle: G", "3:1: a second document begins here"),
+        ("title: G", "\x07title: G", "1:1: not YAML: unusable character U+0007"),
+        ("title: G", "on: G", "1:1: on: unknown key; known here: name, title, robot,"),
+    ],
+)
+def test_one_mistake_one_message(refused, old, new, message):
+    assert old in GOOD
+    text = refused(GOOD.replace(old, new, 1))
+    assert any(line.startswith(f"x.yaml:{message}") for line in text.splitlines()), text
+    assert "Traceback" not in text and "pydantic" not in text
+
+
+def test_all_mistakes_at_once_in_the_order_of_the_file(refused):
+    text = GOOD.replace("title", "titel").replace("gen2", "gen22").replace("48.3", "x").replace("2.0", "0")
+    text = text.replace("rolling", "&a rolling").replace("near: 0.214, ", "")
+    places = [line.split(": ")[:2] for line in refused(text).splitlines()]
+    assert places == [
+        ["x.yaml:1:1", "titel"],
+        ["x.yaml:2:8", "robot"],
+        ["x.yaml:4:24", "supply.pressure_kpa"],
+        ["x.yaml:5:40", "controller.frequency_hz"],
+        ["x.yaml:9:18", "anchors (&a) are not allowed; write each value out"],
+        ["x.yaml:11:5", "expect[0]"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "x.yaml: must be a block of keys (name, title, robot, "),
+        (b"# nothing\n", "x.yaml: must be a block of keys (name, title, robot, "),
+        (b"just text\n", "x.yaml:1:1: must be a block of keys (name, title, robot, "),
+        (b"- 1\n- 2\n", "x.yaml:1:1: must be a block of keys (name, title, robot, "),
+        (b"{}", "x.yaml:1:1: robot: missing; it must be text or a block of keys"),
+        (b"\xff\xfet\x00i\x00", "x.yaml: not UTF-8 text (byte 1 is 0xff); save it as UTF-8"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00", "x.yaml: not UTF-8 text (byte 1 is 0x89); save it as UTF-8"),
+        (b"a: " + b"x" * 70_000, "x.yaml: larger than 64 kB"),
+        (b"a: " + b"[" * 60_000, "x.yaml:1:19: nested more than 16 deep"),
+        (b"a: " + b"{a: " * 10_000, "x.yaml:1:64: nested more than 16 deep"),
+        (b"- " * 30_000, "x.yaml:1:33: nested more than 16 deep"),
+        (b"".join(b"k%d:\n" % i for i in range(5_500)), "x.yaml:5001:1: more than 10000 keys and values"),
+    ],
+)
+def test_files_that_are_no_scenario(refused, content, message):
+    assert message in refused(content)
+
+
+def test_missing_and_folder(tmp_path):
+    with pytest.raises(InputError, match=r"nope\.yaml: no such file"):
+        load_scenario(tmp_path / "nope.yaml")
+    with pytest.raises(InputError, match="a folder; give one file"):
+        load_scenario(tmp_path)
+    with pytest.raises(InputError, match=r"unknown scenario 'gen2_strait'; did you mean gen2_straight\?"):
+        load_scenario("gen2_strait")
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_a_document_or_refused(text):
+    try:
+        parse_yaml(text, "x").finish()
+    except InputFileError as error:
+        assert all(line.startswith("x:") for line in error.lines)
+
+
+edits = st.lists(
+    st.tuples(
+        st.integers(0, len(GOOD)),
+        st.integers(0, 6),
+        st.text("\t\n :#-?{}[],&*!|>'\"%@`<=~.0123456789aexyn_\\", max_size=5),
+    ),
+    max_size=4,
+)
+
+
+@settings(max_examples=300)
+@given(edits)
+def test_a_damaged_scenario_loads_or_is_refused(changes):
+    text = GOOD
+    for start, length, new in changes:
+        text = text[:start] + new + text[start + length :]
+    try:
+        document = parse_yaml(text, "x")
+        document.finish()
+        parse_scenario(document.data)
+    except InputError as error:
+        assert str(error)
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+keys = st.sampled_from(
+    [
+        "name",
+        "title",
+        "robot",
+        "seed",
+        "record_hz",
+        "supply",
+        "controller",
+        "start",
+        "world",
+        "plants",
+        "expect",
+    ]
+)
+
+
+@settings(max_examples=100)
+@given(st.dictionaries(keys, values, max_size=4))
+def test_any_value_anywhere_loads_or_is_refused(changes):
+    data = {"robot": "gen2", "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 2.0}} | changes
+    try:
+        parse_scenario(data)
+    except InputError as error:
+        assert str(error)

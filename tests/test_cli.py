@@ -1,0 +1,238 @@
+"""The command line: exit codes, where the words go, what stays behind."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from srs_twin.cli import main
+from srs_twin.cli.progress import Progress
+from srs_twin.cli.view import find_recording
+from srs_twin.errors import DivergedError, InputError
+
+HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
+METRICS = {
+    "plants": {
+        "analytical": {"com_speed_m_s": 0.25, "yaw_rate_rad_s": 0.001, "realtime_factor": 1234.5},
+        "twin": {"com_speed_m_s": 0.2, "yaw_rate_rad_s": -0.002, "realtime_factor": 12.3},
+    },
+    "comparison": {"com_speed_rel": -0.2, "shape_rms_m": 0.00321},
+    "expectations": [
+        {
+            "metric": "com_speed_m_s", "of": "twin", "near": 0.214, "value": 0.2,
+            "allowed": "0.1819 to 0.2461", "met": True, "source": "Table 10",
+        },
+        {
+            "metric": "com_speed_rel", "of": "comparison", "near": None, "value": -0.2,
+            "allowed": "-0.12 to 0.12", "met": False, "source": None,
+        },
+    ],
+}  # fmt: skip
+
+
+@dataclass
+class Job:
+    """Stands in for a prepared run: does what a test tells it to."""
+
+    name: str
+    folder: Path
+    log: list[str]
+    outcome: object = "met"
+    complete: bool = True
+
+    @property
+    def scenario(self):
+        return SimpleNamespace(name=self.name, warnings=(f"{self.name} is warned of",))
+
+    def execute(self, progress):
+        self.log.append(f"run {self.name}")
+        if isinstance(self.outcome, BaseException) and not isinstance(self.outcome, DivergedError):
+            raise self.outcome
+        diverged = (self.outcome,) if isinstance(self.outcome, DivergedError) else ()
+        outcomes = (SimpleNamespace(met=self.outcome == "met"),)
+        return SimpleNamespace(
+            name=self.name, folder=self.folder, metrics=METRICS, outcomes=outcomes, diverged=diverged
+        )
+
+
+@pytest.fixture
+def start(monkeypatch, capsys, tmp_path):
+    """Run `srs-twin` on stand-ins: scenario name → how it ends. Gives code, stdout, stderr and the log."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words, **endings):
+        log = []
+
+        def load(name):
+            log.append(f"load {name}")
+            if isinstance(endings[name], InputError):
+                raise endings[name]
+            return SimpleNamespace(name=name)
+
+        def prepare(scenario, folder, *, plants):
+            return Job(scenario.name, folder, log, endings[scenario.name])
+
+        monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
+        monkeypatch.setattr("srs_twin.running.prepare", prepare)
+        with pytest.raises(SystemExit) as left:
+            main(list(words))
+        said = capsys.readouterr()
+        return SimpleNamespace(code=left.value.code or 0, out=said.out, err=said.err, log=log)
+
+    return run
+
+
+def test_help_takes_less_than_a_third_of_a_second(srs_twin, root):
+    def seconds():
+        # Time on the processor: other work on the machine must not decide a test.
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = srs_twin("--help", cwd=root)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        assert done.returncode == 0
+        assert "compare" in done.stdout
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    assert min(seconds() for _ in range(3)) < 0.3
+
+
+def test_the_command_line_loads_nothing_heavy():
+    code = f"import sys, srs_twin.cli.app as a; a.command(); print([m for m in {HEAVY} if m in sys.modules])"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["comparee"], "Did you mean 'compare'?"),
+        (["compare"], "Missing argument 'SCENARIO'"),
+        (["run", "x", "--chek"], "--check"),
+        (["models", "exprt"], "Did you mean 'export'?"),
+        (["compare", "a", "b"], "unexpected extra argument"),
+    ],
+)
+def test_usage_errors_are_plain_and_exit_with_2(start, words, said):
+    left = start(*words)
+    assert left.code == 2
+    assert said in left.err
+    assert left.out == ""
+    assert not set("─│╭╰") & set(left.err)
+
+
+@pytest.mark.parametrize(
+    ("words", "ending", "code"),
+    [
+        (["run", "a"], "met", 0),
+        (["run", "a"], "missed", 0),
+        (["run", "a", "--check"], "met", 0),
+        (["run", "a", "--check"], "missed", 1),
+        (["compare", "a", "--check"], "missed", 1),
+        (["run", "a"], InputError("x.yaml:1:2: no"), 2),
+        (["run", "a"], DivergedError("twin", 1.5, "qpos is not finite"), 3),
+        (["run", "a"], RuntimeError("nobody foresaw this"), 4),
+        (["run", "a"], KeyboardInterrupt(), 130),
+    ],
+)
+def test_exit_codes(start, words, ending, code):
+    assert start(*words, a=ending).code == code
+
+
+def test_bad_input_is_said_before_anything_runs_and_stops_nothing_else(start):
+    left = start("run", "a", "bad", "c", a="met", bad=InputError("bad.yaml:3:1: wrong"), c="missed")
+    assert left.log == ["load a", "load bad", "load c", "run a", "run c"]
+    assert left.err.startswith("bad.yaml:3:1: wrong\n")
+    assert left.code == 2
+
+
+def test_the_highest_code_wins_whatever_the_order(start):
+    diverged = DivergedError("twin", 1.5, "qpos is not finite")
+    left = start("run", "a", "b", "c", "--check", a="missed", b=diverged, c="met")
+    assert left.code == 3
+    assert "twin diverged at t = 1.5 s: qpos is not finite" in left.err
+    assert left.log[-1] == "run c"
+
+
+def test_an_interrupt_says_what_is_finished(start):
+    left = start("run", "a", "b", "c", a="met", b=KeyboardInterrupt(), c="met")
+    assert left.code == 130
+    assert "interrupted; finished before: runs/a" in left.err
+    assert "run c" not in left.log
+
+
+def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
+    left = start("run", "a", a=RuntimeError("two\nlines"))
+    lines = [line for line in left.err.splitlines() if "warn" not in line]
+    assert len(lines) == 1
+    assert "internal error: RuntimeError: two lines (test_cli.py:" in lines[0]
+    assert "report it as CONTRIBUTING.md says" in lines[0]
+    monkeypatch.setenv("SRS_TWIN_DEBUG", "1")
+    assert "Traceback (most recent call last)" in start("run", "a", a=RuntimeError("x")).err
+
+
+def test_several_runs_get_a_folder_each_and_one_gets_the_folder_itself(start):
+    assert "files in out;" in start("run", "a", "--out", "out", a="met").err
+    several = start("run", "a", "b", "--out", "out", a="met", b="met").err
+    assert "files in out/a;" in several
+    assert "files in out/b;" in several
+    assert "files in runs/a;" in start("run", "a", a="met").err
+
+
+def test_folders_stand_for_the_files_in_them(start, tmp_path):
+    (tmp_path / "set").mkdir()
+    for name in ("b.yaml", "a.yaml", "notes.txt"):
+        (tmp_path / "set" / name).touch()
+    left = start("run", "set", **{"set/a.yaml": "met", "set/b.yaml": "met"})
+    assert [each for each in left.log if each.startswith("load")] == ["load set/a.yaml", "load set/b.yaml"]
+
+
+def test_the_table_fits_80_columns_and_says_what_was_missed(start, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    left = start("compare", "a", a="met")
+    assert all(len(line) <= 80 for line in left.out.splitlines())
+    (speed,) = (line.split() for line in left.out.splitlines() if "CoM speed " in line)
+    assert speed == ["CoM", "speed", "m/s", "0.25", "0.2", "-20.0", "%", "0.214"]
+    (yaw,) = (line.split() for line in left.out.splitlines() if "yaw rate " in line)
+    assert yaw == ["yaw", "rate", "rad/s", "0.001", "-0.002", "-0.003"]
+    assert "met    twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10)" in left.out
+    assert "MISSED comparison com_speed_rel = -0.2, allowed -0.12 to 0.12" in left.out
+
+
+def test_quiet_leaves_stdout_and_stderr_empty(start):
+    left = start("run", "a", "--quiet", a="met")
+    assert (left.code, left.out, left.err) == (0, "", "")
+    missed = start("run", "a", "-q", "--check", a="missed")
+    assert (missed.code, missed.out) == (1, "")
+    assert missed.err == "MISSED comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
+
+
+def test_progress_keeps_quiet_for_two_seconds_then_writes_plain_lines(monkeypatch, capsys):
+    now = [100.0]
+    monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
+    with Progress("gen2") as progress:
+        for second in range(30):
+            now[0] = 100.0 + second
+            progress("twin", second / 30)
+    assert capsys.readouterr().err == "gen2: twin 7%\ngen2: twin 40%\ngen2: twin 73%\n"
+    with Progress("gen2", quiet=True) as progress:
+        now[0] += 60
+        progress("twin", 0.5)
+    assert capsys.readouterr().err == ""
+
+
+def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recording = tmp_path / "runs/a/recording.rrd"
+    recording.parent.mkdir(parents=True)
+    recording.touch()
+    for given in ("a", "runs/a", "runs/a/recording.rrd"):
+        assert find_recording(given).resolve() == recording
+    with pytest.raises(InputError, match=r"^b: no recording there \(looked for b/recording.rrd, runs/b/"):
+        find_recording("b")
+    (tmp_path / "x.csv").touch()
+    with pytest.raises(InputError, match=r"^x.csv: not a recording"):
+        find_recording("x.csv")

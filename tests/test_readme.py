@@ -1,0 +1,86 @@
+"""What the README tells a newcomer to type works as it stands, and what it names is there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+
+import pytest
+from conftest import ROOT
+
+README = (ROOT / "README.md").read_text("utf-8")
+FENCES = re.findall(r"^```(\w*)( runnable)?\n(.*?)^```$", README, re.M | re.S)
+SHELL = [line for kind, _, text in FENCES if kind == "sh" for line in text.splitlines()]
+RUNNABLE = [line for kind, mark, text in FENCES if mark for line in text.splitlines()]
+INLINE = re.findall(r"`((?:uv run )?srs-twin [a-z][^`]*)`", README)
+
+
+def fence(kind: str) -> str:
+    (text,) = (text for language, _, text in FENCES if language == kind)
+    return text
+
+
+def words_of(command: str) -> list[str]:
+    """Return the words after `srs-twin`."""
+    return shlex.split(command.partition("srs-twin")[2])
+
+
+@pytest.fixture
+def checkout(tmp_path, root):
+    """A folder with what a checkout has and room for what the commands write."""
+    for name in ("scenarios", "calibration"):
+        (tmp_path / name).symlink_to(root / name)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", RUNNABLE)
+def test_commands_run_as_printed(command, checkout, srs_twin):
+    assert command.startswith("uv run srs-twin ")
+    done = srs_twin(*words_of(command), cwd=checkout)
+    assert done.returncode == 0, done.stderr
+
+
+def test_first_command_is_the_main_job(checkout, srs_twin):
+    first = SHELL[0]
+    assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
+    assert all(line.endswith(first.partition("uv run ")[2]) for line in SHELL[1:2])
+    done = srs_twin(*words_of(first), cwd=checkout)
+    assert done.returncode == 0, done.stderr
+    promised = re.findall(r"^\| ((?:`[\w.]+`(?:, )?)+) \|", README, re.M)
+    files = {name for cell in promised for name in re.findall(r"`([\w.]+)`", cell)}
+    assert {path.name for path in (checkout / "runs/gen2_straight").iterdir()} == files
+
+
+def test_every_verb_named_exists(root, srs_twin):
+    commands = [command for command in SHELL + INLINE if "srs-twin" in command]
+    verbs = {word for command in commands for word in words_of(command)[:1] if word.isalpha()}
+    assert verbs >= {"run", "compare", "view", "models", "schema"}
+    for verb in verbs:
+        assert srs_twin(verb, "--help", cwd=root).returncode == 0, verb
+
+
+def test_scenario_of_the_readme_loads(tmp_path):
+    from srs_twin import load_scenario
+
+    text = fence("yaml").replace("{…}", "{stiffness_nm_per_rad: 0.2}")
+    path = tmp_path / "printed.yaml"
+    path.write_text(text)
+    scenario = load_scenario(str(path))
+    assert (scenario.robot.name, scenario.duration) == ("gen2", 10.0)
+    assert len(scenario.expect) == 2
+
+
+def test_python_of_the_readme_runs(capsys):
+    exec(compile(fence("python"), "README.md", "exec"), {})
+    assert abs(float(capsys.readouterr().out)) < 1
+
+
+def test_links_and_pictures_are_there():
+    targets = [t for t in re.findall(r"\]\(([^)#]+)\)", README) if "//" not in t]
+    assert targets
+    assert [t for t in targets if not (ROOT / t).is_file()] == []
+
+
+def test_one_test_command_everywhere():
+    assert "uv run pytest" in SHELL
+    assert "uv run pytest" in (ROOT / ".ci/run").read_text("utf-8")

@@ -1,0 +1,211 @@
+"""The real thing, started as a person starts it: what a run leaves behind, also when it ends badly."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from srs_twin import Trajectory, load_scenario
+from srs_twin.errors import DivergedError, InputError
+from srs_twin.running import PRODUCTS, prepare, run_scenario
+from srs_twin.viewing.viewer import verify_recording
+
+SCENARIO = """\
+title: Short
+robot: gen2
+duration_s: 2
+supply: {pressure_kpa: 48.3}
+controller: {kind: gait, frequency_hz: 2.0}
+plants: {analytical: {}, twin: {}}
+expect:
+  - {metric: com_speed_m_s, plant: twin, near: 0.214, rel: 0.5, source: Table 10}
+  - {metric: com_speed_rel, of: comparison, below: -0.9}
+"""
+
+
+def write(folder: Path, name: str, text: str = SCENARIO) -> str:
+    (folder / f"{name}.yaml").write_text(text)
+    return str(folder / f"{name}.yaml")
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory, srs_twin):
+    """One `compare --check` into a folder that holds something already."""
+    room = tmp_path_factory.mktemp("compared")
+    write(room, "short")
+    (room / "out").mkdir()
+    (room / "out/notes.txt").write_text("mine")
+    (room / "out/metrics.json").write_text("old")
+    done = srs_twin("compare", "./short.yaml", "--out", "out", "--check", cwd=room)
+    return room, done
+
+
+def test_the_folder_holds_everything_and_what_was_there(compared):
+    room, done = compared
+    assert done.returncode == 1, done.stderr
+    assert {path.name for path in (room / "out").iterdir()} == {*PRODUCTS, "notes.txt"}
+    assert (room / "out/notes.txt").read_text() == "mine"
+    assert sorted(path.name for path in room.iterdir()) == ["out", "short.yaml"]
+
+
+def test_metrics_follow_from_the_trajectories(compared):
+    room, _ = compared
+    metrics = json.loads((room / "out/metrics.json").read_text())
+    keys = ["scenario", "robot", "plants", "comparison", "expectations", "versions"]
+    assert list(metrics) == keys
+    assert (metrics["scenario"], metrics["robot"]) == ("short", "gen2")
+    assert set(metrics["versions"]) == {"srs_twin", "mujoco", "numpy", "python"}
+    speeds = {}
+    for plant in ("analytical", "twin"):
+        run = Trajectory.from_parquet(room / f"out/{plant}.parquet")
+        assert run.metadata["plant"] == plant
+        # Straight on along x: displacement over whole periods after the warm-up is the speed.
+        speeds[plant] = (run["com_x"][200] - run["com_x"][100]) / 1.0
+        assert metrics["plants"][plant]["com_speed_m_s"] == pytest.approx(speeds[plant], rel=0.02)
+        assert metrics["plants"][plant]["wall_s"] > 0
+    relative = speeds["twin"] / speeds["analytical"] - 1
+    assert metrics["comparison"]["com_speed_rel"] == pytest.approx(relative, abs=0.02)
+
+
+def test_the_terminal_shows_what_metrics_json_holds(compared):
+    room, done = compared
+    metrics = json.loads((room / "out/metrics.json").read_text())
+    speed = f"{metrics['plants']['twin']['com_speed_m_s']:.4g}"
+    (row,) = (line for line in done.stdout.splitlines() if "CoM speed" in line)
+    assert speed in row.split()
+    assert row.split()[-1] == "0.214"
+    assert f"met    twin com_speed_m_s = {speed}, allowed 0.107 to 0.321 (Table 10)" in done.stdout
+    assert "MISSED comparison com_speed_rel" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "files in out;" in done.stderr
+
+
+def test_recording_and_report_are_whole(compared):
+    room, _ = compared
+    verify_recording(room / "out/recording.rrd")
+    report = (room / "out/report.html").read_text()
+    assert "Short" in report
+    assert report.rstrip().endswith("</html>")
+
+
+def test_the_resolved_scenario_runs_to_the_same_bytes(compared, tmp_path):
+    room, _ = compared
+    again = run_scenario(load_scenario(room / "out/scenario.resolved.yaml"), tmp_path / "again")
+    for name in ("analytical.parquet", "twin.parquet"):
+        assert (again.folder / name).read_bytes() == (room / "out" / name).read_bytes(), name
+
+
+def test_one_plant_alone_leaves_no_trace_of_a_former_run_with_two(compared, tmp_path):
+    room, _ = compared
+    folder = tmp_path / "out"
+    folder.mkdir()
+    for name in PRODUCTS:
+        (folder / name).write_bytes((room / "out" / name).read_bytes())
+    lone = SCENARIO.replace(", twin: {}", "").split("expect:")[0]
+    result = run_scenario(load_scenario(write(tmp_path, "lone", lone)), folder)
+    assert not (folder / "twin.parquet").exists()
+    assert list(result.metrics["plants"]) == ["analytical"]
+    assert result.metrics["comparison"] is None
+
+
+def test_a_place_that_cannot_be_written_is_found_before_simulating(tmp_path):
+    scenario = load_scenario(write(tmp_path, "short"))
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file/below"):
+        with pytest.raises(InputError, match=r"file.*: cannot .*--out"):
+            prepare(scenario, folder)
+    (tmp_path / "out/report.html").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"report.html: cannot be replaced"):
+        run_scenario(scenario, tmp_path / "out")
+
+
+def test_progress_rises_to_the_end_for_each_plant(tmp_path):
+    told: dict[str, list[float]] = {}
+    text = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
+    run_scenario(
+        load_scenario(write(tmp_path, "brief", text)),
+        tmp_path / "out",
+        progress=lambda plant, part: told.setdefault(plant, []).append(part),
+    )
+    assert list(told) == ["analytical", "twin"]
+    for parts in told.values():
+        assert parts == sorted(set(parts))
+        assert (parts[0], parts[-1]) == (0.0, 1.0)
+
+
+def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tmp_path):
+    job = prepare(load_scenario(write(tmp_path, "short")), tmp_path / "out")
+    plant = job.parts["analytical"][0]
+    sound = plant.advance
+    ticks = iter(range(1000))
+
+    def unsound(valves, samples):
+        if next(ticks) == 50:
+            raise DivergedError("analytical", 50 * plant.tick, "com_velocity is not finite")
+        return sound(valves, samples)
+
+    plant.advance = unsound
+    result = job.execute()
+    (error,) = result.diverged
+    assert error.exit_code == 3
+    assert str(error).startswith("short: analytical diverged at t = 1 s: com_velocity is not finite; ")
+    assert str(error).endswith(str(tmp_path / "out/analytical.parquet"))
+    kept = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
+    assert kept.time[-1] == pytest.approx(1.0)
+    assert np.isfinite(kept.com).all()
+    assert Trajectory.from_parquet(tmp_path / "out/twin.parquet").time[-1] == pytest.approx(2.0)
+    assert not job.complete
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "analytical.parquet", "twin.parquet", "scenario.resolved.yaml"
+    }  # fmt: skip
+
+
+def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
+    long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace("analytical: {}, ", "")
+    brief = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
+    words = ["run", write(tmp_path, "brief", brief), write(tmp_path, "long", long.split("expect:")[0])]
+    script = str(Path(sys.executable).with_name("srs-twin"))
+    child = subprocess.Popen([script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    started, deadline = tmp_path / "runs/long/scenario.resolved.yaml", time.monotonic() + 120
+    while not started.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    child.send_signal(signal.SIGINT)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 130, said
+    assert "interrupted; finished before: runs/brief" in said
+    assert "Traceback" not in said
+    assert (tmp_path / "runs/brief/metrics.json").is_file()
+    assert [path.name for path in (tmp_path / "runs/long").iterdir()] == ["scenario.resolved.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["compare", "./nosuch.yaml"], "nosuch.yaml: no such file"),
+        (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
+        (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
+        (["models", "check", "./none.xml"], "none.xml: no such file"),
+        (["models", "check", "gen9"], "unknown robot 'gen9'"),
+        (["view", "nosuch"], "nosuch: no recording there"),
+    ],
+)
+def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, said):
+    write(tmp_path, "bad", SCENARIO.replace("frequency_hz", "frequency"))
+    done = srs_twin(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(said)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
+
+
+def test_schema_is_json_that_knows_the_keys(tmp_path, srs_twin):
+    schema = json.loads(srs_twin("schema", cwd=tmp_path).stdout)
+    assert {"robot", "duration_s", "controller", "plants", "expect"} <= schema["properties"].keys()

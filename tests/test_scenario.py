@@ -1,0 +1,529 @@
+"""Scenarios: what loads, what is built from it, what its expectations say, what the schema knows."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import json
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.documents import dump_yaml, load_yaml, parse_yaml
+from srs_twin.errors import InputFileError, UnknownNameError
+from srs_twin.files import data_root, shipped_names
+from srs_twin.scenario import Expectation, load_scenario, parse_scenario, scenario_json_schema
+from srs_twin.scenario.expectation import known_metrics
+from srs_twin.spec import load_robot
+
+MINIMAL = {"robot": "gen2", "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 2.0}}
+
+
+def scenario(**changes):
+    return parse_scenario(MINIMAL | changes)
+
+
+def refusal(**changes) -> list[str]:
+    with pytest.raises(InputFileError) as error:
+        scenario(**changes)
+    return [line.removeprefix("scenario: ") for line in error.value.lines]
+
+
+def plants(**options):
+    return {"analytical": options}
+
+
+# What loads
+
+
+def test_the_defaults():
+    s = scenario()
+    assert (s.name, s.title, s.seed, s.record_hz, s.pose) == (
+        "scenario",
+        "scenario",
+        0,
+        100.0,
+        (0.0, 0.0, 0.0),
+    )
+    assert list(s.plants) == ["analytical", "twin"]
+    assert s.robot == load_robot("gen2") and s.supply_pa == s.robot.supply.nominal
+    assert s.warnings == ()
+
+
+def test_units_become_si():
+    s = scenario(
+        supply={"pressure_kpa": 50},
+        controller={"kind": "gait", "frequency_hz": 1, "offset": -0.2, "phase_rad": 1, "phase_step_rad": 2},
+        start={"x_m": 1, "y_m": -2, "heading_rad": 0.5},
+        world={
+            "obstacles": [{"x_m": 1, "y_m": 2, "radius_m": 0.1}],
+            "bounds": {"x_m": [-1, 3], "y_m": [0, 1]},
+            "goal": {"x_m": 2, "y_m": 1},
+        },
+        plants={"analytical": {"gaps": False, "timestep_s": 0.002, "tick_s": 0.01, "slip_speed_m_s": 0.002}},
+    )
+    assert s.supply_pa == 50_000 and s.pose == (1, -2, 0.5)
+    assert (s.controller.frequency, s.controller.offset, s.controller.phase, s.controller.phase_step) == (
+        1,
+        -0.2,
+        1,
+        2,
+    )
+    assert s.world.obstacles[0].radius == 0.1 and s.world.bounds and s.world.bounds.x == (-1, 3)
+    assert s.world.goal and (s.world.goal.heading, s.world.goal.radius) == (None, 0.05)
+    (warning,) = s.warnings
+    assert "no plant feels obstacles" in warning
+    plant = s.build_plant("analytical")
+    assert (plant.tick, plant.timestep) == (0.01, 0.002)
+    assert plant.spec.geometry.rigid_gap == 0 and s.robot.geometry.rigid_gap == 0.018
+
+
+def test_building_is_fresh_each_time_and_knows_both_plants():
+    s = scenario(plants={"twin": {"hinges_per_segment": 2}})
+    assert s.build_controller() is not s.build_controller()
+    twin = s.build_plant("twin")
+    assert twin.name == "twin" and twin.describe()["hinges_per_segment"] == 2
+    assert s.build_plant("analytical").name == "analytical", "compare runs both, named or not"
+    with pytest.raises(UnknownNameError, match=r"unknown plant 'twinn'; did you mean twin\?"):
+        s.build_plant("twinn")
+
+
+@pytest.mark.parametrize("kind", ["analytical", "twin"])
+def test_defaults_are_those_of_the_plants(kind):
+    from srs_twin.plants.analytical import AnalyticalSnake
+    from srs_twin.plants.twin import TwinSnake
+
+    parameters = inspect.signature({"analytical": AnalyticalSnake, "twin": TwinSnake}[kind]).parameters
+    settings = vars(scenario().plants[kind]) | {}
+    assert settings.pop("gaps") is True
+    assert settings == {name: parameters[name].default for name in settings}
+
+
+def test_the_controller_is_a_gait():
+    gait = scenario(controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}).build_controller()
+    assert (gait.kind, gait.frequency, gait.offset) == ("gait", 1.5, 0.3)
+
+
+# Robots in scenarios
+
+
+def test_a_plain_number_overrides_and_says_so():
+    s = scenario(
+        robot={"base": "gen2", "bending": {"stiffness_nm_per_rad": 0.2}, "geometry": {"connectors": 7}}
+    )
+    assert s.robot.bending.stiffness == 0.2 and s.robot.bending.damping_time == 0.00214
+    assert len(s.robot.mass.connectors) == 7
+    assert s.robot.title.endswith(", modified")
+    record = s.document["robot"]["bending"]["stiffness_nm_per_rad"]
+    assert record == {
+        "value": 0.2, "unit": "N*m/rad", "status": "estimated", "source": "set in scenario over gen2"
+    }  # fmt: skip
+
+
+def test_a_list_and_a_whole_record_override():
+    masses = [0.03, 0.03, 0.03, 0.03, 0.1]
+    record = {"value": 0.5, "unit": "1", "status": "measured", "source": "my floor"}
+    s = scenario(robot={"base": "gen2", "mass": {"connectors_kg": masses}, "friction": {"mu_n": record}})
+    assert s.robot.mass.connectors == tuple(masses) and s.robot.friction.mu_n == 0.5
+    assert s.document["robot"]["friction"]["mu_n"] == record
+
+
+def test_a_robot_by_path(tmp_path, monkeypatch):
+    text = (data_root() / "calibration/robots/gen2.yaml").read_text("utf-8")
+    (tmp_path / "mine.yaml").write_text(text.replace("name: gen2", "name: mine"), "utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert scenario(robot="mine.yaml").robot.name == "mine"
+    assert scenario(robot={"base": "./mine.yaml", "name": "ours"}).robot.name == "ours"
+
+
+@pytest.mark.parametrize(
+    ("robot", "words"),
+    [
+        ("gen5", "robot: unknown robot 'gen5'; did you mean gen"),
+        ({"base": "gen5"}, "robot.base: unknown robot 'gen5'"),
+        ({"base": 5}, "robot.base: must be a robot's name, a path, or a block of keys with base"),
+        (5, "robot: must be a robot's name, a path, or a block of keys with base"),
+        (None, "robot: must be a robot's name, a path"),
+        ("no/such.yaml", "robot: no/such.yaml: no such file"),
+        (
+            {"base": "gen2", "bending": {"stifness_nm_per_rad": 1}},
+            "unknown key; did you mean stiffness_nm_per_rad?",
+        ),
+        (
+            {"base": "gen2", "bending": {"stiffness_nm_per_rad": "x"}},
+            "must be a number from 0.0001 to 1000000, not te",
+        ),
+        (
+            {"base": "gen2", "bending": {"stiffness_nm_per_rad": {"value": 1}}},
+            "stiffness_nm_per_rad.unit: missing",
+        ),
+        ({"base": "gen2", "bending": 3}, "robot.bending: must be a block of keys (stiffness_nm_per_rad, "),
+        (
+            {"base": "gen2", "mass": {"connectors_kg": -1}},
+            "robot.mass.connectors_kg: must be a number from 0.0001",
+        ),
+        (
+            {"base": "gen2", "mass": {"connectors_kg": [1, 2]}},
+            "robot.mass.connectors_kg: 2 masses for 5 connectors",
+        ),
+        (
+            {"base": "gen3", "geometry": {"connectors": 6}},
+            "mass.connectors_kg.value: 5 masses for 6 connectors; give 6",
+        ),
+        ({"title": "x"}, "robot.name: missing"),
+    ],
+)
+def test_robots_that_are_refused(robot, words):
+    assert any(words in line for line in refusal(robot=robot)), refusal(robot=robot)
+
+
+def test_problems_of_a_robot_file_name_that_file(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("name: mine\ntitel: x\n")
+    found = refusal(robot=str(path), seed=-1)
+    assert found[0] == f"{path}:1:1: title: missing; it must be text of 1 to 200 characters"
+    assert found[1].startswith(f"{path}:1:1: geometry: missing; it must be a block of keys (connectors, ")
+    assert f"{path}:2:1: titel: unknown key; did you mean title?" in found
+    assert found[-1] == "seed: must be a whole number from 0 to 4294967295, not -1"
+
+
+# Pressure
+
+
+def test_a_pressure_above_the_limit_is_refused_with_its_source():
+    (line,) = refusal(supply={"pressure_kpa": 80})
+    assert line == (
+        "supply.pressure_kpa: 80 kPa is above the 68.9476 kPa that gen2 may be given in pulses, as a gait "
+        "gives it (Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below 10 psi'); "
+        "lower it, or set allow_overpressure: true"
+    )
+
+
+@pytest.mark.parametrize(
+    "allow", [{"allow_overpressure": True}, {"supply": {"pressure_kpa": 80, "allow_overpressure": True}}]
+)
+def test_an_allowed_overpressure_runs_with_a_warning(allow):
+    s = scenario(**({"supply": {"pressure_kpa": 80}} | allow))
+    assert s.supply_pa == 80_000 and s.allow_overpressure
+    (warning,) = s.warnings
+    assert "80 kPa is above the 68.9476 kPa" in warning
+    assert parse_scenario(s.document) == s
+
+
+def test_pulses_may_exceed_the_continuous_limit():
+    assert scenario(robot="gen4", supply={"pressure_kpa": 51}).warnings == ()
+
+
+def test_the_pressure_is_judged_even_where_another_key_is_wrong():
+    assert len(refusal(supply={"pressure_kpa": 80}, seed="x")) == 2
+
+
+def test_the_limit_follows_an_override():
+    robot = {"base": "gen2", "supply": {"pulsed_limit_kpa": 90}}
+    assert scenario(robot=robot, supply={"pressure_kpa": 80}).warnings == ()
+
+
+# Times
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"plants": plants(tick_s=0.0205)}, "plants.analytical.tick_s: tick 0.0205 s is no multiple of time"),
+        (
+            {"plants": plants(timestep_s=0.003)},
+            "plants.analytical.tick_s: tick 0.02 s is no multiple of time",
+        ),
+        ({"plants": plants(timestep_s=2.5e-5, tick_s=0.001025)}, "no multiple of valve slot 0.0001 s"),
+        ({"duration_s": 1.01}, "duration_s: duration 1.01 s is no multiple of the analytical plant's tick"),
+        ({"record_hz": 60}, "record_hz: the analytical plant's tick 0.02 s is no multiple of recording int"),
+        ({"record_hz": 30}, "record_hz: recording interval 0.0333333 s is no multiple of the analytical pl"),
+        ({"plants": plants(timestep_s=0.004)}, "record_hz: recording interval 0.01 s is no multiple of"),
+    ],
+)
+def test_times_that_do_not_fit(changes, words):
+    assert words in refusal(**changes)[0]
+
+
+@pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])
+def test_recording_rates_that_the_rollout_takes(record_hz):
+    from srs_twin.rollout import rollout
+
+    s = scenario(duration_s=0.2, record_hz=record_hz, plants=plants())
+    if record_hz < 5:
+        s = scenario(duration_s=2, record_hz=record_hz, plants=plants())
+    trajectory = rollout(s.build_plant("analytical"), s.build_controller(), s.duration, record_hz=record_hz)
+    assert len(trajectory) == round(s.duration * record_hz) + 1
+
+
+# Expectations
+
+
+def expectation(**keys):
+    (each,) = scenario(expect=[{"metric": "com_speed_m_s", "plant": "twin"} | keys]).expect
+    return each
+
+
+@pytest.mark.parametrize(
+    ("keys", "inside", "outside", "allowed"),
+    [
+        ({"near": 0.2, "rel": 0.1}, (0.181, 0.219), (0.179, 0.221), "0.18 to 0.22"),
+        ({"near": -0.2, "rel": 0.1}, (-0.181, -0.219), (-0.179, 0.2), "-0.22 to -0.18"),
+        ({"near": 0, "abs": 0.1}, (0.1, -0.1), (0.11, -0.11), "-0.1 to 0.1"),
+        ({"below": 0.12}, (0.12, -5), (0.13,), "at most 0.12"),
+        ({"above": 0.12}, (0.12, 5), (0.11, math.inf), "at least 0.12"),
+    ],
+)
+def test_what_expectations_allow(keys, inside, outside, allowed):
+    each = expectation(**keys)
+    assert each.allowed == allowed
+
+    def met(value):
+        return each.check({"plants": {"twin": {"com_speed_m_s": value}}, "comparison": {}}).met
+
+    assert all(map(met, inside)) and not any(map(met, outside))
+
+
+@pytest.mark.parametrize(
+    "metrics",
+    [
+        {},
+        {"plants": {}, "comparison": None},
+        {"plants": {"twin": {}}},
+        {"plants": {"twin": {"com_speed_m_s": None}}},
+        {"plants": {"twin": {"com_speed_m_s": math.nan}}},
+        {"plants": {"analytical": {"com_speed_m_s": 0.2}}},
+    ],
+)
+def test_what_is_not_there_is_not_met(metrics):
+    assert not expectation(below=1).check(metrics).met
+
+
+def test_an_outcome_carries_the_published_value():
+    outcome = expectation(near=0.214, rel=0.15, source="Table 10").check(
+        {"plants": {"twin": {"com_speed_m_s": 0.2}}}
+    )
+    assert (outcome.metric, outcome.of, outcome.value, outcome.met) == ("com_speed_m_s", "twin", 0.2, True)
+    assert (outcome.near, outcome.source, outcome.allowed) == (0.214, "Table 10", "0.1819 to 0.2461")
+
+
+def test_expectations_of_the_comparison():
+    (each,) = scenario(expect=[{"metric": "com_speed_rel", "of": "comparison", "near": 0, "abs": 0.1}]).expect
+    assert each == Expectation("com_speed_rel", "comparison", -0.1, 0.1, 0.0)
+    assert each.check({"comparison": {"com_speed_rel": -0.05}}).met
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        (
+            {"metric": "com_sped_m_s"},
+            "expect[0].metric: unknown metric 'com_sped_m_s'; did you mean com_speed_m_s?",
+        ),
+        ({"metric": "com_speed_rel"}, "expect[0]: com_speed_rel needs of: comparison"),
+        (
+            {"plant": None, "of": "comparison"},
+            "expect[0]: com_speed_m_s needs plant: analytical or plant: twin",
+        ),
+        ({"of": "comparison"}, "expect[0]: give either plant (analytical or twin) or of: comparison"),
+        ({"plant": None}, "expect[0]: give either plant (analytical or twin) or of: comparison"),
+        ({"plant": "both"}, "expect[0].plant: must be one of analytical, twin, not text 'both'"),
+        ({"above": 0}, "expect[0]: give exactly one of near, below and above"),
+        ({"below": None}, "expect[0]: give exactly one of near, below and above"),
+        ({"abs": 1}, "expect[0]: near needs either rel or abs"),
+        ({"below": None, "near": 1}, "expect[0]: near needs either rel or abs"),
+        ({"below": None, "near": 1, "rel": 0.1, "abs": 1}, "expect[0]: near needs either rel or abs"),
+        (
+            {"below": None, "near": 0, "rel": 0.1},
+            "expect[0]: a relative tolerance of 0 allows nothing else; use abs",
+        ),
+    ],
+)
+def test_expectations_that_are_refused(keys, words):
+    each = {"metric": "com_speed_m_s", "plant": "twin", "below": 1} | keys
+    (line,) = refusal(expect=[{key: value for key, value in each.items() if value is not None}])
+    assert line.startswith(words)
+
+
+def test_expectations_need_their_plants_to_run():
+    found = refusal(
+        plants=plants(),
+        expect=[
+            {"metric": "com_speed_m_s", "plant": "twin", "below": 1},
+            {"metric": "com_speed_rel", "of": "comparison", "below": 1},
+        ],
+    )
+    assert found == [
+        "expect[0].plant: twin does not run here; add it to plants",
+        "expect[1].of: a comparison needs both plants; add the other to plants",
+    ]
+
+
+# Resolved documents
+
+numbers = st.floats(0.02, 0.9)
+printable = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1, max_size=50)
+mappings = st.fixed_dictionaries
+scenarios = mappings(
+    {
+        "robot": st.sampled_from(["gen1", "gen2", "gen3", "gen4"])
+        | mappings({"base": st.just("gen2"), "bending": mappings({"stiffness_nm_per_rad": numbers})}),
+        "duration_s": st.integers(1, 100),
+        "controller": mappings(
+            {"kind": st.just("gait"), "frequency_hz": numbers},
+            optional={"offset": numbers, "phase_step_rad": numbers},
+        ),
+    },
+    optional={
+        "title": printable,
+        "seed": st.integers(0, 2**32 - 1),
+        "supply": mappings({"pressure_kpa": st.floats(0.1, 30)}),
+        "start": mappings({"x_m": numbers}),
+        "world": mappings({"goal": mappings({"x_m": numbers, "y_m": numbers})}),
+        "plants": st.sampled_from([plants(), {"twin": {"gaps": False}}, {"analytical": {}, "twin": {}}]),
+    },
+)
+
+
+@given(scenarios)
+def test_a_resolved_document_loads_as_an_equal_scenario(data):
+    s = parse_scenario(data)
+    again = parse_yaml(dump_yaml(s.document), "scenario.resolved.yaml")
+    again.finish()
+    assert again.data == s.document
+    assert parse_scenario(again.data, name="another") == s
+
+
+def test_a_resolved_file_keeps_the_name_of_the_scenario(tmp_path):
+    path = tmp_path / "scenario.resolved.yaml"
+    s = load_scenario("gen2_straight")
+    path.write_text(dump_yaml(s.document), "utf-8")
+    assert load_scenario(path) == s
+
+
+def test_a_document_is_not_shared_with_what_it_was_made_of():
+    data = copy.deepcopy(MINIMAL)
+    parse_scenario(data)
+    assert data == MINIMAL
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("a b.yaml", "a b"),
+        (".hidden.yaml", "hidden"),
+        ("größe.v2.yaml", "größe.v2"),
+        ("a\nb.yaml", "a_b"),
+        ("...yaml", "scenario"),
+    ],
+)
+def test_names_can_be_folders(tmp_path, file, name):
+    path = tmp_path / file
+    path.write_text(dump_yaml(MINIMAL), "utf-8")
+    s = load_scenario(path)
+    assert s.name == name
+    assert parse_scenario(s.document) == s
+
+
+# What is shipped
+
+
+@pytest.mark.parametrize("name", shipped_names("scenario"))
+def test_shipped_scenarios_can_fail_and_cite_what_is_published(name):
+    s = load_scenario(name)
+    assert s.name == name and s.warnings == ()
+    assert list(s.plants) == ["analytical", "twin"]
+    assert {each.of for each in s.expect} == {"analytical", "twin", "comparison"}
+    assert all(not each.check({}).met for each in s.expect)
+    assert any(each.source for each in s.expect)
+
+
+def test_the_shipped_scenarios_are_those_promised():
+    wanted = {f"gen{i}_{way}" for i in (2, 3, 4) for way in ("straight", "turn")} | {"gen1_straight"}
+    assert wanted <= set(shipped_names("scenario"))
+    s = load_scenario("gen2_straight")
+    assert (s.controller.frequency, s.supply_pa, s.duration) == (2.0, 48_300, 10)
+    assert load_scenario("gen2_turn").controller.offset == 0.4
+
+
+@pytest.mark.parametrize(
+    ("name", "claim"),
+    [("gen1_straight", "gen1-forward"), ("gen2_straight", "gen2-top-speed"), ("gen3_straight", "gen3-speed")],
+)
+def test_published_speeds_are_held_to_with_their_own_tolerance(name, claim):
+    (row,) = [
+        c for c in load_yaml(data_root() / "calibration/published/claims.yaml").data if c["id"] == claim
+    ]
+    found = [e for e in load_scenario(name).expect if e.metric == "com_speed_m_s" and e.of == "twin"]
+    (each,) = found
+    assert each.near == row["value"]
+    assert each.high - each.near <= row["tol"] * row["value"] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)])
+def test_generation_4_is_held_to_table_8(name, offset):
+    (table,) = [
+        c for c in load_yaml(data_root() / "calibration/published/claims.yaml").data if c["id"] == "table8"
+    ]
+    (row,) = [r for r in table["rows"] if r["offset"] == offset]
+    published = {"com_speed_m_s": row["speed"], "turning_radius_m": row["radius"]}
+    found = [e for e in load_scenario(name).expect if e.metric in published]
+    assert found
+    for each in found:
+        assert each.near == published[each.metric]
+        assert each.high - each.near <= table["tol"] * each.near * (1 + 1e-9)
+
+
+# The schema
+
+
+def walk(node, schema):
+    """Yield every property of a schema with its path."""
+    for name, each in schema.get("properties", {}).items():
+        yield f"{node}.{name}", each
+
+
+def test_the_schema_describes_every_key():
+    schema = scenario_json_schema()
+    json.dumps(schema)
+    parts = {"": schema} | {name: each for name, each in schema["$defs"].items() if "Record" not in name}
+    for part, each in parts.items():
+        for path, prop in walk(part, each):
+            assert prop.get("description") or "$ref" in prop, path
+    assert schema["properties"]["duration_s"] == {
+        "title": "Simulated time", "description": "Simulated time in s, 0.001 to 3600.",
+        "type": "number", "minimum": 0.001, "maximum": 3600.0,
+    }  # fmt: skip
+    assert schema["$defs"]["ExpectationFile"]["properties"]["metric"]["enum"] == list(known_metrics())
+
+
+def test_references_of_the_schema_lead_somewhere():
+    schema = scenario_json_schema()
+
+    def references(node):
+        if isinstance(node, dict):
+            yield from ([node["$ref"]] if "$ref" in node else [])
+            for value in node.values():
+                yield from references(value)
+        elif isinstance(node, list):
+            for value in node:
+                yield from references(value)
+
+    found = set(references(schema))
+    assert found == {f"#/$defs/{name}" for name in schema["$defs"]}
+
+
+def test_the_schema_knows_overrides():
+    override = scenario_json_schema()["properties"]["robot"]["anyOf"][1]
+    stiffness = override["properties"]["bending"]["properties"]["stiffness_nm_per_rad"]
+    assert stiffness["anyOf"][0] == {"type": "number", "minimum": 0.0001, "maximum": 1000000.0}
+    assert override["required"] == ["base"]
+
+
+def test_a_path_object_is_a_path(tmp_path):
+    path = tmp_path / "mine"
+    path.write_text(dump_yaml(MINIMAL), "utf-8")
+    assert load_scenario(Path(path)).name == "mine"

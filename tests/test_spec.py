@@ -1,0 +1,211 @@
+"""Robots: the published ones against the text, and what a robot file is refused for."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from srs_twin.documents import dump_yaml
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.robots import load_robot_file, robot_sources
+from srs_twin.spec import Friction, Geometry, RobotSpec, load_robot
+
+PSI = 6894.757
+ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a changed copy of gen2: write({"friction.mu_t": {...}}) returns the path."""
+
+    def write(changes):
+        data = load_robot_file("gen2").model_dump()
+        for path, value in changes.items():
+            *parents, last = path.split(".")
+            at = data
+            for part in parents:
+                at = at[part]
+            if value is None:
+                del at[last]
+            else:
+                at[last] = value
+        path = tmp_path / "mine.yaml"
+        path.write_text(dump_yaml(data))
+        return path
+
+    return write
+
+
+def refusal(path) -> tuple[str, ...]:
+    with pytest.raises(InputFileError) as error:
+        load_robot(path)
+    return tuple(line.removeprefix(f"{path.parent}/") for line in error.value.lines)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_published_robots_load(name):
+    robot = load_robot(name)
+    assert robot.name == name
+    assert robot.geometry.connectors == 5 == len(robot.mass.connectors)
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "psi_for", "bend", "limit_psi"),
+    [
+        ("gen1", 0.24, 4.5, math.pi / 2, 5),
+        ("gen2", 0.22, 7, math.pi / 2, 10),
+        ("gen3", 0.22, 7, math.pi / 2, 16),
+        ("gen4", 0.30, 8, 0.8366, 19),
+    ],
+)
+def test_numbers_of_the_text(name, length, psi_for, bend, limit_psi):
+    robot = load_robot(name)
+    assert robot.geometry.body_length == pytest.approx(length)
+    assert robot.actuator.gain * psi_for * PSI == pytest.approx(bend)
+    assert robot.supply.pulsed_limit == pytest.approx(limit_psi * PSI)
+
+
+def test_the_identified_actuator_has_the_printed_coefficients():
+    """Eq. 15's a, b and c of Fig. 20 follow from the two time constants (E1, E2)."""
+    actuator = load_robot("gen4").actuator
+    fill, mode = actuator.tau_fill, actuator.tau_mode
+    assert 1 / (fill * mode) == pytest.approx(4221.8, rel=1e-3)
+    assert 1 / fill + 1 / mode == pytest.approx(476.4912, rel=1e-3)
+    assert 0.8366 / (fill * mode) == pytest.approx(3532.2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "pressure", "volume"),
+    [
+        ("gen1", 4.5 * PSI, 15e-6),
+        ("gen2", 7 * PSI, 45e-6),
+        ("gen3", 7 * PSI, 45e-6),
+        ("gen4", 9 * PSI, 70e-6),
+    ],
+)
+def test_stiffness_is_half_of_the_work_bound(name, pressure, volume):
+    bound = pressure * volume / (math.pi / 2) ** 2
+    assert load_robot(name).bending.stiffness == pytest.approx(bound / 2, rel=0.02)
+
+
+def test_gen3_carries_its_compressor_in_the_tail():
+    assert load_robot("gen3").mass.connectors == (0.0525, 0.0525, 0.0525, 0.0525, 0.2676)
+
+
+def test_phase_steps_differ_by_generation():
+    assert load_robot("gen1").phase_step == pytest.approx(2 * math.pi / 5)
+    assert {load_robot(n).phase_step for n in ROBOTS[1:]} == {math.pi / 2}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_number_says_where_it_is_from(name):
+    sources = robot_sources(name)
+    assert len(sources) == 24
+    for path, record in sources.items():
+        words = record.source.lower()
+        cited = any(w in words for w in ("table", "section", "fig"))
+        assert cited or record.status == "estimated", path
+        assert record.status != "calibrated", f"{path}: there are no fits yet"
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_written_robot_is_the_same_robot(name, tmp_path):
+    path = tmp_path / "again.yaml"
+    path.write_text(dump_yaml(load_robot_file(name).model_dump()))
+    assert load_robot(path) == load_robot(name)
+
+
+def test_one_mass_for_all_is_the_list_of_it(write):
+    record = load_robot_file("gen2").mass.connectors_kg.model_dump()
+    assert load_robot(write({"mass.connectors_kg": record | {"value": [0.03] * 5}})) == load_robot("gen2")
+
+
+def test_the_unit_must_be_that_of_the_key(write):
+    (line,) = refusal(write({"geometry.rigid_gap_m.unit": "mm"}))
+    assert line.endswith("geometry.rigid_gap_m.unit: must be m, not text 'mm'")
+
+
+def test_everything_wrong_with_a_robot_comes_at_once(write):
+    path = write(
+        {
+            "friction.mu_t.value": -0.1,
+            "friction.mu_n.status": "guessed",
+            "bending.stiffness_nm_per_rad.source": None,
+            "geometry.connectors.value": 5.5,
+            "supply.nominal_kpa": 48.3,
+            "gait.phase_step_rad.value": float("nan"),
+        }
+    )
+    words = [
+        "geometry.connectors.value: must be a whole number from 2 to 64, not 5.5",
+        "friction.mu_t.value: must be a number from 0 to 10, not -0.1",
+        "friction.mu_n.status: must be one of measured, calibrated, estimated, not text 'guessed'",
+        "bending.stiffness_nm_per_rad.source: missing; it must be text of 1 to 1000 characters",
+        "supply.nominal_kpa: must be a block of keys (value, unit, status, source), not 48.3",
+        "gait.phase_step_rad.value: must be a number from -6.3 to 6.3, not NaN",
+    ]
+    found = refusal(path)
+    assert [line.split(": ", 1)[1] for line in found] == words
+    assert found[0].startswith("mine.yaml:5:12: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"mass.connectors_kg.value": [0.1, 0.2]},
+            "2 masses for 5 connectors; give 5, or one number for all",
+        ),
+        (
+            {"mass.wheel_kg.value": 0.02},
+            "two wheels of 0.02 kg must weigh less than the lightest connector, 0.03 kg",
+        ),
+        ({"supply.nominal_kpa.value": 80.0}, "80 kPa is above pulsed_limit_kpa, 68.9476 kPa"),
+    ],
+)
+def test_numbers_that_do_not_fit_together(write, changes, words):
+    (line,) = refusal(write(changes))
+    assert line.endswith(words)
+
+
+@pytest.mark.parametrize("count", [2, 3, 64])
+def test_any_number_of_connectors(write, count):
+    robot = load_robot(write({"geometry.connectors.value": count}))
+    assert robot.segments == count - 1 == len(robot.mass.connectors) - 1
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "words"),
+    [
+        ("geometry", {"connectors": 1}, "a snake has 2 or more"),
+        (
+            "geometry",
+            {"segment_length": 0.0},
+            "segment_length: 0.0 is not allowed; it must be finite and above 0",
+        ),
+        ("friction", {"mu_n": -1.0}, "mu_n: -1.0 is not allowed; it must be finite and 0 or more"),
+        ("bending", {"stiffness": math.inf}, "it must be finite and above 0"),
+        ("mass", {"wheel": 0.02}, "two wheels must weigh less"),
+        (
+            "mass",
+            {"connectors": (0.03, -0.03, 0.03, 0.03, 0.03)},
+            "mass of connector 2: -0.03 is not allowed",
+        ),
+        ("mass", {"connectors": (0.03, 0.03)}, "the robot has 5 connectors"),
+    ],
+)
+def test_specs_made_in_code_are_checked_too(part, changes, words):
+    robot = load_robot("gen2")
+    with pytest.raises(InputError, match=words):
+        dataclasses.replace(robot, **{part: dataclasses.replace(getattr(robot, part), **changes)})
+
+
+def test_derived_quantities():
+    geometry = Geometry(3, 0.04, 0.01, 0.015, 0.008, 0.015, 0.04)
+    assert (geometry.segments, geometry.pitch, geometry.body_length) == (2, 0.05, 0.1)
+    robot: RobotSpec = load_robot("gen2")
+    assert robot.mass.total == pytest.approx(0.15)
+    assert robot.bending.damping == pytest.approx(robot.bending.stiffness * robot.actuator.tau_mode)
+    assert robot.friction == Friction(mu_t=0.043, mu_n=0.57)

@@ -1,0 +1,175 @@
+import hashlib
+import io
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+from synthetic import Snake
+
+from srs_twin.errors import InputError
+from srs_twin.trajectory import Event, Trajectory
+
+some = settings(deadline=None, max_examples=30)
+
+json_values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats(allow_nan=False)
+    | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+events = st.builds(Event, st.floats(0, 1e6), st.text(max_size=9), st.text(max_size=9))
+# Parquet names are UTF-8 text: any but lone surrogates.
+names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9)
+
+
+@st.composite
+def trajectories(draw):
+    columns = {"time": draw(st.integers(0, 6).map(lambda n: np.arange(n) / 100))}
+    samples = len(columns["time"])
+    for name in draw(st.lists(names, max_size=4, unique=True)):
+        columns.setdefault(name, draw(npst.arrays(float, samples)))
+    units = draw(st.dictionaries(st.sampled_from(list(columns)), st.text(max_size=4), max_size=2))
+    metadata = draw(st.dictionaries(st.text(max_size=9), json_values, max_size=3))
+    return Trajectory(columns, units, tuple(draw(st.lists(events, max_size=3))), metadata)
+
+
+def written(trajectory: Trajectory) -> bytes:
+    file = io.BytesIO()
+    trajectory.to_parquet(file)
+    return file.getvalue()
+
+
+def read(data: bytes) -> Trajectory:
+    return Trajectory.from_parquet(io.BytesIO(data))
+
+
+@some
+@given(trajectories())
+def test_what_is_written_is_read_back(given_):
+    found = read(written(given_))
+    assert list(found.columns) == list(given_.columns)
+    for name, column in given_.columns.items():
+        # Bit for bit: signed zeros and every NaN included.
+        assert found[name].tobytes() == np.ascontiguousarray(column).tobytes(), name
+        assert found.unit(name) == given_.unit(name)
+    assert found.events == given_.events
+    assert found.metadata == given_.metadata
+
+
+@some
+@given(trajectories())
+def test_writing_what_was_read_gives_the_same_bytes(given_):
+    once = written(given_)
+    assert written(given_) == once
+    assert written(read(once)) == once
+
+
+def test_the_order_of_metadata_leaves_no_trace():
+    columns = {"time": np.arange(3.0)}
+    one, other = {"plant": "twin", "robot": "gen2"}, {"robot": "gen2", "plant": "twin"}
+    assert written(Trajectory(columns, metadata=one)) == written(Trajectory(columns, metadata=other))
+
+
+def test_another_process_writes_the_same_bytes():
+    program = (
+        "import io, hashlib, numpy as np\n"
+        "from srs_twin.trajectory import Event, Trajectory\n"
+        "t = Trajectory({'time': np.arange(50) / 7, 'duty_1': np.sin(np.arange(50))}, {'duty_1': '%'},\n"
+        "               (Event(0.5, 'contact', 'wall'),), {'plant': 'twin', 'seed': 3})\n"
+        "f = io.BytesIO(); t.to_parquet(f); print(hashlib.sha256(f.getvalue()).hexdigest())\n"
+    )
+    for seed in ("1", "2"):
+        env = {**os.environ, "PYTHONHASHSEED": seed}
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, env=env, check=True
+        )
+        columns = {"time": np.arange(50) / 7, "duty_1": np.sin(np.arange(50))}
+        event = Event(0.5, "contact", "wall")
+        here = Trajectory(columns, {"duty_1": "%"}, (event,), {"plant": "twin", "seed": 3})
+        assert done.stdout.strip() == hashlib.sha256(written(here)).hexdigest()
+
+
+def test_columns_carry_their_units_into_any_parquet_reader():
+    schema = pq.read_schema(io.BytesIO(written(Snake().trajectory())))
+    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+    assert (units["time"], units["com_x"], units["theta_5"], units["bend_1"]) == ("s", "m", "rad", "rad")
+
+
+def test_columns_are_told_apart_from_their_numbers():
+    run = Snake(connectors=4).trajectory()
+    assert run.stack("bend").shape == (len(run), 3)
+    assert run.position.shape == (len(run), 4, 2)
+    assert np.array_equal(run.position[:, 2, 1], run["y_3"])
+    assert np.array_equal(run.com[:, 1], run["com_y"])
+    assert run.has("bend") and run.has("com_x") and not run.has("pressure_plus")
+    with pytest.raises(KeyError, match="sensed"):
+        run.stack("sensed")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("x_12", "m"), ("pressure_minus_2", "Pa"), ("valve_plus_1", "1"), ("offset", "rad"), ("duty", "1")],
+)
+def test_units_come_from_the_name_unless_given(name, unit):
+    assert Trajectory({"time": np.zeros(1)}, units={"offset": "rad"}).unit(name) == unit
+
+
+@some
+@given(st.binary(max_size=200))
+def test_junk_is_refused(data):
+    with pytest.raises(InputError, match="not a trajectory written by srs-twin"):
+        read(data)
+
+
+@some
+@given(st.data())
+def test_a_damaged_file_is_refused_or_read_but_never_breaks_the_reader(data):
+    whole = written(Snake(duration=0.1, connectors=2).trajectory())
+    damaged = bytearray(whole[: data.draw(st.integers(0, len(whole) - 1)) or None])
+    damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= data.draw(st.integers(1, 255))
+    try:
+        assert "time" in read(bytes(damaged)).columns
+    except InputError as error:
+        assert "trajectory" in str(error)
+
+
+ABOUT = {"srs_twin.events": "[]", "srs_twin.metadata": "{}"}
+
+
+@pytest.mark.parametrize(
+    ("columns", "about", "words"),
+    [
+        ({"time": [1.0]}, {}, "a Parquet file of something else"),
+        ({"x": [1.0]}, ABOUT, "a trajectory needs a column 'time'"),
+        ({"time": ["now"]}, ABOUT, "column time holds string, not float64"),
+        ({"time": [1.0]}, {**ABOUT, "srs_twin.metadata": "[]"}, "its metadata is no mapping"),
+        ({"time": [1.0]}, {**ABOUT, "srs_twin.events": "[3]"}, "not a trajectory written by srs-twin"),
+        ({"time": [1.0]}, {**ABOUT, "srs_twin.events": "[{}]"}, "missing 3 required positional arguments"),
+        ({"time": [1.0]}, {**ABOUT, "srs_twin.metadata": "{"}, "not a trajectory written by srs-twin"),
+    ],
+)
+def test_a_parquet_file_of_something_else_is_refused(columns, about, words, tmp_path):
+    path = tmp_path / "other.parquet"
+    pq.write_table(pa.table(columns).replace_schema_metadata(about), path)
+    with pytest.raises(InputError, match=re.escape(words)) as refused:
+        Trajectory.from_parquet(path)
+    assert str(refused.value).startswith(str(path))
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"none\.parquet: no such file"):
+        Trajectory.from_parquet(tmp_path / "none.parquet")
+    Snake(duration=0.1).trajectory().to_parquet(tmp_path / "run.parquet")
+    with pytest.raises(InputError, match="is a directory"):
+        Trajectory.from_parquet(tmp_path)

@@ -1,0 +1,460 @@
+"""Recordings, plots and reports, of synthetic runs; the geometry against an independent integration."""
+
+from __future__ import annotations
+
+import base64
+import html.parser
+import io
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import rerun as rr
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from synthetic import Snake, sampled, with_columns
+from viewing_runs import pair, robot, run
+
+from srs_twin.comparison.compare import compare
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.errors import InputError
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing import viewer
+from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
+from srs_twin.viewing.plan_view import hero_figure, plan_view, strobe_times
+from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
+from srs_twin.viewing.report import write_report
+from srs_twin.viewing.rerun_log import thinned, write_recording
+from srs_twin.viewing.screenshot import screenshots
+from srs_twin.viewing.signals import forward_speed, period_speed, pressure_difference
+from srs_twin.viewing.tubes import body_line, centre_lines, wheel_centres
+from srs_twin.viewing.viewer import open_recording, verify_recording
+
+
+@pytest.fixture(scope="module", autouse=True)
+def strict():
+    rr.set_strict_mode(True)
+    yield
+    rr.set_strict_mode(False)
+
+
+@pytest.fixture(scope="module")
+def spec():
+    return robot()
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return pair()
+
+
+def integrated(theta, bend, start, fraction):
+    """Points of a segment from its tangent alone, front to rear, shape (len(fraction), 2)."""
+    where = np.linspace(0, 1, 20001)
+    tangent = np.exp(1j * (theta - bend * where))
+    steps = (tangent[1:] + tangent[:-1]) / 2 * 0.037 / 20000
+    along = np.concatenate([[0], np.cumsum(steps)])
+    stub = start - 0.009 * np.exp(1j * theta)
+    points = stub - np.interp(fraction, where, along)
+    return np.stack([points.real, points.imag], axis=-1)
+
+
+def test_centre_line_is_the_integral_of_its_tangent(spec, runs):
+    snake = runs["analytical"]
+    lines = centre_lines(snake, spec.geometry, pieces=8)
+    assert lines.shape == (len(snake), 4, 11, 2)
+    for row, j in ((0, 0), (333, 2), (700, 3)):
+        theta, bend = snake[f"theta_{j + 1}"][row], snake[f"bend_{j + 1}"][row]
+        start = complex(snake[f"x_{j + 1}"][row], snake[f"y_{j + 1}"][row])
+        expected = integrated(theta, bend, start, np.linspace(0, 1, 9))
+        assert np.allclose(lines[row, j, 1:-1], expected, atol=1e-8)
+
+
+def test_centre_line_ends_where_the_connectors_were_recorded(spec, runs):
+    bent = runs["twin"]
+    shifted = with_columns(bent, x_3=bent["x_3"] + 1e-3)  # hinges do not quite make an arc
+    lines = centre_lines(shifted, spec.geometry)
+    assert np.array_equal(lines[:, :, 0], shifted.position[:, :-1])
+    assert np.allclose(lines[:, :, -1], shifted.position[:, 1:], atol=1e-15)
+    assert body_line(shifted, spec.geometry).shape == (len(bent), 4 * 10 + 1, 2)
+
+
+def test_segments_keep_their_length(spec, runs):
+    lines = centre_lines(runs["analytical"], spec.geometry, pieces=60)
+    lengths = np.linalg.norm(np.diff(lines, axis=2), axis=-1).sum(axis=-1)
+    assert np.allclose(lengths, spec.geometry.pitch, rtol=1e-4)
+
+
+def test_wheels_stand_across_the_heading(spec, runs):
+    snake = runs["twin"]
+    wheels = wheel_centres(snake, spec.geometry)
+    apart = wheels[:, :, 0] - wheels[:, :, 1]
+    theta = snake.stack("theta")
+    ahead = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    assert np.allclose(np.linalg.norm(apart, axis=-1), 2 * spec.geometry.half_track)
+    assert np.allclose((apart * ahead).sum(axis=-1), 0, atol=1e-12)
+    left = ahead[..., 0] * apart[..., 1] - ahead[..., 1] * apart[..., 0]
+    assert (left > 0).all(), "the first wheel is the left one"
+
+
+@pytest.mark.parametrize(("speed", "yaw_rate"), [(0.2, 0.0), (-0.05, 0.0), (0.2, 0.3)])
+def test_period_speed_is_the_prescribed_one(speed, yaw_rate):
+    snake = run("twin", Snake(speed=speed, yaw_rate=yaw_rate, sway=(0.0, 0.0), duration=4.0))
+    time_s, mean = period_speed(snake, 0.5)
+    # A chord of half a second on this circle is 0.1 % shorter than its arc.
+    assert np.allclose(mean, speed, rtol=2e-3)
+    assert time_s[0] == pytest.approx(0.25) and time_s[-1] == pytest.approx(3.75)
+    assert forward_speed(snake)[1:-1].mean() == pytest.approx(speed, abs=0.01)
+
+
+def test_period_speed_needs_a_period():
+    snake = run("twin", Snake(duration=0.3))
+    assert [len(part) for part in period_speed(snake, 0.5)] == [0, 0]
+
+
+def test_pressure_colours_tell_the_sides_apart():
+    plus, none, minus, unknown = pressure_colors(np.array([5e4, 0.0, -5e4, np.nan])).astype(int)
+    assert plus[0] > 150 > plus[1] and minus[1] > 150 > minus[0]
+    assert np.array_equal(none, unknown) and none[:3].min() > 200
+    assert {tuple(style.rgb) for style in STYLES.values()}.isdisjoint({tuple(plus[:3]), tuple(minus[:3])})
+
+
+def read_back(path):
+    """Entity path → component name → (seconds, values a row) of a recording's changing columns."""
+    from rerun.chunk import RrdReader
+
+    found: dict[str, dict[str, tuple[np.ndarray, list]]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            seconds = batch.column("sim_time").to_numpy(zero_copy_only=False).astype(float) * 1e-9
+            for name in batch.schema.names[2:]:
+                found.setdefault(chunk.entity_path, {})[name] = (seconds, batch.column(name))
+    return found
+
+
+def flat(column):
+    values = column.flatten()
+    while hasattr(values, "flatten") and hasattr(values.type, "value_type"):
+        values = values.flatten()
+    return values.to_numpy(zero_copy_only=False)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory, spec, runs):
+    path = tmp_path_factory.mktemp("recording") / "recording.rrd"
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        write_recording(path, spec=spec, trajectories=runs, title="both", comparison=compare(*runs.values()))
+        took.append(time.perf_counter() - start)
+    return path, min(took)
+
+
+def test_ten_seconds_are_written_fast_and_small(recording):
+    path, took = recording
+    assert took < 0.5
+    assert path.stat().st_size < 5e6
+    verify_recording(path)
+
+
+def test_the_recording_holds_the_signals(recording, runs):
+    found = read_back(recording[0])
+    for plant, snake in runs.items():
+        for j in (1, 4):
+            seconds, bends = found[f"/module/{j}/bend/{plant}"]["Scalars:scalars"]
+            assert np.allclose(seconds, snake.time, atol=1e-9)
+            assert np.array_equal(flat(bends), snake[f"bend_{j}"])
+            _, kilopascal = found[f"/module/{j}/pressure/{plant}"]["Scalars:scalars"]
+            assert np.allclose(1e3 * flat(kilopascal), pressure_difference(snake)[:, j - 1])
+        assert np.array_equal(flat(found[f"/body/heading/{plant}"]["Scalars:scalars"][1]), snake["heading"])
+        _, mean = found[f"/body/speed/{plant}"]["Scalars:scalars"]
+        assert np.array_equal(flat(mean), period_speed(snake, 0.5)[1])
+    assert {"/comparison/shape", "/comparison/path"} <= found.keys()
+
+
+def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
+    found = read_back(recording[0])
+    twin = thinned(runs["twin"], 50)
+    seconds, places = found["/world/twin/body/segment_2"]["Capsules3D:translations"]
+    assert np.allclose(np.diff(seconds), 0.02)
+    front = flat(places).reshape(len(twin), -1, 3)[:, 0, :2]
+    assert np.allclose(front, twin.position[:, 1], atol=1e-6)
+    x, y, z, w = flat(found["/world/twin/body/segment_2"]["Capsules3D:quaternions"][1]).reshape(-1, 4).T
+    # What the rotation makes of +z, a capsule's axis: it must lead to where the next capsule starts.
+    axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], axis=-1).reshape(len(twin), -1, 2)
+    step = np.diff(flat(places).reshape(len(twin), -1, 3)[..., :2], axis=1)
+    assert np.allclose(axis[:, :-1], step / np.linalg.norm(step, axis=-1, keepdims=True), atol=1e-3)
+
+    _, vertices = found["/world/analytical/body"]["Mesh3D:vertex_positions"]
+    ghost = flat(vertices).reshape(len(twin), -1, 6, 3)
+    middle = ghost.mean(axis=2)[..., :2]
+    assert np.allclose(middle, body_line(thinned(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
+    _, com = found["/world/analytical/com"]["Points3D:positions"]
+    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], thinned(runs["analytical"], 50).com, atol=1e-6)
+
+
+def without(trajectory, *prefixes):
+    kept = {n: c for n, c in trajectory.columns.items() if not n.startswith(prefixes)}
+    return Trajectory(kept, metadata=trajectory.metadata)
+
+
+ODD_RUNS = {
+    "one plant": lambda: {"analytical": run("analytical", Snake(duration=2.0))},
+    "no gait": lambda: {"twin": run("twin", Snake(duration=2.0, periodic=False))},
+    "shorter than a period": lambda: pair(duration=0.2),
+    "one sample": lambda: {p: sampled(r, slice(1)) for p, r in pair(duration=0.2).items()},
+    "no pressures": lambda: {"twin": without(run("twin", Snake(duration=1.0)), "pressure", "valve")},
+    "at rest": lambda: pair(duration=1.0, speed=0.0, amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0),
+    "another plant": lambda: pair(duration=1.0) | {"lab": run("lab", Snake(duration=1.0))},
+    "two connectors": lambda: pair(duration=1.0, connectors=2),
+    "many connectors": lambda: pair(duration=1.0, connectors=13),
+}
+
+
+@pytest.mark.parametrize("name", ODD_RUNS)
+def test_odd_runs_can_be_seen_and_reported(tmp_path, name):
+    runs = ODD_RUNS[name]()
+    spec = robot(next(iter(runs.values())).position.shape[1])
+    both = compare(runs["analytical"], runs["twin"]) if {"analytical", "twin"} <= runs.keys() else None
+    write_recording(tmp_path / "r.rrd", spec=spec, trajectories=runs, comparison=both)
+    verify_recording(tmp_path / "r.rrd")
+    metrics = {"plants": {plant: plant_metrics(r) for plant, r in runs.items()}, "comparison": None}
+    write_report(
+        tmp_path / "r.html",
+        scenario_title=name,
+        spec=spec,
+        trajectories=runs,
+        metrics=metrics,
+        comparison=both,
+    )
+    assert (tmp_path / "r.html").read_text("utf-8").count("<figure>") == (5 if both else 4)
+    hero_figure(runs, spec).savefig(tmp_path / "hero.png")
+
+
+@pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])
+def test_nothing_to_show_is_refused(tmp_path, spec, trajectories):
+    with pytest.raises(InputError, match="nothing to show: .*(no plant left a trajectory|has no samples)"):
+        write_recording(tmp_path / "r.rrd", spec=spec, trajectories=trajectories)
+    assert not list(tmp_path.iterdir())
+
+
+def lines_of(figure: Figure, label):
+    return [line for axes in figure.axes for line in axes.lines if line.get_label() == label]
+
+
+def test_bends_are_plotted_as_recorded_over_the_last_periods(runs):
+    figure = bend_plot(runs)
+    shown = lines_of(figure, "twin (MuJoCo)")
+    seen = runs["twin"].time >= 8.0 - 1e-9
+    assert len(shown) == 4
+    for j, line in enumerate(shown, start=1):
+        assert np.array_equal(line.get_ydata(), runs["twin"][f"bend_{j}"][seen])
+    assert "last 4 gait periods" in figure.axes[0].get_title(loc="left")
+    assert figure.axes[-1].get_xlabel() == "time (s)" and "(rad)" in figure.axes[0].get_ylabel()
+
+
+def test_plants_differ_in_print_too(runs):
+    for figure in (bend_plot(runs), pressure_plot(runs)):
+        ours, theirs = (lines_of(figure, STYLES[plant].label)[0] for plant in runs)
+        assert ours.get_linestyle() != theirs.get_linestyle()
+        assert ours.get_color() != theirs.get_color()
+
+
+def test_a_long_body_shows_some_segments_and_says_so():
+    figure = pressure_plot(pair(duration=1.0, connectors=13))
+    assert len(figure.axes) == 8
+    assert "8 of 12 segments" in figure.axes[0].get_title(loc="left")
+    assert figure.axes[0].get_ylabel() == "segment 1" and figure.axes[-1].get_ylabel() == "segment 12"
+
+
+def test_speed_plot_shows_the_mean_of_a_period(runs):
+    (mean,) = lines_of(speed_plot(runs), "twin (MuJoCo), mean of one gait period")
+    assert np.array_equal(mean.get_ydata(), period_speed(runs["twin"], 0.5)[1])
+
+
+def test_errors_are_plotted_in_mm_and_body_lengths(spec, runs):
+    both = compare(runs["analytical"], runs["twin"])
+    shape, path = error_plot(both, spec).axes[:2]
+    assert np.allclose(shape.lines[0].get_ydata(), 1e3 * both.shape_error)
+    assert np.allclose(path.lines[0].get_ydata(), 1e3 * both.path_error)
+    assert path.get_ylim()[0] == 0 and "(mm)" in path.get_ylabel()
+
+
+def test_strobe_bodies_keep_apart(spec, runs):
+    times = strobe_times(runs, spec.geometry)
+    places = np.interp(times, runs["twin"].time, runs["twin"]["com_x"])
+    assert len(times) == 6 and times[0] == 0 and times[-1] == 10
+    assert np.diff(places).min() > spec.geometry.body_length
+    assert strobe_times(pair(speed=0.001), spec.geometry) == [0.0, 10.0]
+
+
+def test_plan_view_keeps_the_scale(spec, runs):
+    figure = plan_view(runs, spec)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    corners = axes.transData.transform([[0, 0], [0.1, 0.1]])
+    across, up = corners[1] - corners[0]
+    assert across == pytest.approx(up)
+    (path,) = lines_of(figure, "analytical")
+    assert np.array_equal(path.get_xdata(), runs["analytical"]["com_x"])
+
+
+TITLE = "<script>alert('x')</script> & Co"
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory, spec, runs):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    both = compare(runs["analytical"], runs["twin"])
+    metrics = {
+        "plants": {plant: plant_metrics(r, wall_s=0.5) for plant, r in runs.items()},
+        "comparison": both.metrics,
+        "expectations": [
+            {
+                "metric": "com_speed_m_s", "of": "twin", "value": 0.2, "near": 0.214, "met": True,
+                "allowed": "0.214 within 15 %", "source": "Table 10",
+            },
+            {
+                "metric": "com_speed_rel", "of": "comparison", "value": -0.09, "met": False,
+                "allowed": "above 0",
+            },
+        ],
+        "versions": {"mujoco": "3.17"},
+    }  # fmt: skip
+    took = []
+    for _ in range(2):
+        start = time.perf_counter()
+        write_report(
+            path, scenario_title=TITLE, spec=spec, trajectories=runs, metrics=metrics, comparison=both
+        )
+        took.append((time.perf_counter() - start, path.read_bytes()))
+    assert took[0][1] == took[1][1], "the same run gives the same report"
+    return path.read_text("utf-8"), min(took)[0]
+
+
+class Reader(html.parser.HTMLParser):
+    """Checks that elements nest and collects the cells of tables and the addresses of images."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.rows, self.sources, self.tags = [], [], [], set()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "td" in self.open or "th" in self.open:
+            self.rows[-1][-1] += data
+
+
+@pytest.fixture(scope="module")
+def parsed(report):
+    reader = Reader()
+    reader.feed(report[0])
+    assert reader.open == []
+    return reader
+
+
+def test_report_is_one_file_fast_and_small(report, parsed):
+    text, took = report
+    assert took < 1.5 and len(text) < 2e6
+    assert len(parsed.sources) == 5
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.sources)
+    assert base64.b64decode(parsed.sources[0].partition(",")[2]).lstrip().startswith(b"<?xml")
+    assert "script" not in parsed.tags and "link" not in parsed.tags
+    assert not re.search(r"https?://|@import|url\(", text)
+
+
+def test_report_escapes_what_people_wrote(report):
+    assert "<script>" not in report[0]
+    assert report[0].count("&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt; &amp; Co") == 2
+
+
+def test_report_tells_results_and_expectations(report, parsed):
+    rows = {row[0]: row for row in parsed.rows if row}
+    assert rows["metric"] == ["metric", "unit", "analytical", "twin", "difference", "published"]
+    assert rows["CoM speed"][1:] == ["m/s", "0.22", "0.2002", "-9.0 %", "0.214 (Table 10)"]
+    assert rows["turning radius"][2] == "–"
+    assert rows["bend amplitude"][2].startswith("1.2, 1.2")
+    assert rows["shape rms"][1] == "m" and float(rows["shape rms"][4]) > 0
+    assert rows["met"][1:] == ["com_speed_m_s", "twin", "0.2", "0.214 within 15 %", "Table 10"]
+    assert rows["missed"][1:] == ["com_speed_rel", "comparison", "-0.09", "above 0", ""]
+    assert "Expectations: 1 of 2 missed" in report[0]
+    assert rows["geometry.segment_length"] == ["geometry.segment_length", "0.037"]
+    assert rows["mujoco"] == ["mujoco", "3.17"]
+
+
+def test_report_needs_neither_rerun_nor_pyplot():
+    code = "import sys, srs_twin.viewing.report; print({'rerun', 'matplotlib.pyplot'} & sys.modules.keys())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "set()"
+
+
+def test_viewer_refusals_say_what_to_do_instead(tmp_path, recording, monkeypatch):
+    with pytest.raises(InputError, match="there is no such recording; 'srs-twin run SCENARIO' writes one"):
+        open_recording(tmp_path / "none.rrd")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(InputError, match=r"no display .* open .*report\.html in a browser instead"):
+        open_recording(recording[0])
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    with pytest.raises(InputError, match=r"rerun is missing; install it with: pip install 'rerun-sdk>=0\.41"):
+        open_recording(recording[0])
+
+
+def test_viewer_is_bound_to_this_machine(recording, monkeypatch):
+    commands = []
+
+    def started(command, **_):
+        commands.append([str(word) for word in command])
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(viewer.subprocess, "run", started)
+    open_recording(recording[0])
+    assert commands[0][1:] == ["--bind", "127.0.0.1", str(recording[0])]
+
+
+def test_a_broken_recording_is_not_verified(tmp_path, recording):
+    (tmp_path / "junk.rrd").write_bytes(b"junk")
+    with pytest.raises(InputError, match=r"junk\.rrd: not a whole recording \(0 files verified"):
+        verify_recording(tmp_path / "junk.rrd")
+
+
+def test_the_viewer_draws_the_snake_and_it_moves(recording):
+    try:
+        pictures = screenshots(recording[0], [1.0, 6.0], scene_only=True, size=(1000, 600))
+    except InputError as error:
+        if "no Vulkan driver" not in str(error):
+            raise
+        pytest.skip(str(error))
+    before, after = (imread(io.BytesIO(png))[..., :3] for png in pictures)
+    for picture in (before, after):
+        hue = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1e-6)
+        for rgb in (PLUS_RGB, MINUS_RGB):
+            alike = np.abs(hue - np.array(rgb) / max(rgb)).max(axis=-1) < 0.1
+            assert alike.mean() > 0.002, "a pressurised segment is in the picture"
+    # The eye goes along: it is the trails and the ghost that change.
+    assert (np.abs(before - after).max(axis=-1) > 0.1).mean() > 0.01
+
+
+def test_without_vulkan_the_message_says_what_to_install(recording, monkeypatch):
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    with pytest.raises(InputError, match="no Vulkan driver .* apt-get install mesa-vulkan-drivers"):
+        screenshots(recording[0], [1.0])
