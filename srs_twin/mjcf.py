@@ -23,7 +23,6 @@ Floor forces less the preload are the true loads. See docs/models.md for what ea
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +30,8 @@ import mujoco
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.mjcf_classes import ROOT, add_classes, drawn_height
+from srs_twin.mjcf_surroundings import add_surroundings
 from srs_twin.spec import RobotSpec
 
 GRAVITY = 9.81
@@ -77,25 +78,38 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     Args:
         spec: the robot.
         numerics: time step, discretisation, contact.
-        supply_pa: upper end of the controls' range, Pa; default the pulsed limit.
+        supply_pa: upper end of the controls' range, Pa; no less than what a chamber may hold.
+
+    Raises:
+        InputError: the time step is too long for the robot's damping time.
     """
+    if not numerics.timestep < spec.bending.damping_time:
+        raise InputError(
+            f"time step {numerics.timestep:g} s is too long for bends with a damping time c/k of "
+            f"{spec.bending.damping_time:g} s; it must be shorter"
+        )
     mj = mujoco.MjSpec()
     mj.modelname = spec.name
     mj.compiler.degree = False
     mj.compiler.autolimits = True
     _set_options(mj, numerics)
+    limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
+    add_classes(
+        mj, spec, hinges=numerics.hinges_per_segment, timestep=numerics.timestep, out_of_plane_time=_OUT_OF_PLANE_DAMPING_TIME,
+        axle_time=numerics.axle_time, limit_pa=limit,
+    )  # fmt: skip
     body = mj.worldbody.add_body(
         name="connector_1", pos=[spec.geometry.body_length / 2, 0, spec.geometry.com_height]
     )
     body.add_freejoint(name="root")
-    _add_connector(body, spec, 1, numerics)
+    _add_connector(mj, body, spec, 1, numerics)
     for j in range(1, spec.segments + 1):
-        body = _add_segment(body, spec, j, numerics)
-        _add_connector(body, spec, j + 1, numerics)
-    limit = max(spec.supply.pulsed_limit, supply_pa or 0.0)
+        body = _add_segment(mj, body, spec, j, numerics)
+        _add_connector(mj, body, spec, j + 1, numerics)
     for j in range(1, spec.segments + 1):
-        _add_muscles(mj, spec, j, numerics, limit)
+        _add_muscles(mj, j, numerics)
     _add_preload(mj, spec, numerics)
+    _add_home(mj)
     return mj
 
 
@@ -110,16 +124,13 @@ def scene_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     Arguments as in `robot_mjcf`.
     """
     mj = robot_mjcf(spec, numerics, supply_pa=supply_pa)
-    mj.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], contype=0, conaffinity=0,
-        rgba=[0.7, 0.72, 0.75, 1],
-    )  # fmt: skip
-    mj.worldbody.add_light(
-        name="sun", pos=[0, 0, 2], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    )
+    add_surroundings(mj, spec.geometry.body_length)
+    pair = mj.add_default("wheel_on_floor", mj.default)
+    for name, value in contact(spec, numerics).items():
+        setattr(pair.pair, name, value)
     force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     for tread in treads(spec):
-        mj.add_pair(name=tread, geomname1="floor", geomname2=tread, **contact(spec, numerics))
+        mj.add_pair(pair, name=tread, geomname1="floor", geomname2=tread)
         mj.add_sensor(
             name=f"floor_force_{tread}", type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=mujoco.mjtObj.mjOBJ_GEOM, objname="floor",
@@ -172,15 +183,14 @@ def _link_mass(spec: RobotSpec, numerics: Numerics) -> float:
     return share / links if links else 0.0
 
 
-def _add_connector(body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
+def _add_connector(
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Numerics
+) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     neighbours = (i > 1) + (i < g.connectors)
     links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
     _set_inertia(body, mass - 2 * spec.mass.wheel - links)
-    body.add_geom(
-        name=f"plate_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.003, g.width / 2, g.width / 2.5],
-        contype=0, conaffinity=0, mass=0, rgba=[0.2, 0.22, 0.25, 1], group=2,
-    )  # fmt: skip
+    body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
     spin = spec.mass.wheel * g.wheel_radius**2 / 2
     for side, sign in (("left", 1), ("right", -1)):
         wheel = body.add_body(
@@ -188,32 +198,26 @@ def _add_connector(body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Nume
             mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=[spin / 2, spin, spin / 2], explicitinertial=True,
         )  # fmt: skip
         wheel.add_joint(
-            name=f"axle_{side}_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0],
+            mj.find_default("axle"), name=f"axle_{side}_{i}",
             frictionloss=spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius,
-            solref_friction=[numerics.axle_time, 1],
         )  # fmt: skip
-        wheel.add_geom(
-            name=f"tread_{side}_{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[g.wheel_radius, 0, 0],
-            contype=0, conaffinity=0, mass=0, group=3,
-        )  # fmt: skip
-        wheel.add_geom(
-            name=f"rim_{side}_{i}", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[g.wheel_radius, 0.0015, 0],
-            quat=[math.sqrt(0.5), math.sqrt(0.5), 0, 0], contype=0, conaffinity=0, mass=0,
-            rgba=[0.05, 0.05, 0.05, 1], group=2,
-        )  # fmt: skip
+        wheel.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}")
+        wheel.add_geom(mj.find_default("rim"), name=f"rim_{side}_{i}")
 
 
-def _add_segment(body: mujoco.MjsBody, spec: RobotSpec, j: int, numerics: Numerics) -> mujoco.MjsBody:
+def _add_segment(
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, j: int, numerics: Numerics
+) -> mujoco.MjsBody:
     """Grow segment j tailwards from connector j; return the body of connector j + 1.
 
     Each hinge carries the body behind it; the last one carries the next connector. Stations are distances
     behind connector j of a straight segment.
     """
-    g, bending, n = spec.geometry, spec.bending, numerics.hinges_per_segment
+    g, n = spec.geometry, numerics.hinges_per_segment
     hinges = g.rigid_gap / 2 + g.segment_length * hinge_places(n)
     origins = np.append(hinges[:-1], g.pitch)
     middle = n // 2
-    _add_skin(body, spec, f"skin_{j}_0", 0.0, -hinges[0])
+    _add_skin(mj, body, spec, f"skin_{j}_0", 0.0, -hinges[0])
     parent_origin = 0.0
     for k in range(n):
         last = k == n - 1
@@ -221,64 +225,57 @@ def _add_segment(body: mujoco.MjsBody, spec: RobotSpec, j: int, numerics: Numeri
         body = body.add_body(name=name, pos=[parent_origin - origins[k], 0, 0])
         parent_origin = origins[k]
         anchor = origins[k] - hinges[k]
-        _add_hinge(
-            body, f"hinge_{j}_{k + 1}", anchor, [0, 0, -1], n * bending.stiffness, bending.damping_time
-        )
+        body.add_joint(mj.find_default("hinge"), name=f"hinge_{j}_{k + 1}", pos=[anchor, 0, 0])
         if k == middle:
-            centre = origins[k] - g.pitch / 2
-            time = _OUT_OF_PLANE_DAMPING_TIME
-            _add_hinge(body, f"pitch_{j}", centre, [0, 1, 0], bending.pitch_stiffness, time)
-            _add_hinge(body, f"roll_{j}", centre, [1, 0, 0], bending.roll_stiffness, time)
+            for kind in ("pitch", "roll"):
+                centre = origins[k] - g.pitch / 2
+                body.add_joint(mj.find_default(kind), name=f"{kind}_{j}", pos=[centre, 0, 0])
         if last:
-            _add_skin(body, spec, f"skin_{j}_{k + 1}", anchor, 0.0)
+            _add_skin(mj, body, spec, f"skin_{j}_{k + 1}", anchor, 0.0)
         else:
             _set_inertia(body, _link_mass(spec, numerics))
-            _add_skin(body, spec, f"skin_{j}_{k + 1}", 0.0, hinges[k] - hinges[k + 1])
+            _add_skin(mj, body, spec, f"skin_{j}_{k + 1}", 0.0, hinges[k] - hinges[k + 1])
     return body
 
 
-def _add_skin(body: mujoco.MjsBody, spec: RobotSpec, name: str, front: float, back: float) -> None:
-    """Draw the soft body between two stations of a body's x axis."""
-    body.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[spec.geometry.width / 2.5, 0, 0],
-        fromto=[front, 0, 0, back, 0, 0], contype=0, conaffinity=0, mass=0, group=2,
-        rgba=[0.9, 0.8, 0.62, 1],
-    )  # fmt: skip
-
-
-def _add_hinge(
-    body: mujoco.MjsBody, name: str, anchor: float, axis: list[float], stiffness: float, damping_time: float
+def _add_skin(
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, name: str, front: float, back: float
 ) -> None:
-    body.add_joint(
-        name=name, type=mujoco.mjtJoint.mjJNT_HINGE, pos=[anchor, 0, 0], axis=axis,
-        stiffness=stiffness, damping=stiffness * damping_time,
-    )  # fmt: skip
+    """Draw the soft body between two stations of a body's x axis."""
+    z = drawn_height(spec)
+    body.add_geom(mj.find_default("skin"), name=name, fromto=[front, 0, z, back, 0, z])
 
 
-def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics, limit_pa: float) -> None:
+def _add_muscles(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
     """Add tendon ``bend_j`` and its two chambers."""
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, numerics.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
-    moment_per_pascal = spec.bending.stiffness * spec.actuator.gain
     for name, sign in (("plus", 1), ("minus", -1)):
         actuator = mj.add_actuator(
-            name=f"{name}_{j}", target=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON,
-            ctrllimited=True, ctrlrange=[0, limit_pa],
+            mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name,
+            trntype=mujoco.mjtTrn.mjTRN_TENDON,
         )  # fmt: skip
-        actuator.gainprm[0] = sign * moment_per_pascal
+        actuator.gainprm[0] *= sign
 
 
 def _add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
     """Press each axle down with a constant force along the world's z."""
-    mj.worldbody.add_site(name="origin")
+    mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     for i, force in enumerate(preload_force(spec, numerics).sum(axis=1), start=1):
         g = spec.geometry
-        mj.body(f"connector_{i}").add_site(name=f"axle_{i}", pos=[0, 0, g.wheel_radius - g.com_height])
+        mj.body(f"connector_{i}").add_site(
+            mj.find_default(ROOT), name=f"axle_{i}", pos=[0, 0, g.wheel_radius - g.com_height]
+        )
         actuator = mj.add_actuator(
-            name=f"press_{i}", target=f"axle_{i}", trntype=mujoco.mjtTrn.mjTRN_SITE, refsite="origin",
-            gear=[0, 0, 1, 0, 0, 0], biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            ctrllimited=True, ctrlrange=[0, 1],
+            mj.find_default("press"), name=f"press_{i}", target=f"axle_{i}",
+            trntype=mujoco.mjtTrn.mjTRN_SITE, refsite="origin",
         )  # fmt: skip
-        actuator.gainprm[0] = 0.0
         actuator.biasprm[0] = -force
+
+
+def _add_home(mj: mujoco.MjSpec) -> None:
+    """Add keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
+    root = mj.body("connector_1")
+    others = [0.0] * (len(mj.joints) - 1)  # each of them a hinge
+    mj.add_key(name="home", qpos=[*root.pos, 1, 0, 0, 0, *others], ctrl=[0.0] * len(mj.actuators))

@@ -17,7 +17,7 @@ ORDER = (
     ("spec", "robots", "robot_file", "world"),
     ("trajectory",),
     ("shape", "friction", "pneumatics", "sensing"),
-    ("planning", "mjcf", "mjcf_check"),
+    ("planning", "mjcf_classes", "mjcf_surroundings", "mjcf", "mjcf_export", "mjcf_check"),
     ("plants", "control"),
     ("rollout",),
     ("comparison",),
@@ -32,7 +32,17 @@ STEP = {name: i for i, names in enumerate(ORDER) for name in names}
 
 # What is heavy or swaps out one day, and the only parts of the package that may know of it.
 RESERVED = {
-    "mujoco": {"mjcf", "mjcf_check", "plants", "envs", "viewing", "identification"},
+    "mujoco": {
+        "mjcf",
+        "mjcf_classes",
+        "mjcf_surroundings",
+        "mjcf_export",
+        "mjcf_check",
+        "plants",
+        "envs",
+        "viewing",
+        "identification",
+    },
     "dm_control": {"mjcf", "plants", "envs", "viewing", "identification"},
     "rerun": {"viewing"},
     "ray": {"sweep"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 
@@ -23,6 +24,12 @@ def fence(kind: str) -> str:
 def words_of(command: str) -> list[str]:
     """Return the words after `srs-twin`."""
     return shlex.split(command.partition("srs-twin")[2])
+
+
+def measured(row: str) -> list[float]:
+    """Return the numbers of the analytical and the twin column in the README's table of measured values."""
+    (cells,) = re.findall(rf"^\| {row}[^|]*\|([^|]*)\|([^|]*)\|", README, re.M)
+    return [float(cell) for cell in cells if cell.strip()]
 
 
 @pytest.fixture
@@ -48,7 +55,12 @@ def test_first_command_is_the_main_job(checkout, srs_twin):
     assert done.returncode == 0, done.stderr
     promised = re.findall(r"^\| ((?:`[\w.]+`(?:, )?)+) \|", README, re.M)
     files = {name for cell in promised for name in re.findall(r"`([\w.]+)`", cell)}
-    assert {path.name for path in (checkout / "runs/gen2_straight").iterdir()} == files
+    run = checkout / "runs/gen2_straight"
+    assert {path.name for path in run.iterdir()} == files
+    metrics = json.loads((run / "metrics.json").read_text("utf-8"))
+    speeds = [metrics["plants"][plant]["com_speed_m_s"] for plant in ("analytical", "twin")]
+    assert measured("CoM speed") == pytest.approx(speeds, rel=0.01)
+    assert measured("body shape") == pytest.approx([metrics["comparison"]["shape_rms_body"]], abs=0.001)
 
 
 def test_every_verb_named_exists(root, srs_twin):

@@ -24,7 +24,7 @@ def export(
 ) -> None:
     """Write robots as MJCF, each in a folder of its own."""
     from srs_twin.files import shipped_names
-    from srs_twin.mjcf import export_robot
+    from srs_twin.mjcf_export import export_robot
     from srs_twin.running import open_folder
     from srs_twin.spec import load_robot
 
@@ -43,38 +43,51 @@ def check(
         typer.Argument(metavar="[FILE|NAME...]", help="MJCF files or robots; default all shipped."),
     ] = None,
 ) -> None:
-    """Compile models and give each a second of random control."""
-    from srs_twin.files import shipped_names
+    """Compile models, give each a second of random control; are shipped ones current."""
+    from srs_twin.files import shipped_names, shown
     from srs_twin.mjcf_check import check_mjcf
 
     bad = 0
     for model in models or shipped_names("robot"):
-        path = _find(model)
+        path, robot = _find(model)
         report = check_mjcf(path)
-        bad += bool(report.faults)
-        for line in _lines(path, report):
-            typer.echo(line, err=bool(report.faults))
+        faults = [*report.faults, *_stale(robot, path.parent)]
+        bad += bool(faults)
+        for line in faults or [_praise(report, current=robot is not None)]:
+            typer.echo(f"{shown(path)}: {line}", err=bool(faults))
     if bad:
         raise typer.Exit(InputError.exit_code)
 
 
-def _lines(path: Path, report: ModelReport) -> list[str]:
-    if report.faults:
-        return [f"{path}: {fault}" for fault in report.faults]
-    s = report.sizes
+def _stale(robot: str | None, folder: Path) -> list[str]:
+    """Return a fault for each file of a shipped robot that is not what an export would write."""
+    if robot is None:
+        return []
+    from srs_twin.mjcf_export import stale_files
+    from srs_twin.spec import load_robot
+
     return [
-        f"{path}: fit for use ({s['bodies']} bodies, {s['joints']} joints, {s['actuators']} actuators, "
-        f"{s['mass_kg']:.4g} kg, {1e3 * s['timestep_s']:g} ms; 1 s of random control without a warning)"
+        f"{name} is not current; `srs-twin models export {robot}` writes it anew"
+        for name in stale_files(load_robot(robot), folder)
     ]
 
 
-def _find(model: str) -> Path:
-    """Return the scene of a shipped robot, or the file that a path means."""
+def _praise(report: ModelReport, *, current: bool) -> str:
+    s = report.sizes
+    return (
+        f"{'current and ' if current else ''}fit for use ({s['bodies']} bodies, {s['joints']} joints, "
+        f"{s['actuators']} actuators, {s['mass_kg']:.4g} kg, {1e3 * s['timestep_s']:g} ms; "
+        "1 s of random control without a warning)"
+    )
+
+
+def _find(model: str) -> tuple[Path, str | None]:
+    """Return the file that a path means, or the scene of a shipped robot and the robot's name."""
     from srs_twin.files import data_root, shipped_names
 
     if "/" in model or model.endswith(".xml"):
-        return Path(model)
+        return Path(model), None
     names = shipped_names("robot")
     if model not in names:
         raise UnknownNameError("robot", model, names)
-    return data_root() / "models" / model / "scene.xml"
+    return data_root() / "models" / model / "scene.xml", model

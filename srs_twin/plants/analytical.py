@@ -11,7 +11,6 @@ from srs_twin.friction import LAWS
 from srs_twin.plants import kernels
 from srs_twin.plants.base import Plant, Pose, SnakeState
 from srs_twin.pneumatics import LagPneumatics, Trace, valve_runs
-from srs_twin.shape import body_shape, relative_headings
 from srs_twin.spec import RobotSpec
 
 MODELS = ("complete",)
@@ -37,7 +36,7 @@ class AnalyticalSnake(Plant):
         supply_pa: float | None = None,
         tick: float = 0.02,
         timestep: float = 0.001,
-        slip_speed: float = 0.001,
+        slip_speed: float = 0.0005,
         layout: str = "3/2",
     ) -> None:
         """Build the model.
@@ -90,7 +89,7 @@ class AnalyticalSnake(Plant):
         for k in range(1, samples + 1):
             at = self.tick * k / samples
             last = int(np.searchsorted(ends, at * (1 + 1e-12), side="right"))
-            failed = kernels.advance(
+            failed = kernels.advance(  # type: ignore[call-arg]  # numba's stub knows no signatures
                 self._state, steps[first:last], bends[first:last], rates[first:last], *self._constants(),
                 self._velocity,
             )  # fmt: skip
@@ -150,16 +149,18 @@ class AnalyticalSnake(Plant):
         body = np.empty((g.connectors, 6))
         kernels.pose_body(bend, rate, self._mass, g.segment_length, g.rigid_gap, body)
         force, total, slope = np.empty((g.connectors, 2)), np.empty(3), np.empty((3, 3))
-        _, length, gap, *floor = self._constants()
-        kernels.floor_forces(body, self._mass, self._velocity, *floor, force, total, slope)
+        floor = self._constants()[3:]
+        kernels.floor_forces(  # type: ignore[call-arg]  # numba's stub knows no signatures
+            body, self._mass, self._velocity, *floor, force, total, slope
+        )
         com = np.array([x, y])
         return SnakeState(
             time=time,
             com=com,
             com_velocity=np.array([vx, vy]),
             heading=float(heading),
-            position=com + body_shape(bend, self._mass, length, gap) @ turn,
-            theta=heading + relative_headings(bend),
+            position=com + body[:, 2:4] @ turn,
+            theta=heading + body[:, 0],
             bend=bend,
             bend_rate=rate,
             pressure=trace.pressure[row],

@@ -30,6 +30,7 @@ X, Y, HEADING, VX, VY, MOMENT = range(6)
 GRAVITY = 9.81
 _NEWTON_STEPS = 100
 _NEWTON_TOLERANCE = 1e-11
+_DECREASE = 0.999  # by which a Newton step must shrink the squared residual; 1 would let it cycle
 
 _chord = njit(cache=True)(shape.chord)
 _chord_slope = njit(cache=True)(shape.chord_slope)
@@ -196,8 +197,8 @@ def _stage(known, a, q, rate, mass, length, gap, law, track, mu_t, mu_n, slip, u
         residual[1] = u[1] - by - a / weight * total[1]
         residual[2] = u[2] - (known[MOMENT] - moment + a * total[2]) / inertia
         size = weight * (residual[0] ** 2 + residual[1] ** 2) + inertia * residual[2] ** 2
-        if size > best:
-            # Overshot across a kink of the friction law: go half the way back.
+        if size > _DECREASE * best:
+            # Overshot across a kink of the friction law, or mirrored on it: go half the way back.
             step *= 0.5
             u += step
             continue

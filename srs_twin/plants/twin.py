@@ -9,7 +9,7 @@ import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.plants.base import Plant, Pose, SnakeState
-from srs_twin.pneumatics import LagPneumatics, Trace
+from srs_twin.pneumatics import LagPneumatics
 from srs_twin.spec import RobotSpec
 
 # Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
@@ -54,7 +54,6 @@ class SnakePhysics(dm.Physics):
         self._preload = preload_force(spec, numerics)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._valves = np.full((1, spec.segments, 2), -1, dtype=np.int8)
-        self.trace = Trace(pneumatics.pressure[None], pneumatics.bend[None], pneumatics.bend[None])
         self._floor_force = np.zeros(raw.nsensordata)
 
     def lay_down(self, pose: Pose) -> None:
@@ -74,14 +73,13 @@ class SnakePhysics(dm.Physics):
     def step(self, nstep: int = 1) -> None:
         """Advance chambers and bodies by `nstep` time steps.
 
-        Pressures are those of each step's end, as the integrator takes springs and dampers there: a
-        ramp then lags by exactly τ₂.
+        Pressures are those of each step's beginning: with the springs at its end, a ramp then lags by
+        exactly τ₂.
         """
         model, data = self.model.ptr, self.data.ptr
         span = nstep * model.opt.timestep
-        times = span * np.arange(1, nstep + 1) / nstep
-        self.trace = self._pneumatics.advance(self._valves, span, times)
-        controls = self.trace.pressure.reshape(nstep, -1)
+        times = span * np.arange(nstep) / nstep
+        controls = self._pneumatics.advance(self._valves, span, times).pressure.reshape(nstep, -1)
         force = np.zeros_like(self._floor_force)
         with self.check_invalid_state():
             for row in controls:
@@ -232,7 +230,7 @@ class TwinSnake(Plant):
             raise DivergedError(self.name, time, f"largest joint speed {speed:.3g}, qpos {data.qpos[:7]}…")
 
     def _observe(self, time: float) -> SnakeState:
-        physics, trace = self.physics, self.physics.trace
+        physics = self.physics
         # Unwrap against the last sample: a connector turns by far less than π in between.
         wrapped = physics.connector_headings()
         self._theta = self._theta + np.remainder(wrapped - self._theta + np.pi, 2 * np.pi) - np.pi
@@ -246,7 +244,7 @@ class TwinSnake(Plant):
             theta=self._theta,
             bend=bend,
             bend_rate=physics.bend_rates(),
-            pressure=trace.pressure[-1] if time > 0 else self.pneumatics.pressure,
+            pressure=self.pneumatics.pressure,
             valves=self.pneumatics.valves,
             sensed=bend.copy(),
             contact_force=physics.floor_forces()[..., :2].sum(axis=1),

@@ -127,7 +127,7 @@ class AnalyticalFile(_PlantFile):
         "viscous: a law for tests.",
         "axis",
     )
-    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", "m/s", 1e-6, 0.1, 0.001)
+    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", "m/s", 1e-6, 0.1, 0.0005)
 
 
 class TwinFile(_PlantFile):

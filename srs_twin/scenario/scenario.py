@@ -51,7 +51,7 @@ class AnalyticalSettings:
     tick: float = 0.02
     model: str = "complete"
     friction: str = "axis"
-    slip_speed: float = 0.001
+    slip_speed: float = 0.0005
 
 
 @dataclass(frozen=True)

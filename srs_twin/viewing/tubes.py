@@ -46,7 +46,9 @@ def centre_lines(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) ->
 def body_line(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np.ndarray:
     """Return the whole centre line, head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, pieces)
-    inner = lines[:, :, :-1].reshape(len(lines), -1, 2)
+    # Without a gap the ends of the arc are the connectors: every point stands once.
+    once = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
+    inner = lines[:, :, once].reshape(len(lines), -1, 2)
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 

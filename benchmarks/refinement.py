@@ -1,0 +1,81 @@
+"""How far the mean speed and yaw rate move when each numerical choice is refined.
+
+    uv run python benchmarks/refinement.py [--matched]
+
+Time step, friction regularisation and bending hinges are refined one at a time and all together, on gaits
+of generation 2 between 1 and 2 Hz, straight and turning. With `--matched`, on stiff bends.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from agreement import MATCHED_STIFFNESS
+from grid import Run, run_all, table
+
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.mjcf import Numerics
+
+GAITS = ((1.0, 0.0), (2.0, 0.0), (2.0, 0.2))  # Hz, offset
+BASE = Numerics()
+
+CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
+    "analytical": [
+        ("default: 1 ms, ε 0.5 mm/s", {}),
+        ("time step 2 ms", {"timestep": 0.002}),
+        ("time step halved", {"timestep": 0.0005}),
+        ("ε halved", {"slip_speed": 0.00025}),
+        ("time step and ε quartered", {"timestep": 0.00025, "slip_speed": 0.000125}),
+    ],
+    "twin": [
+        (f"default: {1e3 * BASE.timestep:g} ms, {BASE.hinges_per_segment} hinges", {}),
+        ("time step 2 ms", {"timestep": 0.002}),
+        ("time step halved", {"timestep": 0.0005}),
+        ("hinges halved", {"hinges_per_segment": 2}),
+        ("hinges doubled", {"hinges_per_segment": 8}),
+        ("slip time halved", {"slip_time": BASE.slip_time / 2}),
+        ("preload doubled", {"preload": 2 * BASE.preload}),
+        ("no preload", {"preload": 0.0}),
+        (
+            "all refined",
+            {
+                "timestep": 0.0005,
+                "hinges_per_segment": 8,
+                "slip_time": BASE.slip_time / 2,
+                "preload": 2 * BASE.preload,
+            },
+        ),
+    ],
+}
+
+
+def main() -> None:
+    """Print one table a plant."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--matched", action="store_true", help="stiff bends instead of the shipped robot")
+    stiffness = MATCHED_STIFFNESS if arguments.parse_args().matched else None
+    head = ["change", *(f"{f:g} Hz, offset {o:g}: mm/s (%), rad/s" for f, o in GAITS)]
+    for plant, cases in CASES.items():
+        friction = {"friction": "wheel"} if plant == "analytical" else {}
+        runs = [
+            Run(plant, frequency=f, offset=o, supply_pa=48.3e3, stiffness=stiffness, options=friction | options)
+            for _, options in cases
+            for f, o in GAITS
+        ]
+        metrics = [plant_metrics(trajectory) for trajectory in run_all(runs)]
+        base = metrics[: len(GAITS)]
+        rows = []
+        for i, (name, _) in enumerate(cases):
+            row = metrics[i * len(GAITS) : (i + 1) * len(GAITS)]
+            rows.append([name, *(_cell(m, b) for m, b in zip(row, base, strict=True))])
+        print(f"\n{plant}\n\n{table(head, rows)}", flush=True)
+
+
+def _cell(metrics: dict[str, Any], base: dict[str, Any]) -> str:
+    speed, before = metrics["com_speed_m_s"], base["com_speed_m_s"]
+    return f"{1e3 * speed:.2f} ({100 * (speed / before - 1):+.2f}), {metrics['yaw_rate_rad_s']:+.4f}"
+
+
+if __name__ == "__main__":
+    main()

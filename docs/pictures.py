@@ -1,0 +1,35 @@
+"""Makes the README's pictures from a real run.
+
+    uv run python docs/pictures.py
+
+`plan.png` needs nothing; `hero.png` is a screenshot of Rerun's viewer and needs a Vulkan driver (on a machine
+without a graphics card Debian's mesa-vulkan-drivers).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from srs_twin import load_scenario
+from srs_twin.running import run_scenario
+from srs_twin.viewing.plan_view import hero_figure
+from srs_twin.viewing.screenshot import screenshots
+
+IMAGES = Path(__file__).parent / "images"
+MOMENT_S = 6.3
+
+
+def main() -> None:
+    """Run gen2_straight and write both pictures."""
+    IMAGES.mkdir(exist_ok=True)
+    scenario = load_scenario("gen2_straight")
+    with tempfile.TemporaryDirectory() as folder:
+        result = run_scenario(scenario, Path(folder))
+        hero_figure(dict(result.trajectories), scenario.robot).savefig(IMAGES / "plan.png", dpi=110)
+        (picture,) = screenshots(result.folder / "recording.rrd", [MOMENT_S])
+        (IMAGES / "hero.png").write_bytes(picture)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""A module without load obeys the identified second-order law, in the chambers and in MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from snakes import chain, robot
+
+from srs_twin import RobotSpec, TwinSnake
+from srs_twin.pneumatics import LagPneumatics
+
+PSI = 6894.757
+SUPPLY = 8 * PSI
+FILL_PLUS = np.array([[1, -1]], dtype=np.int8)
+VENT = np.array([[-1, -1]], dtype=np.int8)
+
+
+def step_response(time: np.ndarray) -> np.ndarray:
+    """Return gen 4's bend after a step to 8 psi with the printed coefficients (Eq. 15, E1, E2), rad."""
+    return 0.8366 - 0.8531 * np.exp(-time / 0.1107) + 0.0165 * np.exp(-time / 0.00214)
+
+
+def module(name: str, stiffness: float) -> RobotSpec:
+    """Return one light segment between two connectors of a robot, on a floor without friction."""
+    spec = robot(name)
+    return replace(
+        chain((0.01, 0.01), length=0.01, gap=0.0, mu_t=0.0, mu_n=0.0),
+        actuator=spec.actuator,
+        bending=replace(spec.bending, stiffness=stiffness),
+    )
+
+
+def test_chambers_give_the_identified_step_response():
+    pneumatics = LagPneumatics(module("gen4", 1.0), supply_pa=SUPPLY)
+    time = np.linspace(0, 0.6, 301)
+    trace = pneumatics.advance(pneumatics.slots(FILL_PLUS), 0.6, time)
+    # The printed coefficients have four digits.
+    assert trace.bend[:, 0] == pytest.approx(step_response(time), abs=2e-4)
+
+
+def test_step_response_solves_the_identified_equation():
+    """Eq. 14 in the printed numbers: q̈ + 476.49 q̇ + 4221.8 (q − C₀) = 0, by differences."""
+    pneumatics = LagPneumatics(module("gen4", 1.0), supply_pa=SUPPLY)
+    step = 1e-5
+    time = np.arange(2, 30_000) * step
+    trace = pneumatics.advance(pneumatics.slots(FILL_PLUS), time[-1], time)
+    q = trace.bend[:, 0]
+    acceleration = (q[2:] - 2 * q[1:-1] + q[:-2]) / step**2
+    rate = (q[2:] - q[:-2]) / (2 * step)
+    residual = acceleration + 476.49 * rate + 4221.8 * (q[1:-1] - 0.8366)
+    assert np.abs(residual).max() < 2e-3 * 4221.8 * 0.8366
+    assert trace.bend_rate[1:-1, 0] == pytest.approx(rate, abs=1e-4)
+
+
+@pytest.mark.parametrize("timestep", [0.001, 0.0005])
+def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(timestep):
+    plant = TwinSnake(module("gen4", 20.0), supply_pa=SUPPLY, timestep=timestep)
+    samples = round(plant.tick / timestep)
+    time, bend = [], []
+    for valves in [FILL_PLUS] * 30:
+        for state in plant.advance(valves, samples):
+            time.append(state.time)
+            bend.append(state.bend[0])
+    error = np.array(bend) - step_response(np.array(time))
+    assert np.abs(error).max() < 0.01 * 0.8366
+    assert abs(error[-1]) < 5e-4
+
+
+def test_stiff_module_in_mujoco_follows_the_chambers_through_valve_events():
+    """Valves at random every 5 ms, against the same chambers without a body: first order in the step."""
+    coarse, fine = _distance_from_free_bend(0.001), _distance_from_free_bend(0.00025)
+    assert coarse < 0.02
+    assert fine < 0.5 * coarse
+
+
+def _distance_from_free_bend(timestep: float) -> float:
+    """Return the RMS distance of the twin's bend from the free one, as a share of its deviation."""
+    spec = module("gen2", 20.0)
+    plant = TwinSnake(spec, timestep=timestep)
+    free = LagPneumatics(spec, supply_pa=spec.supply.nominal)
+    generator = np.random.default_rng(5)
+    twin, chambers = [], []
+    for _ in range(50):
+        slots = generator.choice([-1, 1], size=(4, 1, 2)).astype(np.int8)
+        twin.append(plant.step(slots).bend[0])
+        chambers.append(free.advance(free.slots(slots), plant.tick, np.array([plant.tick])).bend[0, 0])
+    return float(np.sqrt(np.mean(np.subtract(twin, chambers) ** 2)) / np.std(chambers))
+
+
+def test_soft_module_lags_and_overshoots_what_a_stiff_one_follows():
+    errors = []
+    for stiffness in (0.05, 20.0):
+        plant = TwinSnake(module("gen4", stiffness), supply_pa=SUPPLY)
+        bends = [plant.step(FILL_PLUS).bend[0] for _ in range(30)]
+        errors.append(np.abs(bends - step_response(plant.tick * np.arange(1, 31))).max())
+    assert errors[0] > 3 * errors[1]

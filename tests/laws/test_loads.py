@@ -1,0 +1,54 @@
+"""The floor carries the snake's weight, and every connector its own share of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from snakes import GRAVITY, robot, vented
+
+from srs_twin import Gait, TwinSnake, rollout
+
+SPEC = robot()
+WEIGHT = SPEC.mass.array() * GRAVITY
+
+
+@pytest.fixture(scope="module")
+def crawling_loads() -> np.ndarray:
+    """Load of each connector of gen2, straight at 2 Hz, after two periods, shape (ticks, N), N."""
+    plant, loads = TwinSnake(SPEC), []
+    rollout(plant, Gait(2.0), 5.0, observers=[lambda _: loads.append(plant.physics.wheel_loads())])
+    return np.array(loads)[50:].sum(axis=2)
+
+
+def test_loads_of_a_crawling_snake_sum_to_its_weight(crawling_loads):
+    assert crawling_loads.sum(axis=1).mean() == pytest.approx(WEIGHT.sum(), rel=2e-3)
+
+
+def test_each_connector_of_a_crawling_snake_carries_its_own_weight(crawling_loads):
+    assert crawling_loads.mean(axis=0) == pytest.approx(WEIGHT, rel=0.10)
+
+
+def test_loads_of_a_crawling_snake_do_not_swing_by_their_mean(crawling_loads):
+    """A chain that is rigid out of plane swings by 0.73 to 1.24 of the mean."""
+    assert (crawling_loads.std(axis=0) / WEIGHT).max() < 0.4
+
+
+# gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it a little.
+@pytest.mark.parametrize(("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)])
+def test_loads_at_rest(name, share):
+    plant = TwinSnake(robot(name))
+    for _ in range(100):
+        plant.step(vented(plant.spec))
+    loads, weight = plant.physics.wheel_loads(), plant.spec.mass.array() * GRAVITY
+    assert loads.sum() == pytest.approx(weight.sum(), rel=1e-6)
+    assert loads.sum(axis=1) == pytest.approx(weight, rel=share)
+    assert loads[:, 0] == pytest.approx(loads[:, 1], rel=1e-6)
+
+
+def test_preload_does_not_change_what_the_floor_carries():
+    bare, pressed = TwinSnake(SPEC, preload=0.0), TwinSnake(SPEC, preload=9.0)
+    for plant in (bare, pressed):
+        for _ in range(100):
+            plant.step(vented(SPEC))
+        assert plant.physics.wheel_loads().sum() == pytest.approx(WEIGHT.sum(), rel=1e-6)
+    assert pressed.physics.named.data.xpos["connector_3", "z"] < bare.physics.named.data.xpos["connector_3", "z"]

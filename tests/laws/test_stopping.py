@@ -1,0 +1,115 @@
+"""A straight snake thrown across the floor stops where Coulomb's law says, on both plants."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from snakes import GRAVITY, robot, throw, vented
+
+from srs_twin import AnalyticalSnake, Plant, TwinSnake
+
+SPEC = robot(stiffness=20.0)
+MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n
+MASS = SPEC.mass.total
+# The wheels roll, so their spin has to be stopped as well: Σ I/R² with I = m R²/2 for each of two a connector.
+SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
+
+
+@cache
+def twin() -> TwinSnake:
+    return TwinSnake(SPEC)
+
+
+def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -> np.ndarray:
+    """Throw a plant, let it come to rest and return how far its centre of mass went, body frame, m."""
+    c, s = math.cos(heading), math.sin(heading)
+    throw(plant, (c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]), heading=heading)
+    start = plant.physics.center_of_mass()[:2] if isinstance(plant, TwinSnake) else np.zeros(2)
+    for _ in range(round((1.2 * abs(velocity[0]) / (MU_T * GRAVITY) + 0.3) / plant.tick)):
+        state = plant.step(vented(SPEC))
+    assert np.abs(state.com_velocity).max() < 1e-6
+    return (state.com - start) @ np.array([[c, -s], [s, c]])
+
+
+def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarray:
+    """Integrate a unit mass on free wheels under sharp Coulomb friction until it rests; return its way, m.
+
+    Floor force along: the axle's drag over what the wheels' inertia adds, or all the cone gives when that
+    is less; across: what the cone has left.
+    """
+    step = 2e-4
+    v, place = np.array(velocity), np.zeros(2)
+    while np.hypot(*v) > 0:
+        speed = np.hypot(*v)
+        along = min(MU_T / (1 + spin_share), MU_N * abs(v[0]) / speed)
+        across = math.sqrt(MU_N**2 - along**2) * (v[1] != 0)
+        brake = np.array([along, across]) * GRAVITY * step
+        after = np.sign(v) * np.maximum(np.abs(v) - brake, 0.0)
+        place += step * (v + after) / 2
+        v = after
+    return place
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+@pytest.mark.parametrize("law", ["axis", "wheel"])
+def test_analytical_stops_along_and_across(law, heading):
+    plant = AnalyticalSnake(SPEC, friction=law)
+    along = stopped(plant, (0.5, 0.0), heading)
+    assert along == pytest.approx([0.5**2 / (2 * MU_T * GRAVITY), 0], rel=0.01, abs=1e-9)
+    # With drag μ_t reserved, a wheel that does not roll still has its whole cone across.
+    across = stopped(plant, (0.0, -0.5), heading)
+    assert across == pytest.approx([0, -(0.5**2) / (2 * MU_N * GRAVITY)], rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_twin_stops_along(speed):
+    # Pressed into a soft contact, a wheel rolls on a radius that ends where the floor's force acts.
+    touch = contact_radius()
+    assert touch == pytest.approx(SPEC.geometry.wheel_radius, rel=0.015)
+    drag = MU_T * GRAVITY * MASS * SPEC.geometry.wheel_radius / touch
+    expected = (MASS + SPIN_MASS * (SPEC.geometry.wheel_radius / touch) ** 2) * speed**2 / (2 * drag)
+    way = stopped(twin(), (speed, 0.0))
+    assert way == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_twin_stops_across(speed):
+    way = stopped(twin(), (0.0, speed))
+    assert way == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [30, 60, 87])
+def test_analytical_stops_at_an_angle_as_a_wheeled_point_does(degrees):
+    velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+    way = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
+    assert way == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
+
+
+@pytest.mark.parametrize("degrees", [30, 60])
+def test_twin_stops_at_an_angle_as_a_wheeled_point_does(degrees):
+    velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+    way, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
+    assert way[0] == pytest.approx(expected[0], rel=0.02)
+    assert way[1] == pytest.approx(expected[1], rel=0.03)
+
+
+def test_axis_law_stops_each_direction_by_itself():
+    way = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
+    expected = [0.6**2 / (2 * MU_T * GRAVITY), 0.8**2 / (2 * MU_N * GRAVITY)]
+    assert way == pytest.approx(expected, rel=0.01)
+
+
+def contact_radius() -> float:
+    """Return how far below its axle a wheel of the settled twin touches the floor, mean over wheels, m."""
+    throw(twin(), (0.0, 0.0))
+    twin().step(vented(SPEC))
+    data, named = twin().physics.data, twin().physics.named.data
+    axles = [
+        named.xpos[f"wheel_{side}_{i}", "z"]
+        for i in range(1, SPEC.geometry.connectors + 1)
+        for side in ("left", "right")
+    ]
+    return float(np.mean(axles) - np.mean([data.contact[k].pos[2] for k in range(data.ncon)]))

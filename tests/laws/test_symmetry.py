@@ -1,0 +1,72 @@
+"""The floor has no preferred place, direction or side: turned, shifted and mirrored runs correspond."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from snakes import robot
+
+from srs_twin import AnalyticalSnake, Gait, Plant, Trajectory, TwinSnake, rollout
+
+PLANTS = {
+    "axis": lambda: AnalyticalSnake(robot(), friction="axis"),
+    "wheel": lambda: AnalyticalSnake(robot(), friction="wheel"),
+    "twin": lambda: TwinSnake(robot()),
+}
+OFFSET = 0.2
+
+
+@cache
+def plant(name: str) -> Plant:
+    return PLANTS[name]()
+
+
+@cache
+def turning(name: str) -> Trajectory:
+    """A left turn from the origin, 2 s."""
+    return rollout(plant(name), Gait(2.0, OFFSET), 2.0)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, np.pi / 6), (0.3, -0.2, 0.0), (-1.0, 2.0, np.pi / 6)])
+@pytest.mark.parametrize("name", PLANTS)
+def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, pose):
+    x, y, angle = pose
+    here, there = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
+    c, s = np.cos(angle), np.sin(angle)
+    turned = here.position @ np.array([[c, s], [-s, c]]) + [x, y]
+    assert np.abs(there.position - turned).max() < 1e-9
+    assert np.abs(there["heading"] - here["heading"] - angle).max() < 1e-9
+    assert np.abs(there.stack("bend") - here.stack("bend")).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_opposite_offset_with_half_a_period_gives_the_mirrored_path(name):
+    left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0)
+    # The same code runs with left and right exchanged: no more than rounding is allowed to differ.
+    assert np.abs(right.position - left.position * [1, -1]).max() < 1e-9
+    assert np.abs(right["heading"] + left["heading"]).max() < 1e-9
+    for plus, minus in (("pressure_plus", "pressure_minus"), ("valve_plus", "valve_minus")):
+        assert np.abs(right.stack(plus) - left.stack(minus)).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_opposite_offset_alone_is_not_the_mirror_image(name):
+    left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET), 1.0)
+    assert np.abs(right.position - left.position[:101] * [1, -1]).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_forward_wave_drives_forward_and_positive_offset_turns_left(name):
+    run = turning(name)
+    ahead = run.com[-1] @ [np.cos(run["heading"].mean()), np.sin(run["heading"].mean())]
+    assert ahead > 0.5 * run.time[-1] * 0.2  # half of gen2's 0.2 m/s
+    period = 50
+    assert run["heading"][-period:].mean() > run["heading"][:period].mean() + 0.1
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_wave_from_tail_to_head_drives_backward(name):
+    backward = rollout(plant(name), Gait(2.0, phase_step=-np.pi / 2), 2.0)
+    assert backward["com_x"][-1] < -0.2

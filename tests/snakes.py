@@ -1,0 +1,82 @@
+"""Snakes to test laws on: stiff or slippery variants of a robot, and how to throw one across the floor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from srs_twin import AnalyticalSnake, Plant, RobotSpec, TwinSnake, load_robot
+from srs_twin.plants import kernels
+
+GRAVITY = 9.81
+
+
+def robot(name: str = "gen2", *, stiffness: float | None = None, **friction: float) -> RobotSpec:
+    """Return a shipped robot with another bending stiffness (N·m/rad) or other friction coefficients."""
+    spec = load_robot(name)
+    if stiffness is not None:
+        spec = replace(spec, bending=replace(spec.bending, stiffness=stiffness))
+    return replace(spec, friction=replace(spec.friction, **friction))
+
+
+def chain(
+    masses: tuple[float, ...], *, length: float = 0.037, gap: float = 0.018, **friction: float
+) -> RobotSpec:
+    """Return a gen2 with as many connectors as masses (kg) and other lengths (m)."""
+    spec = robot(**friction)
+    geometry = replace(
+        spec.geometry, connectors=len(masses), segment_length=length, rigid_gap=gap
+    )
+    return replace(spec, geometry=geometry, mass=replace(spec.mass, connectors=masses))
+
+
+def vented(spec: RobotSpec) -> np.ndarray:
+    """Return valves that empty every chamber, shape (segments, 2)."""
+    return np.full((spec.segments, 2), -1, dtype=np.int8)
+
+
+def throw(plant: Plant, velocity: tuple[float, float], *, spin: float = 0.0, heading: float = 0.0) -> None:
+    """Lay a plant straight at the origin and give it a velocity (m/s, world) and yaw rate (rad/s).
+
+    The twin settles on its wheels first and its wheels turn as they would when rolling.
+    """
+    plant.reset(pose=(0.0, 0.0, heading))
+    if isinstance(plant, AnalyticalSnake):
+        _throw_analytical(plant, velocity, spin, heading)
+    elif isinstance(plant, TwinSnake):
+        _throw_twin(plant, velocity, spin)
+
+
+def _throw_analytical(
+    plant: AnalyticalSnake, velocity: tuple[float, float], spin: float, heading: float
+) -> None:
+    spec = plant.spec
+    stations = -spec.geometry.pitch * np.arange(spec.geometry.connectors)
+    mass = spec.mass.array()
+    inertia = (mass * (stations - mass @ stations / mass.sum()) ** 2).sum()
+    plant._state[kernels.VX : kernels.VY + 1] = velocity
+    plant._state[kernels.MOMENT] = inertia * spin
+    c, s = np.cos(heading), np.sin(heading)
+    plant._velocity[:] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], spin
+
+
+def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) -> None:
+    for _ in range(round(0.2 / plant.tick)):
+        plant.step(vented(plant.spec))
+    physics, g = plant.physics, plant.spec.geometry
+    centre = physics.center_of_mass()[:2]
+    headings, places = physics.connector_headings(), physics.connector_positions()[:, :2]
+
+    def at(place: np.ndarray) -> np.ndarray:
+        arm = place - centre
+        return np.asarray(velocity) + spin * np.array([-arm[1], arm[0]])
+
+    physics.data.qvel[:] = 0.0
+    physics.data.qvel[:2] = at(places[0])
+    physics.data.qvel[5] = spin
+    for i, (place, heading) in enumerate(zip(places, headings, strict=True), start=1):
+        along = at(place) @ [np.cos(heading), np.sin(heading)]
+        for side, sign in (("left", 1), ("right", -1)):
+            rolling = along - sign * g.half_track * spin
+            physics.named.data.qvel[f"axle_{side}_{i}"] = rolling / g.wheel_radius

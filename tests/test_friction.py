@@ -1,0 +1,134 @@
+"""Friction laws: slopes, dissipation, cones, limits, and the wheel law against a wheel that spins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from srs_twin import friction
+
+LAWS = {name: getattr(friction, name) for name in friction.LAWS}
+LOAD = 0.3
+SPEED = st.floats(-1, 1, allow_subnormal=False)
+MU = st.floats(0, 1.2, allow_subnormal=False)
+SLIP = st.floats(1e-4, 0.1)
+EACH_LAW = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+
+
+def forces(law, v_t, v_n, mu_t, mu_n, slip=1e-3):
+    return law(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
+
+
+@EACH_LAW
+@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_slopes_are_those_of_the_forces(law, v_t, v_n, mu_t, mu_n, slip):
+    # The wheel law has a kink where it passes from rolling to skidding, and sgn one at 0.
+    share = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
+    assume(law is not friction.wheel or (abs(share - mu_t) > 1e-3 and (share < mu_t or abs(v_t) > 1e-3)))
+    h = 1e-5 * slip
+    slopes = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
+    ahead, behind = forces(law, v_t + h, v_n, mu_t, mu_n, slip), forces(law, v_t - h, v_n, mu_t, mu_n, slip)
+    left, right = forces(law, v_t, v_n + h, mu_t, mu_n, slip), forces(law, v_t, v_n - h, mu_t, mu_n, slip)
+    steepest = LOAD * max(mu_t, mu_n) / slip
+    found = [
+        (ahead[0] - behind[0]) / (2 * h),
+        (left[0] - right[0]) / (2 * h),
+        (ahead[1] - behind[1]) / (2 * h),
+        (left[1] - right[1]) / (2 * h),
+    ]
+    assert slopes == pytest.approx(found, abs=1e-5 * steepest + 1e-7)
+
+
+@EACH_LAW
+@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_friction_never_drives(law, v_t, v_n, mu_t, mu_n, slip):
+    f_t, f_n = forces(law, v_t, v_n, mu_t, mu_n, slip)
+    assert f_t * v_t <= 0
+    assert f_n * v_n <= 0
+
+
+@EACH_LAW
+@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU)
+def test_reversed_motion_reverses_the_force(law, v_t, v_n, mu_t, mu_n):
+    there, back = forces(law, v_t, v_n, mu_t, mu_n), forces(law, -v_t, -v_n, mu_t, mu_n)
+    assert back == pytest.approx([-f for f in there], abs=1e-15)
+
+
+@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_axis_law_stays_in_its_box_and_wheel_law_in_its_cone(v_t, v_n, mu_t, mu_n, slip):
+    f_t, f_n = forces(friction.axis, v_t, v_n, mu_t, mu_n, slip)
+    assert abs(f_t) <= LOAD * mu_t * (1 + 1e-12)
+    assert abs(f_n) <= LOAD * mu_n * (1 + 1e-12)
+    f_t, f_n = forces(friction.wheel, v_t, v_n, mu_t, mu_n, slip)
+    assert math.hypot(f_t, f_n) <= LOAD * mu_n * (1 + 1e-12)
+    assert abs(f_t) <= LOAD * mu_t * (1 + 1e-12)
+
+
+@given(SPEED, SPEED, MU, SLIP, st.floats(1, 3))
+def test_wheel_whose_axle_holds_slides_isotropically(v_t, v_n, mu_n, slip, excess):
+    f_t, f_n = forces(friction.wheel, v_t, v_n, mu_n * excess, mu_n, slip)
+    speed = math.sqrt(v_t**2 + v_n**2 + slip**2)
+    assert (f_t, f_n) == pytest.approx((-LOAD * mu_n * v_t / speed, -LOAD * mu_n * v_n / speed), abs=1e-12)
+
+
+@given(st.floats(0.05, 1), MU)
+def test_wheel_that_rolls_straight_feels_its_axle_only(v_t, mu_n):
+    mu_t = 0.5 * mu_n
+    assert forces(friction.wheel, v_t, 0.0, mu_t, mu_n) == pytest.approx((-LOAD * mu_t, 0))
+    assert forces(friction.wheel, 0.0, v_t, mu_t, mu_n, 1e-6) == pytest.approx((0, -LOAD * mu_n))
+
+
+def test_wheel_law_is_continuous_where_rolling_begins():
+    mu_t, mu_n, slip = 0.1, 0.6, 1e-3
+    v_n = 0.2
+    edge = mu_t * math.sqrt((v_n**2 + slip**2) / (mu_n**2 - mu_t**2))
+    below, above = (forces(friction.wheel, edge * k, v_n, mu_t, mu_n, slip) for k in (1 - 1e-9, 1 + 1e-9))
+    assert below == pytest.approx(above, rel=1e-7)
+    assert below[0] == pytest.approx(-LOAD * mu_t, rel=1e-7)
+
+
+def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[float, float]:
+    """Return the steady floor force on a wheel towed at v_t along and v_n across, N.
+
+    The wheel spins freely but for Coulomb drag in its axle; its contact slides isotropically. Its spin is
+    integrated from rest until it no longer changes.
+    """
+    radius, inertia, step, tiny = 0.01, 2e-7, 2e-5, 1e-3
+    rim = 0.0  # ω R
+    for _ in range(40_000):
+        creep = v_t - rim
+        slide = math.sqrt(creep**2 + v_n**2 + tiny**2)
+        f_t, f_n = -mu_n * LOAD * creep / slide, -mu_n * LOAD * v_n / slide
+        # Forward force of the floor slows the wheel; the axle drags against its spin, or holds it.
+        turning = rim - step * f_t * radius**2 / inertia
+        drag = step * mu_t * LOAD * radius**2 / inertia
+        after = math.copysign(max(abs(turning) - drag, 0.0), turning)
+        if abs(after - rim) < 1e-12:
+            break
+        rim = after
+    return f_t, f_n
+
+
+@pytest.mark.parametrize("mu_t", [0.043, 0.3, 0.9])
+@pytest.mark.parametrize(
+    ("v_t", "v_n"), [(0.3, 0.0), (0.3, 0.1), (0.1, 0.3), (-0.1, 0.3), (0.01, 0.3), (0.05, -0.05), (0.2, 0.01)]
+)
+def test_wheel_law_is_the_steady_creep_of_a_spinning_wheel(v_t, v_n, mu_t):
+    mu_n = 0.57
+    expected = spinning_wheel(v_t, v_n, mu_t, mu_n)
+    found = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
+    assert found == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
+
+
+def test_laws_are_elementwise():
+    generator = np.random.default_rng(0)
+    v = generator.uniform(-0.1, 0.1, size=(2, 3, 4))
+    for law in LAWS.values():
+        whole = law(v[0], v[1], LOAD, 0.1, 0.5, 1e-2)
+        for index in np.ndindex(3, 4):
+            single = law(v[0][index], v[1][index], LOAD, 0.1, 0.5, 1e-2)
+            assert [part[index] for part in whole] == pytest.approx(single, rel=1e-14)

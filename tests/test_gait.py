@@ -1,0 +1,160 @@
+"""The gait: Eq. 13 with the wave from head to tail, edges where they belong, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from snakes import chain, robot
+
+from srs_twin import Gait, InputError, RobotSpec
+
+TICK = 0.02
+
+
+def played(
+    gait: Gait, duration: float, *, tick: float = TICK, spec: RobotSpec | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return slot start times (s) and the signs S of the + chambers, shapes (n,) and (n, segments)."""
+    spec = spec or robot()
+    gait.reset(spec, tick)
+    raster = max(1, round(tick / 1e-4))
+    times, signs = [], []
+    for k in range(round(duration / tick)):
+        valves = commanded(gait, k * tick)
+        slots = valves[None] if valves.ndim == 2 else valves
+        assert (slots[..., 0] == -slots[..., 1]).all()
+        signs.append(np.repeat(slots[..., 0], raster // len(slots), axis=0))
+        times.append(k * tick + tick * np.arange(raster) / raster)
+    return np.concatenate(times), np.concatenate(signs)
+
+
+def commanded(gait: Gait, time: float) -> np.ndarray:
+    """Return the valves of the tick that begins at a time; a gait reads nothing else of the state."""
+    state: Any = SimpleNamespace(time=time)
+    return gait.step(state)
+
+
+def crossings(f: float, offset: float, lag: float, duration: float) -> list[float]:
+    """Return when sin(2π f t − lag) + offset changes its sign within the duration, in order, s."""
+    up, down = -math.asin(offset), math.pi + math.asin(offset)
+    times = [
+        (angle + lag + 2 * math.pi * n) / (2 * math.pi * f) for angle in (up, down) for n in range(-5, 200)
+    ]
+    return sorted(t for t in times if 1e-3 < t < duration - 1e-3)
+
+
+@settings(max_examples=15)
+@given(st.sampled_from([1.0, 1.7, 2.0, 3.3]), st.floats(-0.9, 0.9), st.floats(-3, 3), st.integers(0, 3))
+def test_edges_land_where_the_sine_crosses_within_a_tenth_of_a_millisecond(f, offset, phase, j):
+    time, signs = played(Gait(f, offset, phase=phase), 1.0)
+    found = time[1:][np.diff(signs[:, j]) != 0]
+    lag = j * math.pi / 2 - phase
+    expected = np.array(crossings(f, offset, lag, 1.0))
+    found = found[(found > 1e-3) & (found < 1 - 1e-3)]
+    if len(found) == len(expected):
+        assert np.abs(found - expected).max(initial=0.0) <= 1e-4
+    else:  # an edge within 0.1 ms of the window's ends
+        border = [t for t in crossings(f, offset, lag, 1.2) if min(abs(t - 1e-3), abs(t - 1 + 1e-3)) < 1e-4]
+        assert abs(len(found) - len(expected)) <= len(border)
+
+
+@pytest.mark.parametrize("offset", [-0.4, 0.0, 0.25, 0.7])
+@pytest.mark.parametrize("f", [0.33, 1.7, 2.0])
+def test_duty_follows_the_offset(f, offset):
+    """Share of + over whole periods: (π + 2 asin φ)/2π."""
+    periods = 1 if f == 0.33 else 17
+    duration = round(periods / f / TICK) * TICK
+    time, signs = played(Gait(f, offset), duration)
+    inside = time < periods / f
+    duty = (signs[inside] == 1).mean(axis=0)
+    assert duty == pytest.approx((math.pi + 2 * math.asin(offset)) / (2 * math.pi), abs=2e-3)
+
+
+@pytest.mark.parametrize("connectors", [2, 5, 9])
+def test_wave_travels_from_head_to_tail(connectors):
+    """Segment j + 1 does what segment j did a lag β/(2π f) before."""
+    spec, f, step = chain((0.03,) * connectors), 2.0, 2 * math.pi / 8
+    _, signs = played(Gait(f, 0.2, phase_step=step), 2.0, spec=spec)
+    delay = round(step / (2 * math.pi * f) / 1e-4)
+    for j in range(connectors - 2):
+        assert (signs[delay:, j + 1] == signs[:-delay, j]).mean() > 0.9995
+
+
+def test_first_segment_starts_with_plus_and_sign_of_zero_is_plus():
+    gait = Gait(2.0)
+    gait.reset(robot(), 1e-4)
+    # A tick of one slot is judged at its middle: shift the phase so that the sine is exactly 0 there.
+    gait = Gait(2.0, phase=-2 * math.pi * 2.0 * 0.5e-4)
+    gait.reset(robot(), 1e-4)
+    valves = commanded(gait, 0.0)
+    assert valves.tolist()[0] == [1, -1]
+    # Segments lag 0, π/2, π, 3π/2: sines 0, −1, 0 (rounded below), +1.
+    assert valves[:, 0].tolist() == [1, -1, 1, 1]
+
+
+def test_phase_step_comes_from_the_robot_unless_given():
+    _, own = played(Gait(1.0), 1.0, spec=robot("gen1"))
+    _, same = played(Gait(1.0, phase_step=robot("gen1").phase_step), 1.0)
+    _, other = played(Gait(1.0), 1.0)
+    assert (own == same).all()
+    assert (own != other).any()
+
+
+def test_ticks_without_an_edge_have_no_slots():
+    gait = Gait(2.0)
+    gait.reset(robot(), TICK)
+    shapes = [commanded(gait, k * TICK).shape for k in range(100)]
+    # 2 Hz and lags of a quarter: 16 edges every 125 ms, every fourth at a tick's end.
+    assert set(shapes) == {(4, 2), (200, 4, 2)}
+    assert sum(len(shape) == 3 for shape in shapes) == 16 - 4
+    assert commanded(gait, 0.0).dtype == np.int8
+
+
+def test_short_pulses_inside_a_tick_are_not_lost():
+    """At an offset near 1 the − phase is shorter than a tick and would hide between its ends."""
+    gait, tick = Gait(2.0, 0.999), 0.1
+    _, signs = played(gait, 2.0, tick=tick)
+    expected = (math.pi - 2 * math.asin(0.999)) / (4 * math.pi)
+    assert expected < tick / 5
+    assert (signs == -1).mean(axis=0) == pytest.approx(expected * 2, rel=0.05)
+
+
+def test_offset_may_change_while_it_runs():
+    gait = Gait(2.0)
+    assert gait.signals() == {"offset": 0.0}
+    gait.offset = 0.3
+    assert gait.signals() == {"offset": 0.3}
+    assert gait.kind == "gait" and gait.frequency == 2.0
+
+
+def test_opposite_offset_and_half_a_period_exchange_the_chambers():
+    _, left = played(Gait(1.7, 0.3), 1.0)
+    _, right = played(Gait(1.7, -0.3, phase=math.pi), 1.0)
+    assert (left == -right).all()
+
+
+@pytest.mark.parametrize("frequency", [0.0, -1.0, math.nan, math.inf])
+def test_refuses_frequencies_that_are_none(frequency):
+    with pytest.raises(InputError, match=r"gait frequency .* Hz is not allowed; it must be above 0"):
+        Gait(frequency)
+
+
+@pytest.mark.parametrize("offset", [1.0, -1.0, 2.0, math.nan])
+def test_refuses_offsets_that_leave_no_wave(offset):
+    with pytest.raises(InputError, match=r"gait offset .* is not allowed; it must lie between -1 and 1"):
+        Gait(2.0, offset)
+    gait = Gait(2.0)
+    with pytest.raises(InputError, match="gait offset"):
+        gait.offset = offset
+    assert gait.offset == 0.0
+
+
+def test_refuses_ticks_off_the_slot_raster():
+    with pytest.raises(InputError, match=r"tick 0.02005 s is no multiple of valve slot 0.0001 s"):
+        Gait(2.0).reset(robot(), 0.02005)

@@ -1,0 +1,217 @@
+"""The structure of the MuJoCo model: where hinges stand, masses, springs, signs and names."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from snakes import GRAVITY, chain, robot
+
+from srs_twin import InputError, load_robot
+from srs_twin.mjcf import Numerics, contact, hinge_places, preload_force, robot_mjcf, scene_mjcf, treads
+
+NAMES = ("gen1", "gen2", "gen3", "gen4")
+RIGHT_ANGLE = np.pi / 2
+
+
+def hinged_chord(bend: float, hinges: int) -> float:
+    """Return the end distance of a unit segment whose hinges share a bend equally."""
+    edges = np.concatenate([[0.0], hinge_places(hinges), [1.0]])
+    angles = bend * np.arange(hinges + 1) / hinges
+    return float(abs((np.diff(edges) * np.exp(1j * angles)).sum()))
+
+
+@pytest.mark.parametrize(("hinges", "error"), [(2, 0.0023), (4, 0.0006), (8, 0.0002)])
+def test_hinges_stand_where_they_keep_the_arcs_chord(hinges, error):
+    arc = np.sin(RIGHT_ANGLE / 2) / (RIGHT_ANGLE / 2)
+    assert hinged_chord(RIGHT_ANGLE, hinges) == pytest.approx(arc, rel=error)
+
+
+@pytest.mark.parametrize("hinges", [2, 3, 4, 7])
+def test_chord_agrees_through_second_order(hinges):
+    """Half the bend, a sixteenth of the error."""
+    errors = [hinged_chord(q, hinges) - np.sinc(q / (2 * np.pi)) for q in (0.8, 0.4)]
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.05)
+
+
+def test_known_hinge_places():
+    assert hinge_places(1) == pytest.approx([0.5])
+    assert hinge_places(2) == pytest.approx([1 / 6, 5 / 6])
+    assert hinge_places(4) == pytest.approx([0.1, 0.1 + 0.8 / 3, 0.9 - 0.8 / 3, 0.9])
+    with pytest.raises(InputError, match=r"hinges_per_segment: 0 is not allowed; a segment needs 1 or more"):
+        hinge_places(0)
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
+    """Each robot's compiled scene, straight, forward kinematics done."""
+    spec = load_robot(request.param)
+    model = scene_mjcf(spec, Numerics()).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data, request.param
+
+
+def test_mass_of_the_model_is_the_robots(scene):
+    model, _, name = scene
+    assert model.body_mass.sum() == pytest.approx(load_robot(name).mass.total, rel=1e-12)
+
+
+def test_centre_of_mass_lies_where_the_point_masses_put_it(scene):
+    model, data, name = scene
+    spec = load_robot(name)
+    stations = data.xpos[[model.body(f"connector_{i}").id for i in range(1, 6)], 0]
+    expected = spec.mass.array() @ stations / spec.mass.total
+    assert data.subtree_com[0][0] == pytest.approx(expected, abs=2e-3 * spec.geometry.body_length)
+    assert data.subtree_com[0][1] == pytest.approx(0, abs=1e-15)
+
+
+def test_every_connectors_mass_stands_at_its_frame(scene):
+    model, data, _ = scene
+    for i in range(1, 6):
+        body = model.body(f"connector_{i}").id
+        assert data.xipos[body] == pytest.approx(data.xpos[body], abs=1e-12)
+        for side in ("left", "right"):
+            wheel = model.body(f"wheel_{side}_{i}").id
+            assert data.xipos[wheel] == pytest.approx(data.xpos[wheel], abs=1e-12)
+
+
+def test_connectors_stand_a_pitch_apart_on_their_wheels(scene):
+    model, data, name = scene
+    g = load_robot(name).geometry
+    places = np.array([data.xpos[model.body(f"connector_{i}").id] for i in range(1, 6)])
+    assert np.diff(places[:, 0]) == pytest.approx([-g.pitch] * 4, rel=1e-12)
+    assert places[:, 2] == pytest.approx([g.com_height] * 5)
+    left, right = (data.xpos[model.body(f"wheel_{side}_2").id] for side in ("left", "right"))
+    assert left - right == pytest.approx([0, 2 * g.half_track, 0], abs=1e-12)
+    assert left[2] == pytest.approx(g.wheel_radius)
+
+
+def test_load_of_each_connector_is_its_own_mass(scene):
+    """Bodies between two hinges take their mass off the connectors beside them."""
+    model, data, name = scene
+    spec = load_robot(name)
+    own = np.zeros(5)
+    stations = np.array([data.xpos[model.body(f"connector_{i}").id][0] for i in range(1, 6)])
+    for body in range(1, model.nbody):
+        share = (stations[0] - data.xipos[body][0]) / spec.geometry.pitch
+        front = min(int(share + 1e-9), 3)
+        own[front] += model.body_mass[body] * (1 - (share - front))
+        own[front + 1] += model.body_mass[body] * (share - front)
+    assert own == pytest.approx(spec.mass.array(), rel=0.01)
+
+
+def test_hinges_in_series_have_the_segments_stiffness_and_damping(scene):
+    model, _, name = scene
+    bending = load_robot(name).bending
+    for j in range(1, 5):
+        hinges = [model.joint(f"hinge_{j}_{k}").id for k in range(1, 5)]
+        assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(bending.stiffness)
+        damping = model.dof_damping[model.jnt_dofadr[hinges]]
+        # The integrator's springs stand at the end of a step and damp by stiffness × step besides.
+        whole = damping + Numerics().timestep * model.jnt_stiffness[hinges]
+        assert 1 / (1 / whole).sum() == pytest.approx(bending.stiffness * bending.damping_time)
+        assert model.joint(f"pitch_{j}").stiffness == pytest.approx(bending.pitch_stiffness)
+        assert model.joint(f"roll_{j}").stiffness == pytest.approx(bending.roll_stiffness)
+
+
+def test_plus_pressure_presses_towards_a_left_bend(scene):
+    """Moment k G p on the tendon, which is the bend; a bend to the left puts the head left of the rest."""
+    model, data, name = scene
+    spec = load_robot(name)
+    for sign, chamber in ((1, "plus"), (-1, "minus")):
+        data.ctrl[:] = 0.0
+        data.ctrl[model.actuator(f"{chamber}_2").id] = 1e4
+        mujoco.mj_forward(model, data)
+        moment = data.qfrc_actuator[model.jnt_dofadr[[model.joint(f"hinge_2_{k}").id for k in range(1, 5)]]]
+        expected = sign * spec.bending.stiffness * spec.actuator.gain * 1e4
+        assert moment == pytest.approx([expected] * 4, rel=1e-9)
+    data.ctrl[:] = 0.0
+
+
+def test_tendon_length_is_the_difference_of_headings(scene):
+    model, _, _ = scene
+    data = mujoco.MjData(model)
+    for j, bend in enumerate((0.4, -0.8, 1.2, 0.1), start=1):
+        for k in range(1, 5):
+            data.qpos[model.joint(f"hinge_{j}_{k}").qposadr] = bend / 4
+    mujoco.mj_forward(model, data)
+    frames = data.xmat[[model.body(f"connector_{i}").id for i in range(1, 6)]]
+    headings = np.unwrap(np.arctan2(frames[:, 3], frames[:, 0]))
+    assert headings[:-1] - headings[1:] == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
+    assert data.ten_length == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
+    # Segment 1 bends to the left: seen along segment 2, connector 1 lies left of its chord.
+    ahead = np.array([np.cos(headings[1]), np.sin(headings[1])])
+    to_head = (data.body("connector_1").xpos - data.body("connector_2").xpos)[:2]
+    assert ahead[0] * to_head[1] - ahead[1] * to_head[0] > 0
+
+
+def test_axles_drag_by_the_load_and_treads_slide_by_it(scene):
+    model, _, name = scene
+    spec, numerics = load_robot(name), Numerics()
+    pressed = preload_force(spec, numerics)
+    for i, mass in enumerate(spec.mass.connectors, start=1):
+        load = mass * GRAVITY / 2
+        for side in ("left", "right"):
+            drag = model.dof_frictionloss[model.joint(f"axle_{side}_{i}").dofadr]
+            assert drag / spec.geometry.wheel_radius == pytest.approx([spec.friction.mu_t * load])
+        # What a pressed wheel can hold sideways is μ_n times the load it would have alone.
+        mu = contact(spec, numerics)["friction"][0]
+        assert mu * (load + pressed[i - 1, 0]) == pytest.approx(spec.friction.mu_n * load)
+    assert model.npair == len(treads(spec)) == 10
+    for pair in range(model.npair):
+        assert model.pair_friction[pair][:2] == pytest.approx(contact(spec, numerics)["friction"][:2])
+
+
+def test_every_element_has_a_name(scene):
+    model, _, name = scene
+    kinds = {
+        "body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "tendon": model.ntendon,
+        "actuator": model.nu, "sensor": model.nsensor, "site": model.nsite, "light": model.nlight,
+    }  # fmt: skip
+    for kind, count in kinds.items():
+        assert all(getattr(model, kind)(k).name for k in range(count)), kind
+    assert all(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PAIR, k) for k in range(model.npair))
+
+
+@pytest.mark.parametrize("connectors", range(2, 13))
+def test_snakes_of_any_length_build(connectors):
+    spec = chain((0.03,) * connectors)
+    model = scene_mjcf(spec, Numerics(hinges_per_segment=2)).compile()
+    assert model.ntendon == connectors - 1
+    assert model.npair == 2 * connectors
+    # Root, 2 hinges + pitch + roll a segment, 2 wheels a connector.
+    assert model.nv == 6 + 4 * (connectors - 1) + 2 * connectors
+    assert model.body_mass.sum() == pytest.approx(spec.mass.total)
+
+
+@pytest.mark.parametrize("hinges", [1, 2, 3, 8])
+def test_number_of_hinges_changes_neither_mass_nor_stiffness(hinges):
+    spec = robot()
+    model = robot_mjcf(spec, Numerics(hinges_per_segment=hinges)).compile()
+    assert model.body_mass.sum() == pytest.approx(spec.mass.total)
+    series = [model.jnt_stiffness[model.joint(f"hinge_1_{k}").id] for k in range(1, hinges + 1)]
+    assert 1 / np.sum(1 / np.array(series)) == pytest.approx(spec.bending.stiffness)
+
+
+def test_controls_reach_the_given_supply():
+    spec = robot()
+    shipped = robot_mjcf(spec, Numerics()).compile()
+    over = robot_mjcf(spec, Numerics(), supply_pa=2 * spec.supply.pulsed_limit).compile()
+    assert shipped.actuator("plus_1").ctrlrange == pytest.approx([0, spec.supply.pulsed_limit])
+    assert over.actuator("minus_4").ctrlrange == pytest.approx([0, 2 * spec.supply.pulsed_limit])
+
+
+def test_numerics_reach_the_options():
+    model = scene_mjcf(robot(), Numerics(timestep=0.0005, slip_time=0.004)).compile()
+    assert model.opt.timestep == 0.0005
+    assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+    assert model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE
+    assert model.opt.gravity == pytest.approx([0, 0, -GRAVITY])
+    assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    assert model.pair_solreffriction[:, 0] == pytest.approx([0.004] * 10)
+
+
+def test_a_time_step_beyond_the_damping_time_is_refused():
+    with pytest.raises(InputError, match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be sh"):
+        robot_mjcf(robot(), Numerics(timestep=0.004))

@@ -1,0 +1,235 @@
+"""The exported MJCF: current, laid out as promised, the twin's own model, and at home in plain MuJoCo."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+import typer
+
+from srs_twin import files, load_robot
+from srs_twin.cli import models
+from srs_twin.errors import InputError
+from srs_twin.mjcf import GRAVITY, Numerics, preload_force, scene_mjcf, treads
+from srs_twin.mjcf_export import SCENE, export_robot, robot_files, stale_files
+
+ROBOTS = ("gen1", "gen2", "gen3", "gen4")
+SECOND = round(1 / Numerics.timestep)
+
+# What a program without the package sees: a file, MuJoCo, and a random second.
+PLAIN = """
+import sys, numpy as np, mujoco
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+data = mujoco.MjData(model)
+mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+rng = np.random.default_rng(int(sys.argv[2]))
+for step in range(round(1 / model.opt.timestep)):
+    if step % 20 == 0:
+        data.ctrl[:] = rng.uniform(*model.actuator_ctrlrange.T)
+    mujoco.mj_step(model, data)
+assert not data.warning.number.any(), data.warning.number
+for name in ("qpos", "qvel", "qacc", "sensordata"):
+    assert np.isfinite(getattr(data, name)).all(), name
+assert not [name for name in sys.modules if name.startswith("srs_twin")]
+print(np.abs(data.ten_length).max())
+"""
+
+
+@pytest.fixture(params=ROBOTS)
+def spec(request):
+    return load_robot(request.param)
+
+
+@pytest.fixture
+def shipped(root, spec):
+    return mujoco.MjModel.from_xml_path(str(root / "models" / spec.name / SCENE))
+
+
+def at_home(model):
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    return data
+
+
+def test_the_shipped_files_are_what_an_export_writes(root, spec, tmp_path):
+    written = export_robot(spec, tmp_path)
+    assert [path.name for path in written] == [f"{spec.name}.xml", SCENE]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in written)
+    for path in written:
+        assert path.read_text("utf-8") == (root / "models" / spec.name / path.name).read_text("utf-8")
+    assert stale_files(spec, root / "models" / spec.name) == []
+
+
+def test_stale_and_missing_files_are_told_apart_from_current_ones(tmp_path):
+    gen2 = load_robot("gen2")
+    assert stale_files(gen2, tmp_path) == ["gen2.xml", SCENE]
+    export_robot(gen2, tmp_path)
+    assert stale_files(gen2, tmp_path) == []
+    heavier = dataclasses.replace(gen2, mass=dataclasses.replace(gen2.mass, wheel=2e-3))
+    assert stale_files(heavier, tmp_path) == ["gen2.xml"]  # wheels weigh nothing in the scene's own part
+    rougher = dataclasses.replace(gen2, friction=dataclasses.replace(gen2.friction, mu_n=0.6))
+    assert stale_files(rougher, tmp_path) == [SCENE]
+
+
+def test_the_files_compile_to_the_twins_own_model_bit_for_bit(spec, shipped):
+    twin = scene_mjcf(spec, Numerics()).compile()
+    for part in ("opt", "stat", "vis"):
+        assert str(getattr(twin, part)) == str(getattr(shipped, part)), part
+    compared = set()
+    for name in dir(twin):
+        ours = getattr(twin, name)
+        # The models are called 'gen2' and 'gen2 scene', which shifts the addresses of all names.
+        if isinstance(ours, np.ndarray) and not name.startswith(("_", "name")):
+            np.testing.assert_array_equal(getattr(shipped, name), ours, err_msg=name)
+            compared.add(name)
+    assert compared >= {"body_mass", "jnt_axis", "dof_frictionloss", "actuator_biasprm", "pair_friction"}
+    assert [twin.actuator(i).name for i in range(twin.nu)] == [
+        shipped.actuator(i).name for i in range(twin.nu)
+    ]
+
+
+def test_both_move_alike_under_the_same_controls(spec, shipped):
+    rng = np.random.default_rng(1)
+    twin = scene_mjcf(spec, Numerics()).compile()
+    one, other = at_home(twin), at_home(shipped)
+    for step in range(SECOND):
+        if step % 50 == 0:
+            one.ctrl[:] = other.ctrl[:] = rng.uniform(*twin.actuator_ctrlrange.T)
+        mujoco.mj_step(twin, one)
+        mujoco.mj_step(shipped, other)
+    assert np.abs(one.ten_length).max() > 0.1
+    np.testing.assert_array_equal(other.qpos, one.qpos)
+    np.testing.assert_array_equal(other.sensordata, one.sensordata)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_random_second_in_plain_mujoco(root, tmp_path, name):
+    command = [sys.executable, "-c", PLAIN, str(root / "models" / name / SCENE), "7"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) > 0.1  # rad: it did bend
+    assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
+
+
+def test_at_home_it_rests_and_the_floor_carries_weight_and_preload(spec, shipped):
+    data = at_home(shipped)
+    home = data.qpos.copy()
+    for _ in range(SECOND):
+        mujoco.mj_step(shipped, data)
+    assert np.abs(data.qvel).max() < 1e-5
+    assert np.abs(data.qpos[:3] - home[:3]).max() < 1e-3
+    force = data.sensordata.reshape(-1, 2, 3).copy()
+    force[..., 2] -= preload_force(spec, Numerics())
+    np.testing.assert_allclose(force.sum(axis=(0, 1)), [0, 0, spec.mass.total * GRAVITY], atol=1e-6)
+    # The wheels of a connector share its own weight evenly; a flexible body passes on little.
+    np.testing.assert_allclose(
+        force[..., 2].sum(axis=1), spec.mass.array() * GRAVITY, atol=0.05 * spec.mass.total * GRAVITY
+    )
+
+
+def test_numbers_of_the_robot_are_found_again_in_the_compiled_model(spec, shipped):
+    data, g = at_home(shipped), spec.geometry
+    mujoco.mj_forward(shipped, data)
+    places = np.array([data.body(f"connector_{i}").xpos for i in range(1, g.connectors + 1)])
+    np.testing.assert_allclose(np.diff(places[:, 0]), -g.pitch)
+    np.testing.assert_allclose(places[:, 2], g.com_height)
+    assert shipped.body_mass.sum() == pytest.approx(spec.mass.total)
+    for tread in treads(spec):
+        wheel = data.geom(tread)
+        assert wheel.xpos[2] == pytest.approx(g.wheel_radius)
+        assert abs(wheel.xpos[1]) == pytest.approx(g.half_track)
+    for j in range(1, spec.segments + 1):
+        hinges = [shipped.joint(f"hinge_{j}_{k}") for k in range(1, Numerics.hinges_per_segment + 1)]
+        in_series = 1 / sum(1 / hinge.stiffness[0] for hinge in hinges)
+        assert in_series == pytest.approx(spec.bending.stiffness)
+        assert shipped.actuator(f"plus_{j}").ctrlrange[1] == pytest.approx(spec.supply.continuous_limit)
+
+
+def test_pressure_in_a_plus_chamber_turns_the_head_end_left_by_the_free_bend(spec, shipped):
+    data = at_home(shipped)
+    pressure = 0.2 / spec.actuator.gain
+    data.actuator("plus_1").ctrl = pressure
+    mujoco.mj_forward(shipped, data)
+    moment = shipped.actuator("plus_1").gainprm[0] * pressure
+    assert moment == pytest.approx(0.2 * spec.bending.stiffness)
+    for _ in range(SECOND):
+        mujoco.mj_step(shipped, data)
+    heading = [np.arctan2(*data.body(f"connector_{i}").xmat[[3, 0]]) for i in (1, 2)]
+    bend = data.tendon("bend_1").length[0]
+    assert bend == pytest.approx(heading[0] - heading[1], abs=1e-3)
+    assert 0.1 < bend < 0.2 + 1e-3  # what is missing is held by the wheels
+
+
+def test_the_robots_file_holds_the_robot_alone(root, spec):
+    robot = mujoco.MjModel.from_xml_path(str(root / "models" / spec.name / f"{spec.name}.xml"))
+    assert (robot.npair, robot.nsensor, robot.nlight, robot.ntex) == (0, 0, 0, 0)
+    assert robot.key("home").qpos.shape == (robot.nq,)
+    assert not (robot.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
+
+
+def test_the_files_read_as_those_of_menagerie(spec):
+    texts = robot_files(spec)
+    robot, scene = texts[f"{spec.name}.xml"], texts[SCENE]
+    assert "`srs-twin models export`" in robot and f"'{spec.name}'" in robot
+    assert f'<include file="{spec.name}.xml"/>' in scene
+    for text in texts.values():
+        assert text.endswith("</mujoco>\n")
+        indents = [
+            len(line) - len(line.lstrip(" ")) for line in text.splitlines() if line.lstrip()[:1] == "<"
+        ]
+        assert {indent % 2 for indent in indents} == {0}
+        tree = ElementTree.fromstring(text)
+        unnamed = {"inertial", "default", "include"}
+        for section in ("worldbody", "contact", "actuator", "sensor", "keyframe", "asset"):
+            for element in tree.iterfind(f"./{section}//*"):
+                assert element.tag in unnamed or element.get("name"), ElementTree.tostring(element)
+    tree = ElementTree.fromstring(robot)
+    classes = {each.get("class") for each in tree.iter("default")}
+    assert classes >= {"hinge", "pitch", "roll", "axle", "tread", "rim", "skin", "plate", "muscle", "press"}
+    for tag, repeated in (("joint", "stiffness"), ("geom", "contype"), ("general", "ctrlrange")):
+        own = [each for section in ("worldbody", "actuator") for each in tree.iterfind(f"./{section}//{tag}")]
+        assert own and not [each for each in own if each.get(repeated)], (tag, repeated)
+    ours, theirs = ElementTree.fromstring(scene), {"compiler", "option", "tendon", "actuator", "keyframe"}
+    assert not theirs & {section.tag for section in ours}
+
+
+def test_a_title_cannot_break_out_of_the_comment(tmp_path):
+    wild = dataclasses.replace(load_robot("gen2"), title="a --> <body/> <!-- 'b' & \"c\"")
+    export_robot(wild, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / SCENE))
+    assert model.nbody == scene_mjcf(wild, Numerics()).compile().nbody
+
+
+def test_a_place_that_cannot_be_written_is_bad_input(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        export_robot(load_robot("gen2"), tmp_path / "file")
+
+
+def test_from_the_command_line(srs_twin, tmp_path):
+    done = srs_twin("models", "export", "gen2", "gen4", "--out", "here", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "here/gen2/scene.xml\nhere/gen4/scene.xml\n")
+    done = srs_twin("models", "check", "here/gen4/scene.xml", "gen2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    ours, shipped = done.stdout.splitlines()
+    assert ours.startswith("here/gen4/scene.xml: fit for use (")
+    assert "models/gen2/scene.xml: current and fit for use (" in shipped
+
+
+def test_a_shipped_model_that_is_not_current_is_reported(root, monkeypatch, capsys, tmp_path):
+    for folder in ("calibration/robots", "models/gen2"):
+        shutil.copytree(root / folder, tmp_path / folder)
+    with (tmp_path / "models/gen2/gen2.xml").open("a") as stream:
+        stream.write("\n")
+    monkeypatch.setattr(files, "data_root", lambda: tmp_path)
+    with pytest.raises(typer.Exit) as stop:
+        models.check(["gen2"])
+    assert stop.value.exit_code == 2
+    said = capsys.readouterr().err
+    assert said.endswith("scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n")

@@ -1,0 +1,185 @@
+"""Valves and chambers against their differential equations, and the rules of their layouts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from snakes import chain
+
+from srs_twin import InputError, RobotSpec
+from srs_twin.pneumatics import LagPneumatics, valve_runs
+
+SUPPLY = 50e3
+GAIN = 3e-5
+
+
+def actuated(
+    segments: int = 2, *, fill: float = 0.11, vent: float = 0.11, mode: float = 0.00214
+) -> RobotSpec:
+    """Return a robot with other time constants (s) and a gain of 3e-5 rad/Pa."""
+    spec = chain((0.03,) * (segments + 1))
+    actuator = replace(spec.actuator, tau_fill=fill, tau_vent=vent, tau_mode=mode, gain=GAIN)
+    return replace(spec, actuator=actuator)
+
+
+def commands(ticks: int, slots: int, segments: int, states: tuple[int, ...]) -> st.SearchStrategy[np.ndarray]:
+    """Return random valve sequences of shape (ticks, slots, segments, 2)."""
+    count = ticks * slots * segments * 2
+    flat = st.lists(st.sampled_from(states), min_size=count, max_size=count)
+    return flat.map(lambda v: np.array(v, dtype=np.int8).reshape(ticks, slots, segments, 2))
+
+
+TIMES = st.floats(0.005, 0.5)
+
+
+@settings(max_examples=25)
+@given(commands(4, 3, 1, (-1, 0, 1)), TIMES, TIMES, st.floats(0.001, 0.05), st.sampled_from([0.0, 0.7]))
+def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, vent, mode, leak):
+    pneumatics = LagPneumatics(
+        actuated(1, fill=fill, vent=vent, mode=mode), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak
+    )
+    tick, values = 0.03, np.zeros(3)
+    at = np.array([0.004, 0.01, 0.017, 0.0299, tick])
+    for slots in valves:
+        trace = pneumatics.advance(pneumatics.slots(slots), tick, at)
+        for k, state in enumerate(slots[:, 0, :]):
+            inside = at[(at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12)] - tick * k / 3
+
+            def rates(_, y, state=state):
+                filling = np.where(state == 1, (SUPPLY - y[:2]) / fill, 0) - np.where(
+                    state == -1, y[:2] / vent, 0
+                )
+                return [*(filling - leak * y[:2]), (GAIN * (y[0] - y[1]) - y[2]) / mode]
+
+            solution = solve_ivp(
+                rates, (0, tick / 3), values, method="DOP853", rtol=1e-10, atol=[1e-5, 1e-5, 1e-11],
+                dense_output=True,
+            )  # fmt: skip
+            rows = np.flatnonzero((at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12))
+            expected = solution.sol(inside).T
+            assert trace.pressure[rows, 0] == pytest.approx(expected[:, :2], abs=1e-6 * SUPPLY)
+            assert trace.bend[rows, 0] == pytest.approx(expected[:, 2], abs=1e-6)
+            slope = [rates(0, y)[2] for y in expected]
+            assert trace.bend_rate[rows, 0] == pytest.approx(slope, abs=1e-6 / mode)
+            values = solution.y[:, -1]
+
+
+@settings(max_examples=40)
+@given(commands(3, 4, 2, (-1, 0, 1)))
+def test_result_does_not_depend_on_how_a_tick_is_cut(valves):
+    spec = actuated(2, fill=0.08, vent=0.15)
+    one, many = (LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1) for _ in range(2))
+    at = np.linspace(0.02, 0.06, 3)
+    whole = one.advance(valves.reshape(-1, 2, 2), 0.06, at)
+    for k, slots in enumerate(valves):
+        # Each of the three ticks as slots, and each slot again as 5 ticks of its own.
+        for slot in slots:
+            for _ in range(5):
+                part = many.advance(many.slots(slot), 0.001, np.array([0.001]))
+        assert part.pressure[-1] == pytest.approx(whole.pressure[k], abs=1e-9 * SUPPLY)
+        assert part.bend[-1] == pytest.approx(whole.bend[k], abs=1e-10)
+        assert part.bend_rate[-1] == pytest.approx(whole.bend_rate[k], abs=1e-7)
+    assert (one.openings == many.openings).all()
+
+
+@settings(max_examples=40)
+@given(commands(20, 1, 2, (-1, 1)), TIMES, TIMES, st.floats(0, 5))
+def test_pressures_stay_between_zero_and_the_supply(valves, fill, vent, leak):
+    pneumatics = LagPneumatics(actuated(2, fill=fill, vent=vent), supply_pa=SUPPLY, leak_per_s=leak)
+    for slots in valves:
+        trace = pneumatics.advance(pneumatics.slots(slots), 0.05, np.linspace(0, 0.05, 11))
+        assert trace.pressure.min() >= 0
+        assert trace.pressure.max() <= SUPPLY * (1 + 1e-12)
+        assert np.abs(trace.bend).max() <= GAIN * SUPPLY * (1 + 1e-12)
+
+
+@settings(max_examples=30)
+@given(commands(8, 2, 2, (-1, 1)))
+def test_exchanged_chambers_bend_the_other_way(valves):
+    left, right = (LagPneumatics(actuated(), supply_pa=SUPPLY) for _ in range(2))
+    for slots in valves:
+        a = left.advance(left.slots(slots), 0.02, np.array([0.013, 0.02]))
+        b = right.advance(right.slots(slots[..., ::-1]), 0.02, np.array([0.013, 0.02]))
+        assert (a.pressure == b.pressure[..., ::-1]).all()
+        assert a.bend == pytest.approx(-b.bend, abs=1e-15)
+
+
+@settings(max_examples=30)
+@given(commands(6, 3, 2, (-1, 0, 1)))
+def test_openings_count_every_change_to_fill(valves):
+    pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, layout="in_out")
+    expected, last = np.zeros((2, 2), dtype=int), np.full((2, 2), -1)
+    for state in valves.reshape(-1, 2, 2):
+        expected += (state == 1) & (last != 1)
+        last = state
+    for slots in valves:
+        pneumatics.advance(pneumatics.slots(slots), 0.02, np.array([0.02]))
+    assert (pneumatics.openings == expected).all()
+
+
+def test_hold_keeps_the_pressure_and_a_leak_lets_it_go():
+    for leak in (0.0, 0.4):
+        pneumatics = LagPneumatics(actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
+        fill, hold = np.array([[1, -1]]), np.array([[0, 0]])
+        full = pneumatics.advance(pneumatics.slots(fill), 0.5, np.array([0.5])).pressure[0, 0, 0]
+        held = pneumatics.advance(pneumatics.slots(hold), 2.0, np.array([1.0, 2.0])).pressure[:, 0, 0]
+        assert held == pytest.approx(full * np.exp(-leak * np.array([1.0, 2.0])), rel=1e-12)
+        assert full > 0.8 * SUPPLY
+
+
+def test_fill_and_vent_have_their_own_time_constants():
+    pneumatics = LagPneumatics(actuated(1, fill=0.2, vent=0.05), supply_pa=SUPPLY)
+    filled = pneumatics.advance(pneumatics.slots([[1, -1]]), 0.2, np.array([0.2])).pressure[0, 0, 0]
+    assert filled == pytest.approx(SUPPLY * (1 - np.exp(-1)))
+    emptied = pneumatics.advance(pneumatics.slots([[-1, -1]]), 0.05, np.array([0.05])).pressure[0, 0, 0]
+    assert emptied == pytest.approx(filled * np.exp(-1))
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-8, 1e-7, 3e-6, 1e-4])
+def test_equal_time_constants_are_no_exception(excess):
+    """τ₁ → τ₂: the step response becomes 1 − (1 + t/τ) e^{−t/τ} without a jump."""
+    tau, time = 0.05, np.linspace(0, 0.4, 9)
+    pneumatics = LagPneumatics(actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY)
+    bend = pneumatics.advance(pneumatics.slots([[1, -1]]), 0.4, time).bend[:, 0]
+    expected = GAIN * SUPPLY * (1 - (1 + time / tau) * np.exp(-time / tau))
+    assert bend == pytest.approx(expected, abs=(1e-6 + excess) * GAIN * SUPPLY)
+
+
+def test_reset_empties_everything():
+    pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY)
+    pneumatics.advance(pneumatics.slots(np.ones((2, 2), dtype=np.int8)), 0.1, np.array([0.1]))
+    assert pneumatics.pressure.min() > 0 and (pneumatics.openings == 1).all()
+    pneumatics.reset()
+    assert not pneumatics.pressure.any() and not pneumatics.bend.any() and not pneumatics.openings.any()
+    assert (pneumatics.valves == -1).all()
+
+
+def test_runs_join_equal_slots():
+    slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones((1, 2, 2), dtype=np.int8)
+    runs = [(start, stop, int(state[0, 0])) for start, stop, state in valve_runs(slots, 0.6)]
+    assert runs == [
+        (0.0, pytest.approx(0.2), 1),
+        (pytest.approx(0.2), pytest.approx(0.5), -1),
+        (pytest.approx(0.5), pytest.approx(0.6), 1),
+    ]
+
+
+def test_layouts_refuse_what_their_valves_cannot_do():
+    assert LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").slots(np.zeros((2, 2))).shape == (1, 2, 2)
+    with pytest.raises(InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"):
+        LagPneumatics(actuated(), supply_pa=1.0, layout="5/2")
+    pneumatics = LagPneumatics(actuated(), supply_pa=1.0)
+    with pytest.raises(InputError, match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)"):
+        pneumatics.slots(np.zeros((2, 2), dtype=np.int8))
+    with pytest.raises(InputError, match=r"valve state 2 is not possible with layout 3/2"):
+        pneumatics.slots(np.array([[1, -1], [2, 1]]))
+    with pytest.raises(InputError, match="valve state nan is not possible"):
+        pneumatics.slots(np.array([[1, -1], [np.nan, 1]]))
+    wrong = r"valves have shape \(3, 2\); allowed: \(2, 2\) or \(slots, 2, 2\)"
+    with pytest.raises(InputError, match=wrong):
+        pneumatics.slots(np.ones((3, 2)))

@@ -1,0 +1,242 @@
+"""rollout: what is recorded when, who is told, when it ends, and what is left of a run that diverges."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from snakes import robot
+
+from srs_twin import (
+    AnalyticalSnake,
+    Controller,
+    DivergedError,
+    Event,
+    Gait,
+    InputError,
+    Plant,
+    SnakeState,
+    Trajectory,
+    TwinSnake,
+    rollout,
+)
+
+SPEC = robot()
+
+
+class Clock(Plant):
+    """A plant of which nothing is known but the time: heading = time, x of the centre of mass = tick number."""
+
+    name = "clock"
+
+    def __init__(self, tick: float = 0.02, *, breaks_at: float = np.inf) -> None:
+        self.spec, self.tick, self._breaks_at = SPEC, tick, breaks_at
+        self.given: list[np.ndarray] = []
+        self.resets: list[tuple[Any, int]] = []
+
+    def reset(self, *, pose=(0.0, 0.0, 0.0), seed=0) -> SnakeState:
+        self.resets.append((pose, seed))
+        self._ticks = 0
+        return self._state(0.0)
+
+    def advance(self, valves, samples) -> list[SnakeState]:
+        self.given.append(valves)
+        begun = self._ticks * self.tick
+        if begun + self.tick > self._breaks_at:
+            raise DivergedError(self.name, begun + self.tick, "it was told to")
+        self._ticks += 1
+        return [self._state(begun + self.tick * k / samples) for k in range(1, samples + 1)]
+
+    def openings(self) -> np.ndarray:
+        return np.full((4, 2), self._ticks)
+
+    def _state(self, time: float) -> SnakeState:
+        connectors, segments = np.zeros(5), np.zeros(4)
+        return SnakeState(
+            time=time, com=np.array([self._ticks, -time]), com_velocity=np.zeros(2), heading=time,
+            position=np.arange(10.0).reshape(5, 2), theta=connectors, bend=segments + time, bend_rate=segments,
+            pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)), sensed=segments,
+            contact_force=np.zeros((5, 2)), qpos=np.empty(0),
+        )  # fmt: skip
+
+
+class Teller(Controller):
+    """A controller with a scalar and an array signal and an event every fifth tick."""
+
+    kind = "teller"
+
+    def reset(self, spec, tick, *, seed=0) -> None:
+        self.prepared = (spec.name, tick, seed)
+        self.count = 0
+
+    def step(self, state: SnakeState) -> np.ndarray:
+        self.count += 1
+        self.seen = state.time
+        return np.full((4, 2), -1)
+
+    def signals(self) -> dict[str, Any]:
+        return {"count": self.count, "reference": np.array([0.5, self.count])}
+
+    def events(self) -> list[Event]:
+        return [Event(self.seen, "fifth", f"tick {self.count}")] if self.count % 5 == 0 else []
+
+
+@pytest.mark.parametrize(
+    ("record_hz", "step", "samples"), [(50, 0.02, 51), (200, 0.005, 201), (10, 0.1, 11), (25, 0.04, 26)]
+)
+def test_samples_are_evenly_spaced_ends_included(record_hz, step, samples):
+    trajectory = rollout(Clock(), Teller(), 1.0, record_hz=record_hz)
+    assert trajectory.time == pytest.approx(step * np.arange(samples))
+    assert (trajectory["heading"] == trajectory.time).all()
+    assert trajectory["com_y"] == pytest.approx(-trajectory.time)
+
+
+def test_default_is_a_hundred_samples_a_second():
+    assert rollout(Clock(), Teller(), 0.2).time == pytest.approx(np.arange(21) / 100)
+
+
+def test_what_does_not_fit_is_refused_with_what_would():
+    with pytest.raises(InputError, match=r"duration 1.01 s is no multiple of tick 0.02 s; 1 s or tick"):
+        rollout(Clock(), Teller(), 1.01)
+    message = r"record_hz 70 does not fit the tick 0.02 s; 50 Hz or any whole multiple or fraction of 50 Hz would"
+    with pytest.raises(InputError, match=message):
+        rollout(Clock(), Teller(), 1.0, record_hz=70)
+    with pytest.raises(InputError, match=r"record_hz 30 does not fit the tick 0.02 s; 25 Hz or any"):
+        rollout(Clock(), Teller(), 1.0, record_hz=30)
+    with pytest.raises(InputError, match=r"sample interval 0.0004 s is no multiple of time step 0.001 s"):
+        rollout(AnalyticalSnake(SPEC), Gait(2.0), 0.1, record_hz=2500)
+    with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.003 s"):
+        AnalyticalSnake(SPEC, timestep=0.003)
+
+
+def test_pose_and_seed_reach_plant_and_controller():
+    plant, controller = Clock(), Teller()
+    rollout(plant, controller, 0.1, pose=(1.0, 2.0, 3.0), seed=7)
+    assert plant.resets == [((1.0, 2.0, 3.0), 7)]
+    assert controller.prepared == ("gen2", 0.02, 7)
+    assert len(plant.given) == controller.count == 5
+
+
+def test_columns_carry_numbered_names_and_units():
+    trajectory = rollout(Clock(), Teller(), 0.1, record_hz=50)
+    per_connector = [f"{name}_{i}" for name in ("x", "y", "theta") for i in range(1, 6)]
+    per_segment = [
+        f"{name}_{j}"
+        for name in (
+            "bend", "sensed", "pressure_plus", "pressure_minus", "valve_plus", "valve_minus"
+        )
+        for j in range(1, 5)
+    ]  # fmt: skip
+    expected = ["time", "com_x", "com_y", "heading", *per_connector, *per_segment]
+    assert list(trajectory.columns) == [*expected, "count", "reference_1", "reference_2"]
+    assert all(len(column) == 6 for column in trajectory.columns.values())
+    assert trajectory["x_3"][0] == 4 and trajectory["y_3"][0] == 5
+    assert trajectory["pressure_plus_2"][0] == 2 and trajectory["pressure_minus_2"][0] == 3
+    assert trajectory["valve_plus_1"][1] == 1 and trajectory["valve_minus_1"][1] == -1
+    units = {name: trajectory.unit(name) for name in ("time", "com_x", "theta_2", "pressure_plus_1", "count")}
+    assert units == {"time": "s", "com_x": "m", "theta_2": "rad", "pressure_plus_1": "Pa", "count": "1"}
+
+
+def test_signals_are_those_in_force_at_each_sample():
+    trajectory = rollout(Clock(), Teller(), 0.1, record_hz=50)
+    assert trajectory["count"].tolist() == [0, 1, 2, 3, 4, 5]
+    assert trajectory["reference_1"].tolist() == [0.5] * 6
+    assert trajectory["reference_2"].tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_events_are_kept_whatever_is_recorded():
+    trajectory = rollout(Clock(), Teller(), 0.4, record_hz=10)
+    assert [event.text for event in trajectory.events] == ["tick 5", "tick 10", "tick 15", "tick 20"]
+    assert [event.time for event in trajectory.events] == pytest.approx([0.08, 0.18, 0.28, 0.38])
+
+
+def test_metadata_says_what_ran():
+    trajectory = rollout(Clock(), Teller(), 0.2, record_hz=50)
+    assert trajectory.metadata == {
+        "plant": "clock", "robot": "gen2", "tick_s": 0.02, "record_hz": 50, "duration_s": 0.2,
+        "body_length_m": pytest.approx(0.22), "controller": "teller", "gait_frequency_hz": None,
+        "valve_switches": [[10, 10]] * 4,
+    }  # fmt: skip
+
+
+def test_observers_see_the_start_and_every_tick():
+    first: list[float] = []
+    second: list[int] = []
+    rollout(
+        Clock(), Teller(), 0.1, record_hz=10,
+        observers=[lambda s: first.append(s.time), lambda s: second.append(len(first))],
+    )  # fmt: skip
+    assert first == pytest.approx([0, 0.02, 0.04, 0.06, 0.08, 0.1])
+    assert second == [1, 2, 3, 4, 5, 6]
+
+
+def test_until_ends_after_the_tick_in_which_it_holds():
+    asked: list[float] = []
+
+    def far(state: SnakeState) -> bool:
+        asked.append(state.time)
+        return state.com[0] >= 3
+
+    trajectory = rollout(Clock(), Teller(), 1.0, record_hz=100, until=far)
+    assert trajectory.time[-1] == pytest.approx(0.06)
+    assert asked == pytest.approx([0.02, 0.04, 0.06])
+    assert rollout(Clock(), Teller(), 0.1, until=lambda s: False).time[-1] == pytest.approx(0.1)
+
+
+def test_diverged_run_keeps_what_was_recorded():
+    with pytest.raises(DivergedError, match=r"clock diverged at t = 0.52 s: it was told to") as caught:
+        rollout(Clock(breaks_at=0.51), Teller(), 1.0)
+    kept = caught.value.trajectory
+    assert isinstance(kept, Trajectory)
+    assert kept.time == pytest.approx(np.arange(51) / 100)
+    assert [event.text for event in kept.events] == [f"tick {k}" for k in (5, 10, 15, 20, 25)]
+    assert kept.metadata["valve_switches"] == [[25, 25]] * 4
+
+
+def spoil_analytical(plant: AnalyticalSnake, value: float) -> None:
+    plant._state[3] = value
+
+
+def spoil_twin(plant: TwinSnake, value: float) -> None:
+    plant.physics.data.qvel[0] = value
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])
+@pytest.mark.parametrize(
+    ("build", "spoil"), [(AnalyticalSnake, spoil_analytical), (TwinSnake, spoil_twin)], ids=["analytical", "twin"]
+)
+def test_plants_that_left_the_plausible_say_when_and_keep_the_good_part(build, spoil, value):
+    plant = build(SPEC)
+
+    def break_it(state: SnakeState) -> None:
+        if state.time > 0.099:
+            spoil(plant, value)
+
+    with pytest.raises(DivergedError, match=rf"{plant.name} diverged at t = 0.1[12] s: ") as caught:
+        rollout(plant, Gait(2.0), 0.4, observers=[break_it])
+    kept = caught.value.trajectory
+    assert kept.time == pytest.approx(np.arange(11) / 100)
+    assert all(np.isfinite(column).all() for column in kept.columns.values())
+    # The same plant is fit again after a reset.
+    assert np.isfinite(rollout(plant, Gait(2.0), 0.1).com).all()
+
+
+@pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
+def test_recording_more_or_less_often_does_not_change_the_run(build):
+    plant = build(SPEC)
+    runs = {hz: rollout(plant, Gait(1.7, 0.1), 0.4, record_hz=hz) for hz in (10, 50, 500)}
+    for name in ("com_x", "com_y", "heading", "bend_3", "pressure_plus_2", "x_5"):
+        assert runs[50][name][::5] == pytest.approx(runs[10][name], rel=1e-9, abs=1e-12)
+        assert runs[500][name][::10] == pytest.approx(runs[50][name], rel=1e-9, abs=1e-9)
+    assert runs[10].metadata["valve_switches"] == runs[500].metadata["valve_switches"]
+
+
+def test_real_plants_record_their_settings():
+    about = rollout(AnalyticalSnake(SPEC, friction="wheel"), Gait(2.0), 0.1).metadata
+    assert about["model"] == "complete" and about["friction"] == "wheel" and about["timestep_s"] == 0.001
+    assert about["gait_frequency_hz"] == 2.0 and about["controller"] == "gait"
+    twin = rollout(TwinSnake(SPEC, hinges_per_segment=2), Gait(2.0), 0.1)
+    assert twin.metadata["wheels"] == "rolling" and twin.metadata["hinges_per_segment"] == 2
+    # Free joint, two hinges + pitch + roll a segment, two axles a connector.
+    assert twin.stack("qpos").shape == (11, 7 + 4 * 4 + 10)
