@@ -95,8 +95,8 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     _set_options(mj, numerics)
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
     add_classes(
-        mj, spec, hinges=numerics.hinges_per_segment, timestep=numerics.timestep, out_of_plane_time=_OUT_OF_PLANE_DAMPING_TIME,
-        axle_time=numerics.axle_time, limit_pa=limit,
+        mj, spec, hinges=numerics.hinges_per_segment, timestep=numerics.timestep,
+        out_of_plane_time=_OUT_OF_PLANE_DAMPING_TIME, axle_time=numerics.axle_time, limit_pa=limit,
     )  # fmt: skip
     body = mj.worldbody.add_body(
         name="connector_1", pos=[spec.geometry.body_length / 2, 0, spec.geometry.com_height]

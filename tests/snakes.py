@@ -25,9 +25,7 @@ def chain(
 ) -> RobotSpec:
     """Return a gen2 with as many connectors as masses (kg) and other lengths (m)."""
     spec = robot(**friction)
-    geometry = replace(
-        spec.geometry, connectors=len(masses), segment_length=length, rigid_gap=gap
-    )
+    geometry = replace(spec.geometry, connectors=len(masses), segment_length=length, rigid_gap=gap)
     return replace(spec, geometry=geometry, mass=replace(spec.mass, connectors=masses))
 
 

@@ -87,8 +87,6 @@ def test_wave_travels_from_head_to_tail(connectors):
 
 
 def test_first_segment_starts_with_plus_and_sign_of_zero_is_plus():
-    gait = Gait(2.0)
-    gait.reset(robot(), 1e-4)
     # A tick of one slot is judged at its middle: shift the phase so that the sine is exactly 0 there.
     gait = Gait(2.0, phase=-2 * math.pi * 2.0 * 0.5e-4)
     gait.reset(robot(), 1e-4)

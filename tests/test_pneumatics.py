@@ -48,7 +48,8 @@ def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, ven
     for slots in valves:
         trace = pneumatics.advance(pneumatics.slots(slots), tick, at)
         for k, state in enumerate(slots[:, 0, :]):
-            inside = at[(at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12)] - tick * k / 3
+            rows = np.flatnonzero((at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12))
+            inside = at[rows] - tick * k / 3
 
             def rates(_, y, state=state):
                 filling = np.where(state == 1, (SUPPLY - y[:2]) / fill, 0) - np.where(
@@ -60,7 +61,6 @@ def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, ven
                 rates, (0, tick / 3), values, method="DOP853", rtol=1e-10, atol=[1e-5, 1e-5, 1e-11],
                 dense_output=True,
             )  # fmt: skip
-            rows = np.flatnonzero((at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12))
             expected = solution.sol(inside).T
             assert trace.pressure[rows, 0] == pytest.approx(expected[:, :2], abs=1e-6 * SUPPLY)
             assert trace.bend[rows, 0] == pytest.approx(expected[:, 2], abs=1e-6)
@@ -170,11 +170,17 @@ def test_runs_join_equal_slots():
 
 
 def test_layouts_refuse_what_their_valves_cannot_do():
-    assert LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").slots(np.zeros((2, 2))).shape == (1, 2, 2)
+    assert LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").slots(np.zeros((2, 2))).shape == (
+        1,
+        2,
+        2,
+    )
     with pytest.raises(InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"):
         LagPneumatics(actuated(), supply_pa=1.0, layout="5/2")
     pneumatics = LagPneumatics(actuated(), supply_pa=1.0)
-    with pytest.raises(InputError, match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)"):
+    with pytest.raises(
+        InputError, match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)"
+    ):
         pneumatics.slots(np.zeros((2, 2), dtype=np.int8))
     with pytest.raises(InputError, match=r"valve state 2 is not possible with layout 3/2"):
         pneumatics.slots(np.array([[1, -1], [2, 1]]))

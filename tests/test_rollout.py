@@ -26,7 +26,7 @@ SPEC = robot()
 
 
 class Clock(Plant):
-    """A plant of which nothing is known but the time: heading = time, x of the centre of mass = tick number."""
+    """A plant that only tells the time: heading = time, x of the centre of mass = number of ticks."""
 
     name = "clock"
 
@@ -55,8 +55,8 @@ class Clock(Plant):
         connectors, segments = np.zeros(5), np.zeros(4)
         return SnakeState(
             time=time, com=np.array([self._ticks, -time]), com_velocity=np.zeros(2), heading=time,
-            position=np.arange(10.0).reshape(5, 2), theta=connectors, bend=segments + time, bend_rate=segments,
-            pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)), sensed=segments,
+            position=np.arange(10.0).reshape(5, 2), theta=connectors,
+            bend=segments + time, bend_rate=segments, pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)), sensed=segments,
             contact_force=np.zeros((5, 2)), qpos=np.empty(0),
         )  # fmt: skip
 
@@ -99,7 +99,9 @@ def test_default_is_a_hundred_samples_a_second():
 def test_what_does_not_fit_is_refused_with_what_would():
     with pytest.raises(InputError, match=r"duration 1.01 s is no multiple of tick 0.02 s; 1 s or tick"):
         rollout(Clock(), Teller(), 1.01)
-    message = r"record_hz 70 does not fit the tick 0.02 s; 50 Hz or any whole multiple or fraction of 50 Hz would"
+    message = (
+        r"record_hz 70 does not fit the tick 0.02 s; 50 Hz or any whole multiple or fraction of 50 Hz would"
+    )
     with pytest.raises(InputError, match=message):
         rollout(Clock(), Teller(), 1.0, record_hz=70)
     with pytest.raises(InputError, match=r"record_hz 30 does not fit the tick 0.02 s; 25 Hz or any"):
@@ -204,7 +206,9 @@ def spoil_twin(plant: TwinSnake, value: float) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])
 @pytest.mark.parametrize(
-    ("build", "spoil"), [(AnalyticalSnake, spoil_analytical), (TwinSnake, spoil_twin)], ids=["analytical", "twin"]
+    ("build", "spoil"),
+    [(AnalyticalSnake, spoil_analytical), (TwinSnake, spoil_twin)],
+    ids=["analytical", "twin"],
 )
 def test_plants_that_left_the_plausible_say_when_and_keep_the_good_part(build, spoil, value):
     plant = build(SPEC)

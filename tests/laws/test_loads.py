@@ -51,4 +51,6 @@ def test_preload_does_not_change_what_the_floor_carries():
         for _ in range(100):
             plant.step(vented(SPEC))
         assert plant.physics.wheel_loads().sum() == pytest.approx(WEIGHT.sum(), rel=1e-6)
-    assert pressed.physics.named.data.xpos["connector_3", "z"] < bare.physics.named.data.xpos["connector_3", "z"]
+    assert (
+        pressed.physics.named.data.xpos["connector_3", "z"] < bare.physics.named.data.xpos["connector_3", "z"]
+    )

@@ -14,7 +14,7 @@ from srs_twin import AnalyticalSnake, Plant, TwinSnake
 SPEC = robot(stiffness=20.0)
 MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n
 MASS = SPEC.mass.total
-# The wheels roll, so their spin has to be stopped as well: Σ I/R² with I = m R²/2 for each of two a connector.
+# Rolling wheels have to stop spinning as well: Σ I/R² with I = m R²/2, two wheels a connector.
 SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 
 

@@ -1,0 +1,196 @@
+"""The analytical plant: consistent states, momentum and energy, any length, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from snakes import chain, robot, throw, vented
+
+from srs_twin import AnalyticalSnake, Gait, InputError, rollout
+from srs_twin.plants import kernels
+
+SPEC = robot()
+MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
+LAWS = pytest.mark.parametrize("law", ["axis", "wheel"])
+
+
+def test_starts_straight_at_rest_where_it_is_put():
+    spec = chain(MASSES)
+    plant = AnalyticalSnake(spec)
+    plant.step(np.tile([1, -1], (4, 1)))
+    state = plant.reset(pose=(0.3, -0.1, np.pi / 3))
+    ahead = np.array([0.5, np.sqrt(0.75)])
+    assert state.com == pytest.approx([0.3, -0.1])
+    assert spec.mass.array() @ state.position / spec.mass.total == pytest.approx([0.3, -0.1])
+    assert -np.diff(state.position, axis=0) == pytest.approx(np.tile(spec.geometry.pitch * ahead, (4, 1)))
+    assert state.theta == pytest.approx([np.pi / 3] * 5)
+    for quantity in (state.com_velocity, state.bend, state.bend_rate, state.pressure, state.contact_force):
+        assert not quantity.any()
+    assert state.time == 0 and state.qpos.size == 0
+
+
+@pytest.fixture(scope="module")
+def turning():
+    """States of an uneven snake that turns left, every millisecond for a second, and its robot."""
+    spec = chain(MASSES)
+    plant, states = AnalyticalSnake(spec, friction="wheel", tick=0.001), []
+    rollout(plant, Gait(2.0, 0.3), 1.0, record_hz=1000, observers=[states.append])
+    return spec, states
+
+
+def column(states, name: str) -> np.ndarray:
+    return np.array([getattr(state, name) for state in states])
+
+
+def test_states_fit_together(turning):
+    spec, states = turning
+    position, theta, bend = (column(states, name) for name in ("position", "theta", "bend"))
+    centre = np.einsum("i,tij->tj", spec.mass.array(), position) / spec.mass.total
+    assert centre == pytest.approx(column(states, "com"), abs=1e-12)
+    assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
+    assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
+    # Neighbours lie a chord apart along their mean heading: arc of l and half a gap at each end.
+    g, half = spec.geometry, bend / 2
+    chords = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
+    mean = (theta[:, :-1] + theta[:, 1:]) / 2
+    links = chords[..., None] * np.stack([np.cos(mean), np.sin(mean)], axis=-1)
+    assert -np.diff(position, axis=1) == pytest.approx(links, abs=1e-12)
+    assert column(states, "sensed") == pytest.approx(bend)
+
+
+def test_velocities_are_those_of_the_positions(turning):
+    _, states = turning
+    for name, rate, close in (("com", "com_velocity", 2e-3), ("bend", "bend_rate", 0.2)):
+        difference = np.diff(column(states, name), axis=0) / 0.001
+        middle = (column(states, rate)[1:] + column(states, rate)[:-1]) / 2
+        error = np.abs(difference - middle)
+        assert np.quantile(error, 0.97) < close  # valve events make kinks
+        assert np.abs(column(states, rate)).max() > 20 * close
+
+
+def test_momentum_changes_by_what_the_floor_gives(turning):
+    spec, states = turning
+    momentum = spec.mass.total * column(states, "com_velocity")
+    force = column(states, "contact_force").sum(axis=1)
+    impulse = np.cumsum((force[1:] + force[:-1]) / 2, axis=0) * 0.001
+    error = np.abs(momentum[1:] - momentum[0] - impulse)
+    assert error.max() < 0.05 * np.abs(momentum).max()
+    weight = spec.mass.array() * 9.81
+    assert (np.hypot(*np.moveaxis(column(states, "contact_force"), -1, 0)) <= 0.57 * weight * 1.0001).all()
+
+
+@settings(max_examples=25)
+@given(
+    st.sampled_from(["axis", "wheel"]),
+    st.floats(-1.5, 1.5),
+    st.floats(-1.5, 1.5),
+    st.floats(-15, 15),
+    st.floats(-3, 3),
+)
+def test_whatever_is_thrown_only_loses_energy_and_comes_to_rest(law, vx, vy, spin, heading):
+    plant = AnalyticalSnake(robot(mu_t=0.2), friction=law)
+    throw(plant, (vx, vy), spin=spin, heading=heading)
+    inertia = (plant.spec.mass.array() * (0.055 * np.arange(-2, 3)) ** 2).sum()
+
+    last = np.inf
+    for _ in range(75):
+        state = plant.step(vented(plant.spec))
+        moment = plant._state[kernels.MOMENT]
+        now = plant.spec.mass.total * (state.com_velocity @ state.com_velocity) / 2 + moment**2 / inertia / 2
+        assert now <= last * (1 + 1e-6) + 1e-15
+        last = now
+    assert last < 1e-12
+
+
+@pytest.mark.parametrize("degrees", range(0, 91, 5))
+@LAWS
+def test_every_stage_has_a_solution_while_a_glide_ends(law, degrees):
+    """Where a wheel stops rolling, Newton's method once went to and fro across the kink for ever."""
+    plant, angle = AnalyticalSnake(SPEC, friction=law, slip_speed=0.001), np.radians(degrees)
+    throw(plant, (0.5 * np.cos(angle), 0.5 * np.sin(angle)))
+    for _ in range(65):
+        state = plant.step(vented(SPEC))
+    assert np.abs(state.com_velocity).max() < 1e-6
+
+
+@LAWS
+def test_spinning_on_the_spot_stops_as_its_friction_moment_says(law):
+    """A straight snake that only spins slides across: I ω̇ = −μ_n g Σ m |r|, so Δθ = I ω²/(2 μ_n g Σ m|r|)."""
+    plant = AnalyticalSnake(robot(mu_t=0.0), friction=law, slip_speed=1e-5)
+    throw(plant, (0.0, 0.0), spin=10.0)
+    for _ in range(100):
+        state = plant.step(vented(SPEC))
+    mass, reach = SPEC.mass.array(), np.abs(SPEC.geometry.pitch * np.arange(-2, 3))
+    inertia, moment = (mass * reach**2).sum(), 0.57 * 9.81 * (mass * reach).sum()
+    assert state.heading == pytest.approx(inertia * 10.0**2 / (2 * moment), rel=0.01)
+
+
+@LAWS
+@pytest.mark.parametrize("connectors", [2, 4, 9])
+def test_snakes_of_any_length_run(law, connectors):
+    plant = AnalyticalSnake(chain((0.03,) * connectors), friction=law)
+    step = np.pi / 2 if connectors == 2 else 2 * np.pi / (connectors - 1)
+    trajectory = rollout(plant, Gait(2.0, phase_step=step), 2.0)
+    assert trajectory.stack("x").shape == (201, connectors)
+    assert trajectory.stack("bend").shape == (201, connectors - 1)
+    assert np.isfinite(trajectory.com).all()
+    # One segment flaps, a wave through two or more swims.
+    assert abs(trajectory["com_x"][-1]) < 0.05 if connectors == 2 else trajectory["com_x"][-1] > 0.05
+
+
+@LAWS
+def test_refinement_moves_the_speed_by_less_than_half_a_percent(law):
+    def speed(**options: float) -> float:
+        plant = AnalyticalSnake(SPEC, friction=law, **options)
+        way = rollout(plant, Gait(2.0), 5.0, record_hz=50).com
+        return float(np.hypot(*(way[-1] - way[50])) / 4)
+
+    default = speed()
+    assert speed(timestep=0.0005) == pytest.approx(default, rel=5e-3)
+    assert speed(slip_speed=0.00025) == pytest.approx(default, rel=5e-3)
+
+
+def test_control_tick_does_not_matter_to_a_gait():
+    """Edges land inside long ticks where short ticks put them."""
+    long, short = (
+        rollout(AnalyticalSnake(SPEC, tick=t), Gait(1.7, 0.2), 1.0, record_hz=50) for t in (0.02, 0.005)
+    )
+    assert long.com == pytest.approx(short.com, abs=1e-6)
+    assert long.stack("pressure_plus") == pytest.approx(short.stack("pressure_plus"), abs=1e-3)
+
+
+def test_mass_and_stiffness_cancel():
+    """Of the complete model: friction and inertia both scale with mass, bends follow the chambers alone."""
+    heavy = replace(
+        SPEC,
+        mass=replace(SPEC.mass, connectors=tuple(7 * m for m in SPEC.mass.connectors)),
+        bending=replace(SPEC.bending, stiffness=0.01),
+    )
+    light, loaded = (rollout(AnalyticalSnake(s), Gait(2.0, 0.2), 1.0) for s in (SPEC, heavy))
+    assert loaded.position == pytest.approx(light.position, abs=1e-9)
+
+
+def test_valves_with_inlet_and_outlet_can_hold():
+    plant = AnalyticalSnake(SPEC, layout="in_out")
+    for _ in range(10):
+        filled = plant.step(np.tile([1, -1], (4, 1)))
+    for _ in range(10):
+        held = plant.step(np.zeros((4, 2), dtype=np.int8))
+    assert held.pressure == pytest.approx(filled.pressure, rel=1e-12)
+    assert held.valves.tolist() == [[0, 0]] * 4
+    assert plant.openings().tolist() == [[1, 0]] * 4
+    with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):
+        AnalyticalSnake(SPEC).step(np.zeros((4, 2), dtype=np.int8))
+
+
+def test_unknown_models_and_laws_are_refused_with_what_there_is():
+    with pytest.raises(InputError, match="model 'simple' is unknown; allowed: complete"):
+        AnalyticalSnake(SPEC, model="simple")
+    with pytest.raises(InputError, match="friction law 'glue' is unknown; allowed: axis, wheel, viscous"):
+        AnalyticalSnake(SPEC, friction="glue")
+    with pytest.raises(InputError, match="valve layout '5/2' is unknown"):
+        AnalyticalSnake(SPEC, layout="5/2")
