@@ -55,9 +55,9 @@ class Clock(Plant):
         connectors, segments = np.zeros(5), np.zeros(4)
         return SnakeState(
             time=time, com=np.array([self._ticks, -time]), com_velocity=np.zeros(2), heading=time,
-            position=np.arange(10.0).reshape(5, 2), theta=connectors,
-            bend=segments + time, bend_rate=segments, pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)), sensed=segments,
-            contact_force=np.zeros((5, 2)), qpos=np.empty(0),
+            position=np.arange(10.0).reshape(5, 2), theta=connectors, bend=segments + time,
+            bend_rate=segments, pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)),
+            sensed=segments, contact_force=np.zeros((5, 2)), qpos=np.empty(0),
         )  # fmt: skip
 
 

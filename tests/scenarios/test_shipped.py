@@ -1,0 +1,50 @@
+"""Every shipped scenario runs on both plants, and which of its expectations it misses is known."""
+
+from __future__ import annotations
+
+import pytest
+
+from srs_twin import load_scenario
+from srs_twin.files import shipped_names
+from srs_twin.running import run_scenario
+
+# Missed, and why as far as known. Whoever changes what is met changes this table, on purpose.
+MISSED = {
+    # Very sensitive to amplitude and stiffness, both estimates; no first-principles model here is as slow.
+    "gen1_straight": {("twin", "com_speed_m_s")},
+    # The gap is an estimate, and without it both plants reach the published speed.
+    "gen3_straight": {("twin", "com_speed_m_s")},
+    # Open loop; Table 8 ran under iterative learning with unequal targets.
+    "gen4_turn": {("twin", "turning_radius_m")},
+}
+
+
+@pytest.mark.parametrize("name", sorted(shipped_names("scenario")))
+def test_runs_and_misses_what_is_known(name, tmp_path):
+    scenario = load_scenario(name)
+    result = run_scenario(scenario, tmp_path)
+    assert not result.diverged
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "analytical.parquet", "twin.parquet", "scenario.resolved.yaml", "report.html", "recording.rrd",
+        "metrics.json",
+    }  # fmt: skip
+    missed = {(outcome.of, outcome.metric) for outcome in result.outcomes if not outcome.met}
+    assert missed == MISSED.get(name, set())
+    # Under the same valves, the same chambers: that much must be equal whatever the bodies do.
+    both = result.trajectories
+    assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
+    for chamber in ("pressure_plus", "pressure_minus"):
+        assert both["twin"].stack(chamber) == pytest.approx(both["analytical"].stack(chamber), abs=1e-6)
+
+
+def test_generation_2_is_the_fastest():
+    # Table 10 and Section 3.4.2, by the analytical model alone, which is quick.
+    from srs_twin import rollout
+    from srs_twin.comparison.metrics import plant_metrics
+
+    speed = {}
+    for generation in ("gen1", "gen2", "gen3", "gen4"):
+        scenario = load_scenario(f"{generation}_straight")
+        run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration)
+        speed[generation] = plant_metrics(run)["com_speed_m_s"]
+    assert speed["gen2"] > speed["gen4"] > speed["gen3"] > speed["gen1"]
