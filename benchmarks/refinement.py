@@ -59,7 +59,14 @@ def main() -> None:
     for plant, cases in CASES.items():
         friction = {"friction": "wheel"} if plant == "analytical" else {}
         runs = [
-            Run(plant, frequency=f, offset=o, supply_pa=48.3e3, stiffness=stiffness, options=friction | options)
+            Run(
+                plant,
+                frequency=f,
+                offset=o,
+                supply_pa=48.3e3,
+                stiffness=stiffness,
+                options=friction | options,
+            )
             for _, options in cases
             for f, o in GAITS
         ]

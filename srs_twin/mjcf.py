@@ -56,7 +56,7 @@ class Numerics:
 
     timestep: float = 0.001
     hinges_per_segment: int = 4
-    contact_time: float = 0.002
+    contact_time: float = 0.0014
     slip_time: float = 0.0003
     axle_time: float = 0.002
     preload: float = 19.0

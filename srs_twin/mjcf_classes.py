@@ -78,7 +78,7 @@ def _add_joints(
     """Add the joints' classes.
 
     The integrator takes a spring at the end of its step, which damps like h·k besides; that much is taken
-    off the dampers, so that spring and damper act as stated, to second order in h.
+    off the dampers, so that spring and damper act together as stated.
     """
     bending = spec.bending
     for name, axis, stiffness, time in (

@@ -66,11 +66,7 @@ def test_analytical_stops_along_and_across(law, heading):
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_along(speed):
-    # Pressed into a soft contact, a wheel rolls on a radius that ends where the floor's force acts.
-    touch = contact_radius()
-    assert touch == pytest.approx(SPEC.geometry.wheel_radius, rel=0.015)
-    drag = MU_T * GRAVITY * MASS * SPEC.geometry.wheel_radius / touch
-    expected = (MASS + SPIN_MASS * (SPEC.geometry.wheel_radius / touch) ** 2) * speed**2 / (2 * drag)
+    expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
     way = stopped(twin(), (speed, 0.0))
     assert way == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
 
@@ -100,16 +96,3 @@ def test_axis_law_stops_each_direction_by_itself():
     way = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
     expected = [0.6**2 / (2 * MU_T * GRAVITY), 0.8**2 / (2 * MU_N * GRAVITY)]
     assert way == pytest.approx(expected, rel=0.01)
-
-
-def contact_radius() -> float:
-    """Return how far below its axle a wheel of the settled twin touches the floor, mean over wheels, m."""
-    throw(twin(), (0.0, 0.0))
-    twin().step(vented(SPEC))
-    data, named = twin().physics.data, twin().physics.named.data
-    axles = [
-        named.xpos[f"wheel_{side}_{i}", "z"]
-        for i in range(1, SPEC.geometry.connectors + 1)
-        for side in ("left", "right")
-    ]
-    return float(np.mean(axles) - np.mean([data.contact[k].pos[2] for k in range(data.ncon)]))
