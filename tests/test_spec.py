@@ -54,7 +54,7 @@ def test_published_robots_load(name):
 @pytest.mark.parametrize(
     ("name", "length", "psi_for", "bend", "limit_psi"),
     [
-        ("gen1", 0.24, 4.5, math.pi / 2, 5),
+        ("gen1", 0.24, 3.75, 68 * 0.025, 5),
         ("gen2", 0.22, 7, math.pi / 2, 10),
         ("gen3", 0.22, 7, math.pi / 2, 16),
         ("gen4", 0.30, 8, 0.8366, 19),

@@ -8,7 +8,6 @@ import io
 import re
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -146,23 +145,17 @@ def flat(column):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory, spec, runs):
     path = tmp_path_factory.mktemp("recording") / "recording.rrd"
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        write_recording(path, spec=spec, trajectories=runs, title="both", comparison=compare(*runs.values()))
-        took.append(time.perf_counter() - start)
-    return path, min(took)
+    write_recording(path, spec=spec, trajectories=runs, title="both", comparison=compare(*runs.values()))
+    return path
 
 
-def test_ten_seconds_are_written_fast_and_small(recording):
-    path, took = recording
-    assert took < 0.5
-    assert path.stat().st_size < 5e6
-    verify_recording(path)
+def test_ten_seconds_are_small_and_whole(recording):
+    assert recording.stat().st_size < 5e6
+    verify_recording(recording)
 
 
 def test_the_recording_holds_the_signals(recording, runs):
-    found = read_back(recording[0])
+    found = read_back(recording)
     for plant, snake in runs.items():
         for j in (1, 4):
             seconds, bends = found[f"/module/{j}/bend/{plant}"]["Scalars:scalars"]
@@ -177,7 +170,7 @@ def test_the_recording_holds_the_signals(recording, runs):
 
 
 def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
-    found = read_back(recording[0])
+    found = read_back(recording)
     twin = thinned(runs["twin"], 50)
     seconds, places = found["/world/twin/body/segment_2"]["Capsules3D:translations"]
     assert np.allclose(np.diff(seconds), 0.02)
@@ -325,15 +318,14 @@ def report(tmp_path_factory, spec, runs):
         ],
         "versions": {"mujoco": "3.17"},
     }  # fmt: skip
-    took = []
+    written = []
     for _ in range(2):
-        start = time.perf_counter()
         write_report(
             path, scenario_title=TITLE, spec=spec, trajectories=runs, metrics=metrics, comparison=both
         )
-        took.append((time.perf_counter() - start, path.read_bytes()))
-    assert took[0][1] == took[1][1], "the same run gives the same report"
-    return path.read_text("utf-8"), min(took)[0]
+        written.append(path.read_bytes())
+    assert written[0] == written[1], "the same run gives the same report"
+    return path.read_text("utf-8")
 
 
 class Reader(html.parser.HTMLParser):
@@ -364,24 +356,23 @@ class Reader(html.parser.HTMLParser):
 @pytest.fixture(scope="module")
 def parsed(report):
     reader = Reader()
-    reader.feed(report[0])
+    reader.feed(report)
     assert reader.open == []
     return reader
 
 
-def test_report_is_one_file_fast_and_small(report, parsed):
-    text, took = report
-    assert took < 1.5 and len(text) < 2e6
+def test_report_is_one_small_file(report, parsed):
+    assert len(report) < 2e6
     assert len(parsed.sources) == 5
     assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.sources)
     assert base64.b64decode(parsed.sources[0].partition(",")[2]).lstrip().startswith(b"<?xml")
     assert "script" not in parsed.tags and "link" not in parsed.tags
-    assert not re.search(r"https?://|@import|url\(", text)
+    assert not re.search(r"https?://|@import|url\(", report)
 
 
 def test_report_escapes_what_people_wrote(report):
-    assert "<script>" not in report[0]
-    assert report[0].count("&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt; &amp; Co") == 2
+    assert "<script>" not in report
+    assert report.count("&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt; &amp; Co") == 2
 
 
 def test_report_tells_results_and_expectations(report, parsed):
@@ -393,7 +384,7 @@ def test_report_tells_results_and_expectations(report, parsed):
     assert rows["shape rms"][1] == "m" and float(rows["shape rms"][4]) > 0
     assert rows["met"][1:] == ["com_speed_m_s", "twin", "0.2", "0.214 within 15 %", "Table 10"]
     assert rows["missed"][1:] == ["com_speed_rel", "comparison", "-0.09", "above 0", ""]
-    assert "Expectations: 1 of 2 missed" in report[0]
+    assert "Expectations: 1 of 2 missed" in report
     assert rows["geometry.segment_length"] == ["geometry.segment_length", "0.037"]
     assert rows["mujoco"] == ["mujoco", "3.17"]
 
@@ -411,10 +402,10 @@ def test_viewer_refusals_say_what_to_do_instead(tmp_path, recording, monkeypatch
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(InputError, match=r"no display .* open .*report\.html in a browser instead"):
-        open_recording(recording[0])
+        open_recording(recording)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     with pytest.raises(InputError, match=r"rerun is missing; install it with: pip install 'rerun-sdk>=0\.41"):
-        open_recording(recording[0])
+        open_recording(recording)
 
 
 def test_viewer_is_bound_to_this_machine(recording, monkeypatch):
@@ -426,8 +417,8 @@ def test_viewer_is_bound_to_this_machine(recording, monkeypatch):
 
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(viewer.subprocess, "run", started)
-    open_recording(recording[0])
-    assert commands[0][1:] == ["--bind", "127.0.0.1", str(recording[0])]
+    open_recording(recording)
+    assert commands[0][1:] == ["--bind", "127.0.0.1", str(recording)]
 
 
 def test_a_broken_recording_is_not_verified(tmp_path, recording):
@@ -438,7 +429,7 @@ def test_a_broken_recording_is_not_verified(tmp_path, recording):
 
 def test_the_viewer_draws_the_snake_and_it_moves(recording):
     try:
-        pictures = screenshots(recording[0], [1.0, 6.0], scene_only=True, size=(1000, 600))
+        pictures = screenshots(recording, [1.0, 6.0], scene_only=True, size=(1000, 600))
     except InputError as error:
         if "no Vulkan driver" not in str(error):
             raise
@@ -457,4 +448,4 @@ def test_without_vulkan_the_message_says_what_to_install(recording, monkeypatch)
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, "/nonexistent")
     with pytest.raises(InputError, match="no Vulkan driver .* apt-get install mesa-vulkan-drivers"):
-        screenshots(recording[0], [1.0])
+        screenshots(recording, [1.0])
