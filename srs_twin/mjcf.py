@@ -6,7 +6,7 @@ and one roll hinge in its middle, so that the floor's load is shared. Chamber pr
 in Pa: actuators ``plus_j`` and ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose
 length is the segment's bend q_j.
 
-Where the hinges stand: with n hinges that share a bend q equally, the chord agrees with the arc's
+Where the hinges stand: with n hinges that share a bend q equally, from two hinges on the chord agrees with the arc's
 l·sin(q/2)/(q/2) through order q² when the first and last lie 1/(2(n+1)) of the length from the ends and
 the others evenly between them.
 
@@ -18,7 +18,7 @@ Preload: MuJoCo's contact is convex, which lifts a sliding wheel off the floor; 
 are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``, which
 take no control, push every axle down with κ times its static load, and the pairs' coefficient is
 μ_n/(1 + κ): the friction of the static load, as in the analytical models, from a contact that stays closed.
-Floor forces less the preload are the true loads. See docs/models.md for what each choice costs.
+Floor forces less the preload are the true loads, at rest within 6 %. See docs/models.md for what each choice costs.
 """
 
 from __future__ import annotations
@@ -32,13 +32,11 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.mjcf_classes import ROOT, add_classes, drawn_height
 from srs_twin.mjcf_surroundings import add_surroundings
-from srs_twin.spec import RobotSpec
+from srs_twin.spec import GRAVITY, RobotSpec
 
-GRAVITY = 9.81
 _NET_FORCE = 3  # contact sensor: sum over the contacts found
 _LINK_SHARE = 0.02  # of a segment's share of mass; the text lumps all of it at the connectors
 _GYRATION = 0.005  # m, of a connector about its own centre: near the text's point mass
-_OUT_OF_PLANE_DAMPING_TIME = 0.01  # s, c/k of the pitch and roll hinges, estimated
 
 
 @dataclass(frozen=True)
@@ -83,10 +81,11 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     Raises:
         InputError: the time step is too long for the robot's damping time.
     """
-    if not numerics.timestep < spec.bending.damping_time:
+    shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
+    if not numerics.timestep < shortest:
         raise InputError(
-            f"time step {numerics.timestep:g} s is too long for bends with a damping time c/k of "
-            f"{spec.bending.damping_time:g} s; it must be shorter"
+            f"time step {numerics.timestep:g} s is too long for segments with a damping time c/k of "
+            f"{shortest:g} s; it must be shorter"
         )
     mj = mujoco.MjSpec()
     mj.modelname = spec.name
@@ -96,7 +95,7 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
     add_classes(
         mj, spec, hinges=numerics.hinges_per_segment, timestep=numerics.timestep,
-        out_of_plane_time=_OUT_OF_PLANE_DAMPING_TIME, axle_time=numerics.axle_time, limit_pa=limit,
+        axle_time=numerics.axle_time, limit_pa=limit,
     )  # fmt: skip
     body = mj.worldbody.add_body(
         name="connector_1", pos=[spec.geometry.body_length / 2, 0, spec.geometry.com_height]

@@ -25,7 +25,6 @@ def add_classes(
     *,
     hinges: int,
     timestep: float,
-    out_of_plane_time: float,
     axle_time: float,
     limit_pa: float,
 ) -> None:
@@ -36,7 +35,6 @@ def add_classes(
         spec: the robot.
         hinges: bending hinges a segment.
         timestep: s.
-        out_of_plane_time: c/k of the pitch and roll hinges, s.
         axle_time: time constant with which the axles' friction stops them, s.
         limit_pa: upper end of the chambers' controls, Pa.
     """
@@ -44,7 +42,7 @@ def add_classes(
     root.geom.contype = root.geom.conaffinity = 0
     root.geom.mass = 0
     root.site.group = _HIDDEN
-    _add_joints(mj, root, spec, hinges, timestep, out_of_plane_time, axle_time)
+    _add_joints(mj, root, spec, hinges, timestep, axle_time)
     _add_geoms(mj, root, spec)
     muscle = mj.add_default("muscle", root).actuator
     muscle.ctrllimited, muscle.ctrlrange = True, [0, limit_pa]
@@ -72,7 +70,6 @@ def _add_joints(
     spec: RobotSpec,
     hinges: int,
     timestep: float,
-    out_of_plane_time: float,
     axle_time: float,
 ) -> None:
     """Add the joints' classes.
@@ -83,8 +80,8 @@ def _add_joints(
     bending = spec.bending
     for name, axis, stiffness, time in (
         ("hinge", [0, 0, -1], hinges * bending.stiffness, bending.damping_time),
-        ("pitch", [0, 1, 0], bending.pitch_stiffness, out_of_plane_time),
-        ("roll", [1, 0, 0], bending.roll_stiffness, out_of_plane_time),
+        ("pitch", [0, 1, 0], bending.pitch_stiffness, bending.out_of_plane_damping_time),
+        ("roll", [1, 0, 0], bending.roll_stiffness, bending.out_of_plane_damping_time),
     ):
         joint = mj.add_default(name, root).joint
         joint.axis = axis

@@ -33,11 +33,13 @@ class Trace:
         pressure: gauge, shape (times, segments, 2), Pa.
         bend: free bend, shape (times, segments), rad.
         bend_rate: its rate, shape (times, segments), rad/s.
+        valves: valve states that led there, shape (times, segments, 2).
     """
 
     pressure: np.ndarray
     bend: np.ndarray
     bend_rate: np.ndarray
+    valves: np.ndarray
 
 
 class LagPneumatics:
@@ -106,6 +108,7 @@ class LagPneumatics:
             np.empty((len(times), self._segments, 2)),
             np.empty((len(times), self._segments)),
             np.empty((len(times), self._segments)),
+            np.empty((len(times), self._segments, 2), dtype=np.int8),
         )
         for start, stop, state in valve_runs(commands, tick):
             first, last = np.searchsorted(times, [start, stop], side="right")
@@ -116,6 +119,7 @@ class LagPneumatics:
             trace.pressure[first:last] = pressure[:-1]
             trace.bend[first:last] = bend[:-1]
             trace.bend_rate[first:last] = rate[:-1]
+            trace.valves[first:last] = state
             self.openings += (state == 1) & (self.valves != 1)
             self.pressure, self.bend, self.valves = pressure[-1], bend[-1], state
         return trace

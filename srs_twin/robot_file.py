@@ -12,7 +12,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 from pydantic import Discriminator, Field, Tag
 
 from srs_twin.documents import Loc
-from srs_twin.spec import Actuator, Bending, Friction, Geometry, Mass, RobotSpec, Supply
+from srs_twin.spec import WHEEL_SHARE, Actuator, Bending, Friction, Geometry, Mass, RobotSpec, Supply
 from srs_twin.validation import Strict
 
 Status = Literal["measured", "calibrated", "estimated"]
@@ -117,6 +117,9 @@ class BendingFile(Strict):
     roll_stiffness_nm_per_rad: Stiffness = Field(
         description="Stiffness against twisting, N*m/rad, 0.0001 to 1e6."
     )
+    out_of_plane_damping_time_s: Record[Seconds, Literal["s"]] = Field(
+        description="Damping over stiffness of pitch and roll, s, 1e-6 to 100."
+    )
 
 
 class ActuatorFile(Strict):
@@ -201,6 +204,7 @@ class RobotFile(Strict):
                 damping_time=bending.damping_time_s.value,
                 pitch_stiffness=bending.pitch_stiffness_nm_per_rad.value,
                 roll_stiffness=bending.roll_stiffness_nm_per_rad.value,
+                out_of_plane_damping_time=bending.out_of_plane_damping_time_s.value,
             ),
             actuator=Actuator(
                 tau_fill=actuator.tau_fill_s.value,
@@ -230,10 +234,11 @@ class RobotFile(Strict):
                 ("mass", "connectors_kg", "value"),
                 f"{len(masses)} masses for {connectors} connectors; give {connectors}, or one number for all",
             )
-        if 2 * (wheel := self.mass.wheel_kg.value) >= min(masses):
+        if 2 * (wheel := self.mass.wheel_kg.value) > WHEEL_SHARE * min(masses):
             yield (
                 ("mass", "wheel_kg", "value"),
-                f"two wheels of {wheel:g} kg must weigh less than the lightest connector, {min(masses):g} kg",
+                f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
+                f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
             )
         nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
         if nominal > limit:

@@ -39,7 +39,7 @@ def rollout(
         observers: called with the state at the start and after every tick.
 
     Returns:
-        The samples from t = 0 on, ends included.
+        The samples from t = 0 on; where `until` ends the run between two, its last state as well.
 
     Raises:
         InputError: duration, tick, time step and record_hz do not fit together.
@@ -61,13 +61,14 @@ def rollout(
             error.trajectory = recorder.trajectory()
             raise
         state = states[-1]
-        if k % stride == 0:
+        ends = until is not None and until(state)
+        if k % stride == 0 or ends:
             for sample in states:
                 recorder.add(sample)
         recorder.events.extend(controller.events())
         for watch in watchers:
             watch(state)
-        if until is not None and until(state):
+        if ends:
             break
     return recorder.trajectory()
 

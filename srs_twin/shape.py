@@ -33,7 +33,7 @@ def chord_slope(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
     near = 1.0 * (np.abs(bend) < 1e-2)
     q = bend + near
     far_slope = (np.cos(q / 2) - np.sinc(q / (2 * np.pi))) / q
-    # Next term of the series: -q^7/645120, below 1e-19 at |q| = 1e-2.
+    # Next term of the series: q^7/11612160, below 1e-21 at |q| = 1e-2.
     near_slope = -bend / 12 * (1 - bend**2 / 40 * (1 - bend**2 / 112))
     return length * (near * near_slope + (1 - near) * far_slope) - gap / 2 * np.sin(bend / 2)
 

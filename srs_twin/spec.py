@@ -15,6 +15,9 @@ import numpy as np
 
 from srs_twin.errors import InputError
 
+GRAVITY = 9.81
+"""m/s²; loads of the friction laws and weight in MuJoCo alike."""
+
 
 def _require(ok: bool, name: str, value: float, allowed: str) -> None:
     if not ok:
@@ -76,6 +79,10 @@ class Geometry:
         return self.segments * self.pitch
 
 
+WHEEL_SHARE = 0.9
+"""Most of a connector's mass that its two wheels may make up."""
+
+
 @dataclass(frozen=True)
 class Mass:
     """Masses.
@@ -92,7 +99,8 @@ class Mass:
         _positive(self, "wheel")
         for i, mass in enumerate(self.connectors, start=1):
             _require(math.isfinite(mass) and mass > 0, f"mass of connector {i}", mass, "it must be above 0")
-            _require(2 * self.wheel < mass, "wheel", self.wheel, f"two wheels must weigh less than {mass} kg")
+            heaviest = WHEEL_SHARE * mass / 2
+            _require(self.wheel <= heaviest, "wheel", self.wheel, f"it must weigh at most {heaviest:g} kg")
 
     @property
     def total(self) -> float:
@@ -129,15 +137,18 @@ class Bending:
         damping_time: c/k, s. With τ₂ of the actuator here, a free module obeys Eq. 14 exactly.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
+        out_of_plane_damping_time: damping over stiffness of pitch and roll, s.
     """
 
     stiffness: float
     damping_time: float
     pitch_stiffness: float
     roll_stiffness: float
+    out_of_plane_damping_time: float
 
     def __post_init__(self) -> None:
         _positive(self, "stiffness", "damping_time", "pitch_stiffness", "roll_stiffness")
+        _positive(self, "out_of_plane_damping_time")
 
     @property
     def damping(self) -> float:

@@ -8,23 +8,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from srs_twin.comparison.summary import difference, published
+
 if TYPE_CHECKING:
     from srs_twin.running import RunResult
 
-# metric of a plant → (heading, unit, whether the difference is relative to the analytical model)
+# metric of a plant → (heading, unit)
 _PLANT_ROWS = {
-    "com_speed_m_s": ("CoM speed", "m/s", True),
-    "yaw_rate_rad_s": ("yaw rate", "rad/s", False),
-    "turning_radius_m": ("turning radius", "m", True),
-    "path_length_m": ("path length", "m", True),
-    "mean_bend_amplitude_rad": ("mean bend amplitude", "rad", True),
-    "realtime_factor": ("real-time factor", "1", False),
+    "com_speed_m_s": ("CoM speed", "m/s"),
+    "yaw_rate_rad_s": ("yaw rate", "rad/s"),
+    "turning_radius_m": ("turning radius", "m"),
+    "path_length_m": ("path length", "m"),
+    "mean_bend_amplitude_rad": ("mean bend amplitude", "rad"),
+    "realtime_factor": ("real-time factor", "1"),
 }
 _COMPARISON_ROWS = {
     "shape_rms_m": ("body shape, RMS", "m"),
     "path_rms_m": ("CoM path, RMS", "m"),
     "bend_rms_rad": ("bends, RMS", "rad"),
 }
+_NONE = (None, "")
 
 
 @dataclass(frozen=True)
@@ -38,26 +41,26 @@ class Row:
     published: str = ""
 
 
-def rows(metrics: Mapping[str, Any], published: Mapping[str, float]) -> list[Row]:
+def rows(metrics: Mapping[str, Any]) -> list[Row]:
     """Choose and format the lines of the table.
 
     Args:
         metrics: what stands in metrics.json.
-        published: metric → the published value, where an expectation with a source gives one.
     """
-    plants = metrics["plants"]
+    plants, stated = metrics["plants"], published(metrics["expectations"])
     found = []
-    for key, (heading, unit, relative) in _PLANT_ROWS.items():
+    for key, (heading, unit) in _PLANT_ROWS.items():
         values = [each.get(key) for each in plants.values()]
         if all(value is None for value in values):
             continue
-        difference = "" if key == "realtime_factor" else _difference(plants, key, relative)
-        found.append(Row(heading, unit, tuple(map(_number, values)), difference, _number(published.get(key))))
+        texts = tuple(map(_number, values))
+        found.append(Row(heading, unit, texts, difference(plants, key), _number(stated.get(key, _NONE)[0])))
     comparison = metrics["comparison"] or {}
     for key, (heading, unit) in _COMPARISON_ROWS.items():
         if comparison.get(key) is not None:
             blank = ("",) * len(plants)
-            found.append(Row(heading, unit, blank, _number(comparison[key]), _number(published.get(key))))
+            text = _number(comparison[key])
+            found.append(Row(heading, unit, blank, text, _number(stated.get(key, _NONE)[0])))
     return found
 
 
@@ -67,7 +70,7 @@ def show(result: RunResult) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    lines = rows(result.metrics, published_values(result.metrics))
+    lines = rows(result.metrics)
     table = Table(title=result.name, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("metric", no_wrap=True)
     table.add_column("unit", no_wrap=True)
@@ -90,24 +93,8 @@ def show(result: RunResult) -> None:
             print(part)
 
 
-def _difference(plants: Mapping[str, Mapping[str, Any]], key: str, relative: bool) -> str:
-    """Format twin − analytical, over the analytical value where `relative`."""
-    ours, theirs = (plants.get(kind, {}).get(key) for kind in ("analytical", "twin"))
-    if ours is None or theirs is None:
-        return ""
-    if not relative:
-        return f"{theirs - ours:+.3g}"
-    return f"{100 * (theirs - ours) / ours:+.1f} %" if ours else ""
-
-
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.4g}"
-
-
-def published_values(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Return metric → the value that an expectation with a source states."""
-    stated = [e for e in metrics["expectations"] if e.get("near") is not None and e.get("source")]
-    return {each["metric"]: each["near"] for each in stated}
 
 
 def expectation_lines(metrics: Mapping[str, Any]) -> list[str]:

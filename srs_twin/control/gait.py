@@ -65,11 +65,15 @@ class Gait(Controller):
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valves of the coming tick; with slots only when an edge falls inside it."""
-        first, last = self._wave(state.time + self._tick * self._middle[[0, -1]])
+        return self.valves_at(state.time)
+
+    def valves_at(self, time: float) -> np.ndarray:
+        """Return the valves of the tick that begins at `time` (s)."""
+        first, last = self._wave(time + self._tick * self._middle[[0, -1]])
         # A tick shorter than the shorter half wave holds one edge at most: equal ends, no edge.
         if self._tick < self._shorter_half_wave() and (first == last).all():
             return _antagonistic(first)
-        wave = self._wave(state.time + self._tick * self._middle)
+        wave = self._wave(time + self._tick * self._middle)
         return _antagonistic(wave[0] if (wave == wave[0]).all() else wave)
 
     def signals(self) -> dict[str, float]:

@@ -130,7 +130,7 @@ class AnalyticalSnake(Plant):
 
     def _resting_trace(self) -> Trace:
         bend = self.pneumatics.bend[None]
-        return Trace(self.pneumatics.pressure[None], bend, np.zeros_like(bend))
+        return Trace(self.pneumatics.pressure[None], bend, np.zeros_like(bend), self.pneumatics.valves[None])
 
     def _check(self, time: float, failed: int) -> None:
         speed = float(np.abs(self._state[kernels.VX : kernels.VY + 1]).max())
@@ -164,7 +164,7 @@ class AnalyticalSnake(Plant):
             bend=bend,
             bend_rate=rate,
             pressure=trace.pressure[row],
-            valves=self.pneumatics.valves,
+            valves=trace.valves[row],
             sensed=bend.copy(),
             contact_force=force @ turn,
             qpos=np.empty(0),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.errors import InputError
 from srs_twin.spec import RobotSpec
 
 Pose = tuple[float, float, float]
@@ -29,7 +30,8 @@ class SnakeState:
         pressure: gauge pressure of the + and − chamber, shape (segments, 2), Pa.
         valves: valve states that led here, shape (segments, 2).
         sensed: what the curvature sensors say of `bend`, shape (segments,), rad.
-        contact_force: horizontal floor force on each connector, shape (N, 2), N.
+        contact_force: horizontal floor force on each connector, shape (N, 2), N; momentary in the
+            analytical model, the twin's is the mean since the last sample (contacts ripple).
         qpos: the twin's generalised positions, else empty.
     """
 
@@ -70,18 +72,10 @@ class Plant(ABC):
             seed: for whatever is random in the plant (sensor noise).
         """
 
-    @abstractmethod
-    def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance one tick and return that many equally spaced states, the last at its end.
-
-        Args:
-            valves: see `step`.
-            samples: 1 or more; tick / samples must be a multiple of the time step.
-
-        Raises:
-            InputError: a wrong shape, or a state other than −1, 0, +1.
-            DivergedError: the state is no longer finite and plausible.
-        """
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if cls.step is Plant.step and cls.advance is Plant.advance:
+            raise TypeError(f"{cls.__name__} must say how it moves: override step or advance")
 
     def step(self, valves: np.ndarray) -> SnakeState:
         """Advance one tick.
@@ -95,9 +89,29 @@ class Plant(ABC):
         """
         return self.advance(valves, 1)[-1]
 
-    @abstractmethod
+    def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
+        """Advance one tick and return that many equally spaced states, the last at its end.
+
+        A plant overrides this, or `step` alone when it cannot look inside a tick.
+
+        Args:
+            valves: see `step`.
+            samples: 1 or more; tick / samples must be a multiple of the time step.
+
+        Raises:
+            InputError: a wrong shape, a state other than −1, 0, +1, or more samples than the plant can give.
+            DivergedError: the state is no longer finite and plausible.
+        """
+        if samples != 1:
+            raise InputError(
+                f"plant '{self.name}' gives one sample a tick, not {samples}; "
+                f"record_hz {1 / self.tick:g} or less would do"
+            )
+        return [self.step(valves)]
+
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened since `reset`, shape (segments, 2)."""
+        return np.zeros((self.spec.segments, 2), dtype=int)
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording beside a trajectory (JSON values)."""

@@ -3,10 +3,10 @@ r"""Compiled kernel of the `complete` analytical model.
 Point masses m_i sit at the connectors; the bends q(t) are given by the actuators; the pose of the body is
 what moves. With ρ_i(q) the connectors about the centre of mass in the frame of the mean heading θ,
 
-$$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + \tau_i, \qquad
+$$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q), $$
 
-with I = Σ m_i |ρ_i|² and h = Σ m_i ρ_i × ρ̇_i. Using the moment of momentum L as the state needs no q̈, so
+with I = Σ m_i |ρ_i|², h = Σ m_i ρ_i × ρ̇_i and n_i the yaw moment of connector i's wheels. Using the moment of momentum L as the state needs no q̈, so
 its jumps at valve events cost no accuracy. This is Eq. 11 contracted with eᵀ (segment torques cancel).
 The friction is stiff, so the three velocities are solved implicitly with the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977), Newton's method in each stage.
@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from srs_twin import friction, shape
+from srs_twin.spec import GRAVITY
 
 GAMMA = 1 - math.sqrt(0.5)
 """Diagonal of the SDIRK2 method: stages at GAMMA·h and h."""
@@ -27,7 +28,6 @@ GAMMA = 1 - math.sqrt(0.5)
 X, Y, HEADING, VX, VY, MOMENT = range(6)
 """Indices into the state: centre of mass (m), mean heading (rad), its velocity (m/s), L (kg·m²/s)."""
 
-GRAVITY = 9.81
 _NEWTON_STEPS = 100
 _NEWTON_TOLERANCE = 1e-11
 _DECREASE = 0.999  # by which a Newton step must shrink the squared residual; 1 would let it cycle
@@ -184,7 +184,6 @@ def _stage(known, a, q, rate, mass, length, gap, law, track, mu_t, mu_n, slip, u
     body, force, total, slope, matrix, residual, step = work
     inertia, moment = pose_body(q, rate, mass, length, gap, body)
     weight = mass.sum()
-    heading = known[HEADING] + a * u[2]
     best = np.inf
     converged = False
     for _ in range(_NEWTON_STEPS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.plants.base import Plant, Pose, SnakeState
 from srs_twin.pneumatics import LagPneumatics
-from srs_twin.spec import RobotSpec
+from srs_twin.spec import GRAVITY, RobotSpec
 
 # Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
 os.environ.setdefault("MUJOCO_GL", "disabled")
@@ -22,6 +23,9 @@ from dm_control.rl.control import PhysicsError  # noqa: E402
 from srs_twin.mjcf import Numerics, preload_force, scene_mjcf  # noqa: E402
 
 WHEELS = ("rolling",)
+_HEARD: deque[str] = deque(maxlen=4)
+# MuJoCo's warnings are part of a DivergedError's message; unheard they go to a log file or to stderr.
+mujoco.set_mju_user_warning(_HEARD.append)
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
 
 
@@ -52,9 +56,10 @@ class SnakePhysics(dm.Physics):
         raw = self.model.ptr
         self._pneumatics = pneumatics
         self._preload = preload_force(spec, numerics)
+        self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._valves = np.full((1, spec.segments, 2), -1, dtype=np.int8)
-        self._floor_force = np.zeros(raw.nsensordata)
+        self._floor_force = np.zeros((*self._preload.shape, 3))
 
     def lay_down(self, pose: Pose) -> None:
         """Reset to a straight snake at rest with its centre of mass at x, y (m) and heading (rad)."""
@@ -64,7 +69,9 @@ class SnakePhysics(dm.Physics):
             self.data.qpos[:2] = x + offset * np.cos(heading), y + offset * np.sin(heading)
             self.data.qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
         self._pneumatics.reset()
-        self._floor_force[:] = 0.0
+        # At rest every wheel carries its share of the weight, and its preload.
+        self._floor_force = np.zeros((*self._preload.shape, 3))
+        self._floor_force[..., 2] = self._preload + self._rest_load
 
     def set_control(self, control: np.ndarray) -> None:
         """Command the valves for the next `step`: (segments, 2) or (slots, segments, 2)."""
@@ -80,7 +87,7 @@ class SnakePhysics(dm.Physics):
         span = nstep * model.opt.timestep
         times = span * np.arange(nstep) / nstep
         controls = self._pneumatics.advance(self._valves, span, times).pressure.reshape(nstep, -1)
-        force = np.zeros_like(self._floor_force)
+        force = np.zeros(model.nsensordata)
         with self.check_invalid_state():
             for row in controls:
                 data.ctrl[: row.size] = row
@@ -88,7 +95,7 @@ class SnakePhysics(dm.Physics):
                 force += data.sensordata
             # Positions and velocities of the end of the step, not of its beginning.
             mujoco.mj_step1(model, data)
-        self._floor_force = force / nstep
+        self._floor_force = force.reshape(self._floor_force.shape) / nstep
 
     def bend_angles(self) -> np.ndarray:
         """Return the bends q_j, shape (segments,), rad."""
@@ -121,7 +128,7 @@ class SnakePhysics(dm.Physics):
 
         Shape (N, 2, 3): connector, left and right wheel, x y z, N.
         """
-        force = self._floor_force.reshape(-1, 2, 3).copy()
+        force = self._floor_force.copy()
         force[..., 2] -= self._preload
         return force
 
@@ -200,11 +207,14 @@ class TwinSnake(Plant):
         for k, part in enumerate(_parts(commands, samples), start=1):
             now = begun + self.tick * k / samples
             self.physics.set_control(part)
+            before = self.physics.data.qpos.copy(), self.physics.data.qvel.copy()
+            _HEARD.clear()
             try:
                 self.physics.step(steps)
             except PhysicsError as error:
-                raise DivergedError(self.name, now, " ".join(str(error).split())) from error
-            self._check(now)
+                raise self._diverged(now, before) from error
+            if not self._plausible():
+                raise self._diverged(now, before)
             states.append(self._observe(now))
         self._ticks += 1
         return states
@@ -223,11 +233,25 @@ class TwinSnake(Plant):
             "preload": self._numerics.preload,
         }
 
-    def _check(self, time: float) -> None:
+    def _plausible(self) -> bool:
         data = self.physics.data
-        speed = np.abs(data.qvel).max()
-        if not speed < _SPEED_LIMIT or not np.isfinite(data.qpos).all():
-            raise DivergedError(self.name, time, f"largest joint speed {speed:.3g}, qpos {data.qpos[:7]}…")
+        return bool(np.abs(data.qvel).max() < _SPEED_LIMIT) and bool(np.isfinite(data.qpos).all())
+
+    def _diverged(self, time: float, before: tuple[np.ndarray, np.ndarray]) -> DivergedError:
+        """Go back to the state before and say what it was and what MuJoCo said."""
+        said = " ".join(" ".join(dict.fromkeys(_HEARD)).split()) or "speeds beyond the plausible"
+        physics = self.physics
+        physics.data.qpos[:], physics.data.qvel[:] = before
+        mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
+        x, y, z = physics.center_of_mass()
+        bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
+        return DivergedError(
+            self.name,
+            time,
+            f"{said}; before: centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading "
+            f"{self._theta.mean():.3g} rad, bends {bends} rad, largest speed {np.abs(before[1]).max():.3g} "
+            "m/s or rad/s",
+        )
 
     def _observe(self, time: float) -> SnakeState:
         physics = self.physics

@@ -57,8 +57,8 @@ def _scenario(document: Document, name: str) -> Scenario:
         _check_expectations(document, file)
     document.finish(foreign)
     assert file is not None and robot is not None, "no problem was reported"
-    if file.world.obstacles:
-        warnings.append("no plant feels obstacles: they are for planning and pictures")
+    if file.world != WorldFile():
+        warnings.append("world: read and checked, but no plant or controller takes notice of it yet")
     return _build(file, robot, file.name or name, tuple(warnings))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.comparison.summary import difference, published
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.checks import check_drawable
@@ -18,11 +19,6 @@ from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_p
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison
-
-# The difference of these is given in per cent of the analytical value, of others in their own unit.
-_RELATIVE = {"com_speed_m_s", "turning_radius_m", "path_length_m", "mean_bend_amplitude_rad"}
-# How long a computer took says nothing of the difference of two plants.
-_NOT_COMPARED = {"wall_s", "realtime_factor"}
 
 # How the names of metrics end, longest first, and what is said instead.
 _ENDINGS = {
@@ -89,29 +85,24 @@ def write_report(
 def result_table(metrics: Mapping[str, Any]) -> Markup:
     """Return the table of metrics: one column a plant, the difference, and what was published."""
     plants: Mapping[str, Mapping[str, Any]] = metrics["plants"]
-    published = _published(metrics.get("expectations") or ())
+    stated = {
+        name: f"{_text(value)} ({source})"
+        for name, (value, source) in published(metrics.get("expectations") or ()).items()
+    }
     both = {"analytical", "twin"} <= plants.keys()
     headings = ["metric", "unit", *plants, *(["difference"] if both else []), "published"]
     rows = []
     for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
         values = [measured.get(name) for measured in plants.values()]
         if any(value is not None for value in values):
-            apart = [_difference(name, plants)] if both else []
-            rows.append([_words(name), unit, *map(_text, values), *apart, published.get(name, "")])
+            apart = [difference(plants, name)] if both else []
+            rows.append([_words(name), unit, *map(_text, values), *apart, stated.get(name, "")])
     for name, unit in COMPARISON_UNITS.items():
         value = (metrics.get("comparison") or {}).get(name)
         if value is not None:
             blank = [""] * len(plants)
-            rows.append(
-                [_words(name), unit, *blank, *([_text(value)] if both else []), published.get(name, "")]
-            )
+            rows.append([_words(name), unit, *blank, *([_text(value)] if both else []), stated.get(name, "")])
     return table(headings, rows, numbers=range(2, len(headings)))
-
-
-def _published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return metric → published value, of the expectations that state one and its source."""
-    stated = [e for e in expectations if e.get("near") is not None and e.get("source")]
-    return {e["metric"]: f"{_text(e['near'])} ({e['source']})" for e in stated}
 
 
 def _expectations(expectations: Sequence[Mapping[str, Any]]) -> list[Markup]:
@@ -178,15 +169,6 @@ def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
     for name, value in tree.items():
         found += _leaves(value, f"{above}{name}.") if isinstance(value, Mapping) else [(above + name, value)]
     return found
-
-
-def _difference(name: str, plants: Mapping[str, Mapping[str, Any]]) -> str:
-    ours, theirs = plants["analytical"].get(name), plants["twin"].get(name)
-    if name in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
-        return ""
-    if name in _RELATIVE:
-        return f"{100 * (theirs - ours) / abs(ours):+.1f} %" if ours else ""
-    return f"{theirs - ours:+.3g}"
 
 
 def _words(name: str) -> str:

@@ -35,6 +35,8 @@ def test_runs_and_misses_what_is_known(name, tmp_path):
     # Under the same valves, the same chambers: that much must be equal whatever the bodies do.
     both = result.trajectories
     assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
+    for valve in ("valve_plus", "valve_minus"):
+        assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
     for chamber in ("pressure_plus", "pressure_minus"):
         assert both["twin"].stack(chamber) == pytest.approx(both["analytical"].stack(chamber), abs=1e-6)
 

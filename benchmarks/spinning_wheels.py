@@ -1,0 +1,100 @@
+"""The `wheel` law against wheels that really spin: an independent planar simulation.
+
+    uv run python benchmarks/spinning_wheels.py
+
+Every wheel has its own speed and inertia, Coulomb friction at its rim (isotropic, μ_n) and in its axle (μ_t).
+Explicit Euler at 20 µs; bends and body kinematics are those of the analytical model.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from grid import Run, table
+from numba import njit
+
+from srs_twin import Gait
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.plants.kernels import pose_body
+from srs_twin.pneumatics import LagPneumatics
+from srs_twin.spec import GRAVITY
+
+STEP_S = 2e-5
+TICK_S = 0.02
+SLIP_M_S = 1e-3
+DURATION_S, LAST_S = 6.0, 2.0
+
+
+@njit
+def advance(state, spin, bends, rates, mass, length, gap, track, radius, inertia, mu_t, mu_n):
+    """Advance the pose (x, y, heading, vx, vy, moment of momentum) and the wheels' speeds in place."""
+    n = mass.shape[0]
+    body = np.empty((n, 6))
+    for k in range(bends.shape[0]):
+        turning, moment = pose_body(bends[k], rates[k], mass, length, gap, body)
+        omega = (state[5] - moment) / turning
+        c0, s0 = math.cos(state[2]), math.sin(state[2])
+        ux, uy = state[3] * c0 + state[4] * s0, -state[3] * s0 + state[4] * c0
+        fx = fy = torque = 0.0
+        for i in range(n):
+            c, s = math.cos(body[i, 0]), math.sin(body[i, 0])
+            px, py = body[i, 2], body[i, 3]
+            vx, vy = ux - omega * py + body[i, 4], uy + omega * px + body[i, 5]
+            along, across = vx * c + vy * s, -vx * s + vy * c
+            load = mass[i] * GRAVITY / 2
+            for side in range(2):
+                arm = track if side == 0 else -track
+                rim = spin[i, side] * radius
+                slip = along - (omega + body[i, 1]) * arm - rim
+                speed = math.sqrt(slip * slip + across * across + SLIP_M_S * SLIP_M_S)
+                f_t, f_n = -mu_n * load * slip / speed, -mu_n * load * across / speed
+                drag = mu_t * load * radius * rim / math.sqrt(rim * rim + SLIP_M_S * SLIP_M_S)
+                spin[i, side] += STEP_S * (-f_t * radius - drag) / inertia
+                fx += f_t * c - f_n * s
+                fy += f_t * s + f_n * c
+                torque += f_t * (-py * c + px * s - arm) + f_n * (py * s + px * c)
+        state[0] += STEP_S * state[3]
+        state[1] += STEP_S * state[4]
+        state[2] += STEP_S * omega
+        state[3] += STEP_S * (fx * c0 - fy * s0) / mass.sum()
+        state[4] += STEP_S * (fx * s0 + fy * c0) / mass.sum()
+        state[5] += STEP_S * torque
+
+
+def spinning_speed(run: Run, inertia_factor: float) -> float:
+    """Return the mean CoM speed over the last seconds, m/s, with that many times the wheels' inertia."""
+    spec = run.spec()
+    g, chambers, gait = spec.geometry, LagPneumatics(spec, supply_pa=run.supply_pa), Gait(run.frequency)
+    gait.reset(spec, TICK_S)
+    inertia = inertia_factor * spec.mass.wheel * g.wheel_radius**2 / 2
+    times = STEP_S * np.arange(1, round(TICK_S / STEP_S) + 1)
+    state, spin = np.zeros(6), np.zeros((g.connectors, 2))
+    path = [state[:2].copy()]
+    for tick in range(round(DURATION_S / TICK_S)):
+        trace = chambers.advance(chambers.slots(gait.valves_at(tick * TICK_S)), TICK_S, times)
+        advance(
+            state, spin, trace.bend, trace.bend_rate, spec.mass.array(), g.segment_length, g.rigid_gap,
+            g.half_track, g.wheel_radius, inertia, spec.friction.mu_t, spec.friction.mu_n,
+        )  # fmt: skip
+        path.append(state[:2].copy())
+    way = path[-1] - path[-1 - round(LAST_S / TICK_S)]
+    return float(np.hypot(*way)) / LAST_S
+
+
+def main() -> None:
+    """Print the speeds of law and simulation at points of the grid where the period fits the window."""
+    rows = []
+    for frequency, kilopascals in ((1.0, 41.0), (1.5, 41.0), (2.0, 48.0)):
+        run = Run(
+            "analytical", frequency=frequency, supply_pa=1e3 * kilopascals, options={"friction": "wheel"}
+        )
+        law = plant_metrics(run.trajectory())["com_speed_m_s"]
+        found = [spinning_speed(run, factor) for factor in (1.0, 3.0)]
+        cells = [f"{1e3 * speed:.1f} ({100 * (speed / law - 1):+.1f} %)" for speed in found]
+        rows.append([f"{frequency:g}", f"{kilopascals:g}", f"{1e3 * law:.1f}", *cells])
+    print(table(["f Hz", "p kPa", "`wheel` law mm/s", "spinning wheels", "three times their inertia"], rows))
+
+
+if __name__ == "__main__":
+    main()
