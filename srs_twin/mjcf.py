@@ -6,7 +6,7 @@ and one roll hinge in its middle, so that the floor's load is shared. Chamber pr
 in Pa: actuators ``plus_j`` and ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose
 length is the segment's bend q_j.
 
-Where the hinges stand: with n hinges that share a bend q equally, from two hinges on the chord agrees with the arc's
+Where the hinges stand: with n hinges that share a bend q equally, n ≥ 2, the chord agrees with the arc's
 l·sin(q/2)/(q/2) through order q² when the first and last lie 1/(2(n+1)) of the length from the ends and
 the others evenly between them.
 
@@ -18,7 +18,7 @@ Preload: MuJoCo's contact is convex, which lifts a sliding wheel off the floor; 
 are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``, which
 take no control, push every axle down with κ times its static load, and the pairs' coefficient is
 μ_n/(1 + κ): the friction of the static load, as in the analytical models, from a contact that stays closed.
-Floor forces less the preload are the true loads, at rest within 6 %. See docs/models.md for what each choice costs.
+Floor forces less the preload are the true loads, at rest within 6 %. docs/models.md says what it costs.
 """
 
 from __future__ import annotations

@@ -234,9 +234,9 @@ def open_folder(folder: Path) -> None:
 
 def versions() -> dict[str, str]:
     """Return the versions that decide the numbers of a run."""
+    packages = ("mujoco", "dm-control", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
-        "mujoco": metadata.version("mujoco"),
-        "numpy": metadata.version("numpy"),
+        **{name: metadata.version(name) for name in packages},
         "python": platform.python_version(),
     }

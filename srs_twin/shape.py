@@ -38,6 +38,17 @@ def chord_slope(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
     return length * (near * near_slope + (1 - near) * far_slope) - gap / 2 * np.sin(bend / 2)
 
 
+def chord_curvature(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
+    """Return d²L/dq², m/rad²; smooth through q = 0. Arguments as in `chord`."""
+    near = 1.0 * (np.abs(bend) < 0.1)
+    q = bend + near
+    arc = np.sinc(q / (2 * np.pi))
+    far_curvature = -arc / 4 - 2 * (np.cos(q / 2) - arc) / q**2
+    # Next term of the series: -q^8/454164480, below 1e-16 at |q| = 0.1.
+    near_curvature = -1 / 12 + bend**2 / 160 - bend**4 / 10752 + bend**6 / 1658880
+    return length * (near * near_curvature + (1 - near) * far_curvature) - gap / 4 * np.cos(bend / 2)
+
+
 def relative_headings(bend: np.ndarray) -> np.ndarray:
     """Return the connector headings about their mean, shape (…, N), rad, from bends (…, N − 1)."""
     behind = np.concatenate([np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1)

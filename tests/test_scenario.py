@@ -75,7 +75,7 @@ def test_units_become_si():
     assert s.world.obstacles[0].radius == 0.1 and s.world.bounds and s.world.bounds.x == (-1, 3)
     assert s.world.goal and (s.world.goal.heading, s.world.goal.radius) == (None, 0.05)
     (warning,) = s.warnings
-    assert "no plant feels obstacles" in warning
+    assert "no plant or controller takes notice" in warning
     plant = s.build_plant("analytical")
     assert (plant.tick, plant.timestep) == (0.01, 0.002)
     assert plant.spec.geometry.rigid_gap == 0 and s.robot.geometry.rigid_gap == 0.018

@@ -10,15 +10,16 @@ from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.friction import LAWS
 from srs_twin.plants import kernels
 from srs_twin.plants.base import Plant, Pose, SnakeState
+from srs_twin.plants.given import Body, GivenBends
 from srs_twin.pneumatics import LagPneumatics, Trace, valve_runs
 from srs_twin.spec import RobotSpec
 
-MODELS = ("complete",)
+MODELS = ("complete", "compliant")
 _SPEED_LIMIT = 100.0  # m/s: beyond it the state is not plausible
 
 
 class AnalyticalSnake(Plant):
-    """The `complete` model: bends follow Eq. 14, the pose of the body obeys Newton and Euler.
+    """The planar model: `complete`, whose bends follow Eq. 14, or `compliant`, whose bends yield.
 
     Attributes:
         timestep: longest step of the integrator, s; steps also end on valve events.
@@ -43,7 +44,7 @@ class AnalyticalSnake(Plant):
 
         Args:
             spec: the robot.
-            model: "complete".
+            model: "complete" (bends as given) or "compliant" (bends that load and inertia deflect).
             friction: "axis" (one point a connector, the text's law), "wheel" (two wheels at the track)
                 or "viscous" (a law to test with).
             supply_pa: supply pressure, Pa; default the robot's nominal one.
@@ -64,14 +65,14 @@ class AnalyticalSnake(Plant):
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = LagPneumatics(spec, supply_pa=supply, layout=layout)
         self._mass = spec.mass.array()
+        self._body = self._make_body()
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
         """Lay the snake straight, at rest, chambers empty. Nothing is random here: `seed` is unused."""
         self.pneumatics.reset()
         self._ticks = 0
-        self._state = np.array([*pose, 0.0, 0.0, 0.0])
-        self._velocity = np.zeros(3)
+        self._body.reset(pose)
         return self._observe(0.0, self._resting_trace(), -1)
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
@@ -83,16 +84,12 @@ class AnalyticalSnake(Plant):
         steps = ends - starts
         stages = np.stack([starts + kernels.GAMMA * steps, ends], axis=1)
         trace = self.pneumatics.advance(commands, self.tick, stages.ravel())
-        bends, rates = trace.bend.reshape(len(ends), 2, -1), trace.bend_rate.reshape(len(ends), 2, -1)
         begun = self._ticks * self.tick
         states, first = [], 0
         for k in range(1, samples + 1):
             at = self.tick * k / samples
             last = int(np.searchsorted(ends, at * (1 + 1e-12), side="right"))
-            failed = kernels.advance(  # type: ignore[call-arg]  # numba's stub knows no signatures
-                self._state, steps[first:last], bends[first:last], rates[first:last], *self._constants(),
-                self._velocity,
-            )  # fmt: skip
+            failed = self._body.move(steps[first:last], trace, slice(2 * first, 2 * last))
             self._check(begun + at, failed)
             states.append(self._observe(begun + at, trace, 2 * last - 1))
             first = last
@@ -111,6 +108,22 @@ class AnalyticalSnake(Plant):
             "timestep_s": self.timestep,
             "slip_speed_m_s": self._slip,
         }
+
+    def _make_body(self) -> Body:
+        if self._model == "complete":
+            return GivenBends(self._constants())
+        # Its kernels take a second to load: not before they are asked for.
+        from srs_twin.plants.compliant import YieldingBends
+
+        return YieldingBends(self.spec, self._constants())
+
+    @property
+    def _state(self) -> np.ndarray:
+        return self._body.state
+
+    @property
+    def _velocity(self) -> np.ndarray:
+        return self._body.velocity
 
     def _constants(self) -> tuple[Any, ...]:
         """Return the kernels' arguments that describe body and floor."""

@@ -6,8 +6,9 @@ what moves. With ρ_i(q) the connectors about the centre of mass in the frame of
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q), $$
 
-with I = Σ m_i |ρ_i|², h = Σ m_i ρ_i × ρ̇_i and n_i the yaw moment of connector i's wheels. Using the moment of momentum L as the state needs no q̈, so
-its jumps at valve events cost no accuracy. This is Eq. 11 contracted with eᵀ (segment torques cancel).
+with I = Σ m_i |ρ_i|², h = Σ m_i ρ_i × ρ̇_i and n_i the yaw moment of connector i's wheels. Using the moment
+of momentum L as the state needs no q̈, so its jumps at valve events cost no accuracy. This is Eq. 11
+contracted with eᵀ (segment torques cancel).
 The friction is stiff, so the three velocities are solved implicitly with the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977), Newton's method in each stage.
 """
@@ -40,7 +41,7 @@ _viscous = njit(cache=True)(friction.viscous)
 
 
 @njit(cache=True)
-def _law(law, v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]
+def friction_law(law, v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]
     """Return force and slopes by the law's number in `friction.LAWS`."""
     if law == 0:
         return _axis(v_t, v_n, load, mu_t, mu_n, slip)
@@ -135,7 +136,7 @@ def floor_forces(body, mass, u, law, track, mu_t, mu_n, slip, force, total, slop
         force[i, 0] = force[i, 1] = 0.0
         for side in range(contacts):
             arm = 0.0 if contacts == 1 else (track if side == 0 else -track)
-            f_t, f_n, tt, tn, nt, nn = _law(law, along - spin * arm, across, load, mu_t, mu_n, slip)
+            f_t, f_n, tt, tn, nt, nn = friction_law(law, along - spin * arm, across, load, mu_t, mu_n, slip)
             # Rows: how the contact's velocity along and across depends on u; by d'Alembert the same rows
             # carry its force into the net force and moment.
             along_w = -py * c + px * s - arm

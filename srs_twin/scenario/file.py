@@ -121,7 +121,10 @@ class _PlantFile(Strict):
 class AnalyticalFile(_PlantFile):
     """The dissertation's planar model."""
 
-    model: Literal["complete"] = section("Which of the text's models.", "complete")
+    model: Literal["complete", "compliant"] = section(
+        "complete: bends as the actuators give them; compliant: bends that load and inertia deflect.",
+        "complete",
+    )
     friction: Literal["axis", "wheel", "viscous"] = section(
         "Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, "
         "viscous: a law for tests.",

@@ -41,7 +41,7 @@ class AnalyticalSettings:
         gaps: whether the robot's rigid gaps are part of the body.
         timestep: s.
         tick: s.
-        model: "complete".
+        model: "complete" or "compliant".
         friction: "axis", "wheel" or "viscous".
         slip_speed: m/s.
     """
