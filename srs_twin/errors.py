@@ -7,6 +7,7 @@ what is allowed, what was probably meant. The command line prints it and exits w
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -43,7 +44,7 @@ class TimeStepError(InputError):
         whole = max(1, round(period_s / step_s))
         super().__init__(
             f"{name} {period_s:g} s is no multiple of {step_name} {step_s:g} s; "
-            f"{whole * step_s:g} s or {step_name} {period_s / whole:g} s would be"
+            f"{whole * step_s:g} s or {step_name} {_round_part(period_s, step_s):g} s would be"
         )
 
 
@@ -75,6 +76,13 @@ class DivergedError(SrsError):
         self.trajectory: Any = None
 
 
+def _round_part(period_s: float, step_s: float) -> float:
+    """Return the longest whole part of a period, up to a step, that a person can write out."""
+    fewest = max(1, math.ceil(period_s / step_s))
+    parts = (period_s / n for n in range(fewest, 20 * fewest))
+    return next((part for part in parts if math.isclose(float(f"{part:.4g}"), part, rel_tol=1e-12)), period_s)
+
+
 def did_you_mean(given: str, available: Iterable[str]) -> str:
     """Return '; did you mean X?' for the closest available name, or an empty string."""
     close = difflib.get_close_matches(given, list(available), n=1, cutoff=0.6)
@@ -92,7 +100,11 @@ def whole_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
 
     Raises:
         TimeStepError: the ratio is not a whole number (relative tolerance 1e-9).
+        InputError: one of them is not finite or not above 0.
     """
+    for what, value in ((name, period_s), (step_name, step_s)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{what} {value!r} s is not allowed; it must be finite and above 0")
     ratio = period_s / step_s
     steps = round(ratio)
     if steps < 1 or abs(ratio - steps) > 1e-9 * max(1.0, ratio):

@@ -87,9 +87,6 @@ class PreparedRun:
         Raises:
             InputError: a file cannot be written.
         """
-        self._clear()
-        with atomic_write(self.folder / RESOLVED) as path:
-            path.write_text(dump_yaml(self.scenario.document), "utf-8")
         trajectories: dict[str, Trajectory] = {}
         walls: dict[str, float] = {}
         diverged: list[DivergedError] = []
@@ -101,8 +98,13 @@ class PreparedRun:
                 diverged.append(self._located(kind, error))
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
+        # Only now: an interrupted run leaves what an earlier one wrote.
+        self._clear()
+        with atomic_write(self.folder / RESOLVED) as path:
+            path.write_text(dump_yaml(self.scenario.document), "utf-8")
+        for kind, trajectory in trajectories.items():
             with atomic_write(self.folder / f"{kind}.parquet") as path:
-                trajectories[kind].to_parquet(path)
+                trajectory.to_parquet(path)
         if diverged:
             return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
         return self._measure(trajectories, walls)

@@ -61,7 +61,9 @@ def test_metrics_follow_from_the_trajectories(compared):
     keys = ["scenario", "robot", "plants", "comparison", "expectations", "versions"]
     assert list(metrics) == keys
     assert (metrics["scenario"], metrics["robot"]) == ("short", "gen2")
-    assert set(metrics["versions"]) == {"srs_twin", "mujoco", "numpy", "python"}
+    assert set(metrics["versions"]) == {
+        "srs_twin", "mujoco", "dm-control", "numpy", "scipy", "numba", "python",
+    }  # fmt: skip
     speeds = {}
     for plant in ("analytical", "twin"):
         run = Trajectory.from_parquet(room / f"out/{plant}.parquet")
@@ -173,16 +175,19 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     words = ["run", write(tmp_path, "brief", brief), write(tmp_path, "long", long.split("expect:")[0])]
     script = str(Path(sys.executable).with_name("srs-twin"))
     child = subprocess.Popen([script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    started, deadline = tmp_path / "runs/long/scenario.resolved.yaml", time.monotonic() + 120
+    started, deadline = tmp_path / "runs/brief/metrics.json", time.monotonic() + 120
     while not started.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
+    (kept := tmp_path / "runs/long/metrics.json").write_text("of an earlier run")
+    time.sleep(1.0)
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=60)
     assert child.returncode == 130, said
     assert "interrupted; finished before: runs/brief" in said
     assert "Traceback" not in said
     assert (tmp_path / "runs/brief/metrics.json").is_file()
-    assert [path.name for path in (tmp_path / "runs/long").iterdir()] == ["scenario.resolved.yaml"]
+    assert [path.name for path in (tmp_path / "runs/long").iterdir()] == [kept.name]
+    assert kept.read_text() == "of an earlier run"
 
 
 @pytest.mark.parametrize(

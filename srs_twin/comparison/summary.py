@@ -8,6 +8,7 @@ from typing import Any
 RELATIVE = {"com_speed_m_s", "turning_radius_m", "path_length_m", "mean_bend_amplitude_rad"}
 """Metrics whose difference is given over the analytical value; of others in their own unit."""
 
+_TURNING_RAD_S = 0.01  # below it a snake goes straight, and a share of its yaw rate means nothing
 _NOT_COMPARED = {"wall_s", "realtime_factor"}  # how long a computer took tells the plants nothing
 
 
@@ -24,9 +25,14 @@ def difference(plants: Mapping[str, Mapping[str, Any]], metric: str) -> str:
     ours, theirs = (plants.get(plant, {}).get(metric) for plant in ("analytical", "twin"))
     if metric in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
         return ""
+    apart = f"{theirs - ours:+.3g}"
+    # A share of nothing, or of the other direction, says nothing.
+    share = f"{100 * (theirs - ours) / ours:+.1f} %" if ours * theirs > 0 else ""
     if metric in RELATIVE:
-        return f"{100 * (theirs - ours) / ours:+.1f} %" if ours else ""
-    return f"{theirs - ours:+.3g}"
+        return share or apart
+    if metric == "yaw_rate_rad_s" and abs(ours) > _TURNING_RAD_S:
+        return f"{apart} ({share})" if share else apart
+    return apart
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:

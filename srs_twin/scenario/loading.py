@@ -54,6 +54,8 @@ def _scenario(document: Document, name: str) -> Scenario:
     warnings = _overpressure(document, robot) if robot else []
     if file:
         _check_times(document, file)
+        if robot:
+            _check_damping(document, file, robot)
         _check_expectations(document, file)
     document.finish(foreign)
     assert file is not None and robot is not None, "no problem was reported"
@@ -108,6 +110,19 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
                 whole_steps("recording interval", interval, f"the {kind} plant's time step", plant.timestep_s)
         except TimeStepError as error:
             document.report((key,), str(error))
+
+
+def _check_damping(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`)."""
+    bending = robot.bending
+    shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
+    twin = file.plants.twin
+    if twin is not None and not twin.timestep_s < shortest:
+        document.report(
+            ("plants", "twin", "timestep_s"),
+            f"{twin.timestep_s:g} s is too long for a robot whose damping times reach down to {shortest:g} s "
+            "(bending.damping_time_s, out_of_plane_damping_time_s); it must be shorter",
+        )
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:
