@@ -89,10 +89,13 @@ class LagPneumatics:
                 f"valves have shape {np.shape(valves)}; allowed: ({self._segments}, 2) or "
                 f"(slots, {self._segments}, 2)"
             )
-        if not np.isin(commands, self._states).all():
-            wrong = commands[~np.isin(commands, self._states)][0]
+        possible = commands == self._states[0]
+        for state in self._states[1:]:
+            possible |= commands == state
+        if not possible.all():
             raise InputError(
-                f"valve state {wrong} is not possible with layout {self._layout}; allowed: {self._states}"
+                f"valve state {commands[~possible][0]} is not possible with layout {self._layout}; "
+                f"allowed: {self._states}"
             )
         return commands.astype(np.int8)
 

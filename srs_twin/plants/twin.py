@@ -88,11 +88,12 @@ class SnakePhysics(dm.Physics):
         times = span * np.arange(nstep) / nstep
         controls = self._pneumatics.advance(self._valves, span, times).pressure.reshape(nstep, -1)
         force = np.zeros(model.nsensordata)
+        chambers, floor = data.ctrl[: controls.shape[1]], data.sensordata
         with self.check_invalid_state():
             for row in controls:
-                data.ctrl[: row.size] = row
+                chambers[:] = row
                 mujoco.mj_step(model, data)
-                force += data.sensordata
+                force += floor
             # Positions and velocities of the end of the step, not of its beginning.
             mujoco.mj_step1(model, data)
         self._floor_force = force.reshape(self._floor_force.shape) / nstep
