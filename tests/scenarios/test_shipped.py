@@ -10,6 +10,9 @@ from srs_twin.running import run_scenario
 
 # Missed, and why as far as known. Whoever changes what is met changes this table, on purpose.
 MISSED = {
+    # The shipped robot's compliance: docs/models.md switches it on step by step.
+    "gen2_straight": {("comparison", "com_speed_rel")},
+    "gen2_turn": {("comparison", "yaw_rate_abs")},
     # Very sensitive to amplitude and stiffness, both estimates; no first-principles model here is as slow.
     "gen1_straight": {("twin", "com_speed_m_s")},
     # The gap is an estimate, and without it both plants reach the published speed.
