@@ -72,7 +72,7 @@ def spinning_speed(run: Run, inertia_factor: float) -> float:
     state, spin = np.zeros(6), np.zeros((g.connectors, 2))
     path = [state[:2].copy()]
     for tick in range(round(DURATION_S / TICK_S)):
-        trace = chambers.advance(chambers.slots(gait.valves_at(tick * TICK_S)), TICK_S, times)
+        trace = chambers.advance(chambers.schedule(gait.valves_at(tick * TICK_S), TICK_S), times)
         advance(
             state, spin, trace.bend, trace.bend_rate, spec.mass.array(), g.segment_length, g.rigid_gap,
             g.half_track, g.wheel_radius, inertia, spec.friction.mu_t, spec.friction.mu_n,
