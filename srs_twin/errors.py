@@ -65,14 +65,16 @@ class DivergedError(SrsError):
 
     Attributes:
         time: simulated time at which it was found, s.
+        history: the samples of the unfinished stretch before it, or None.
         trajectory: what was recorded up to there (set by `rollout`), or None.
     """
 
     exit_code = 3
 
-    def __init__(self, plant: str, time: float, what: str) -> None:
+    def __init__(self, plant: str, time: float, what: str, *, history: Any = None) -> None:
         super().__init__(f"{plant} diverged at t = {time:.4g} s: {what}")
         self.time = time
+        self.history = history
         self.trajectory: Any = None
 
 

@@ -10,6 +10,10 @@ any shape will do, and compiled by the kernels.
 - `wheel`: a contact of friction coefficient μ_n that rolls: its axial force is what the axle's drag μ_t
   lets through and never more than the sliding cone gives,
   f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t; the rest of the cone acts across.
+- `ellipse`: maximum dissipation, a skid that slides: of all forces in the ellipse
+  (f_t/μ_t)² + (f_n/μ_n)² ≤ N² the one that takes most power out of the slip,
+  f = −N (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). One root for both directions, so one slip speed: ε
+  for the direction of the greater coefficient μ, by adding μ² ε² under the root.
 - `viscous`: linear drag, f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s; a law to test with.
 """
 
@@ -17,8 +21,13 @@ from __future__ import annotations
 
 import numpy as np
 
-LAWS = ("axis", "wheel", "viscous")
+LAWS = ("axis", "wheel", "viscous", "ellipse")
 """Names, in the order in which the kernels number them."""
+
+AT_TRACK = ("wheel", "ellipse")
+"""Laws that act in two points a connector, at ± half the track; the others act in one, on its centre line."""
+
+_LEAST_MU = 1e-12
 
 
 def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
@@ -71,3 +80,22 @@ def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
     none = 0.0 * v_t
     k_t, k_n = load * mu_t, load * mu_n
     return -k_t * v_t, -k_n * v_n, none - k_t, none, none, none - k_n
+
+
+def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return force (N) and slopes (N·s/m) of the `ellipse` law. Arguments as in `axis`."""
+    w_t, w_n = mu_t * mu_t, mu_n * mu_n
+    # Without a least coefficient a frictionless contact would divide 0 by 0.
+    smooth = slip * np.maximum(np.maximum(mu_t, mu_n), _LEAST_MU)
+    s2 = w_t * v_t * v_t + w_n * v_n * v_n + smooth * smooth
+    s = np.sqrt(s2)
+    steep = load / (s2 * s)
+    both = steep * w_t * w_n * v_t * v_n
+    return (
+        -load * w_t * v_t / s,
+        -load * w_n * v_n / s,
+        -steep * w_t * (s2 - w_t * v_t * v_t),
+        both,
+        both,
+        -steep * w_n * (s2 - w_n * v_n * v_n),
+    )

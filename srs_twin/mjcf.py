@@ -1,63 +1,29 @@
-r"""RobotSpec → MuJoCo model: the only place that builds MJCF.
+r"""RobotSpec → MuJoCo model: the chain of connectors and segments, and the floor it crawls on.
 
-A free-floating chain in three dimensions. Connector i is a body with two real hinge wheels; a segment is
-a chain of n equal bending hinges (stiffness n·k and damping n·c each, in series k and c) with one pitch
-and one roll hinge in its middle, so that the floor's load is shared. Chamber pressures are the controls,
-in Pa: actuators ``plus_j`` and ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose
-length is the segment's bend q_j.
+A free-floating chain in three dimensions, grown both ways from its middle connector. Connector i is a body
+with two real hinge wheels or two skids (`mjcf_wheels`); a segment is a chain of n equal bending hinges
+(stiffness n·k and damping n·c each, in series k and c) with one pitch and one roll hinge in its middle, so
+that the floor's load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
+``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose length is the segment's bend q_j.
 
 Where the hinges stand: with n hinges that share a bend q equally, n ≥ 2, the chord agrees with the arc's
 l·sin(q/2)/(q/2) through order q² when the first and last lie 1/(2(n+1)) of the length from the ends and
 the others evenly between them.
-
-Friction: wheels touch the floor as spheres, one contact each straight below the axle, isotropic with μ_n;
-the axle's `frictionloss` is μ_t × load × radius. Contacts are explicit pairs, which name the floor, so
-they belong to the scene and not to the robot.
-
-Preload: MuJoCo's contact is convex, which lifts a sliding wheel off the floor; left alone, a snake's wheels
-are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``, which
-take no control, push every axle down with κ times its static load, and the pairs' coefficient is
-μ_n/(1 + κ): the friction of the static load, as in the analytical models, from a contact that stays closed.
-Floor forces less the preload are the true loads, at rest within 6 %. docs/models.md says what it costs.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.mjcf_classes import ROOT, add_classes, drawn_height
+from srs_twin.mjcf_classes import add_classes, drawn_height
+from srs_twin.mjcf_numerics import Numerics
 from srs_twin.mjcf_surroundings import add_surroundings
-from srs_twin.spec import GRAVITY, RobotSpec
+from srs_twin.mjcf_wheels import add_contacts, add_feet, add_preload, add_wheels, fixed_inertia
+from srs_twin.spec import GRAVITY, GYRATION, RobotSpec
 
-_NET_FORCE = 3  # contact sensor: sum over the contacts found
 _LINK_SHARE = 0.02  # of a segment's share of mass; the text lumps all of it at the connectors
-_GYRATION = 0.005  # m, of a connector about its own centre: near the text's point mass
-
-
-@dataclass(frozen=True)
-class Numerics:
-    """What belongs to the simulation and not to the robot.
-
-    Attributes:
-        timestep: s.
-        hinges_per_segment: bending hinges a segment, 1 or more.
-        contact_time: time constant of the normal contact, s.
-        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
-        axle_time: the same for the axles' friction, s.
-        preload: κ, by how many times its static load each wheel is pressed down besides; 0: none.
-    """
-
-    timestep: float = 0.001
-    hinges_per_segment: int = 4
-    contact_time: float = 0.0014
-    slip_time: float = 0.0003
-    axle_time: float = 0.002
-    preload: float = 19.0
 
 
 def hinge_places(hinges: int) -> np.ndarray:
@@ -93,28 +59,23 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     mj.compiler.autolimits = True
     _set_options(mj, numerics)
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
-    add_classes(
-        mj, spec, hinges=numerics.hinges_per_segment, timestep=numerics.timestep,
-        axle_time=numerics.axle_time, limit_pa=limit,
-    )  # fmt: skip
-    body = mj.worldbody.add_body(
-        name="connector_1", pos=[spec.geometry.body_length / 2, 0, spec.geometry.com_height]
-    )
-    body.add_freejoint(name="root")
-    _add_connector(mj, body, spec, 1, numerics)
-    for j in range(1, spec.segments + 1):
-        body = _add_segment(mj, body, spec, j, numerics)
-        _add_connector(mj, body, spec, j + 1, numerics)
+    add_classes(mj, spec, numerics, limit_pa=limit)
+    middle = root_connector(spec)
+    place = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
+    root = mj.worldbody.add_body(name=f"connector_{middle}", pos=[place, 0, spec.geometry.com_height])
+    root.add_freejoint(name="root")
+    _add_connector(mj, root, spec, middle, numerics)
+    for step, end in ((1, spec.geometry.connectors), (-1, 1)):
+        body = root
+        for i in range(middle, end, step):
+            body = _add_segment(mj, body, spec, i, i + step, numerics)
+            _add_connector(mj, body, spec, i + step, numerics)
     for j in range(1, spec.segments + 1):
         _add_muscles(mj, j, numerics)
-    _add_preload(mj, spec, numerics)
+    add_preload(mj, spec, numerics)
+    add_feet(mj, spec)
     _add_home(mj)
     return mj
-
-
-def preload_force(spec: RobotSpec, numerics: Numerics) -> np.ndarray:
-    """Return the force that presses each wheel down besides its load, head first, shape (N, 2), N."""
-    return np.repeat(numerics.preload * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
 
 
 def scene_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None) -> mujoco.MjSpec:
@@ -124,34 +85,18 @@ def scene_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     """
     mj = robot_mjcf(spec, numerics, supply_pa=supply_pa)
     add_surroundings(mj, spec.geometry.body_length)
-    pair = mj.add_default("wheel_on_floor", mj.default)
-    for name, value in contact(spec, numerics).items():
-        setattr(pair.pair, name, value)
-    force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
-    for tread in treads(spec):
-        mj.add_pair(pair, name=tread, geomname1="floor", geomname2=tread)
-        mj.add_sensor(
-            name=f"floor_force_{tread}", type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_GEOM, objname="floor",
-            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=tread, intprm=[force, _NET_FORCE, 1],
-        )  # fmt: skip
+    add_contacts(mj, spec, numerics)
     return mj
 
 
-def treads(spec: RobotSpec) -> list[str]:
-    """Return the names of the wheels' contact geoms: head first, left before right."""
-    return [f"tread_{side}_{i}" for i in range(1, spec.geometry.connectors + 1) for side in ("left", "right")]
+def root_connector(spec: RobotSpec) -> int:
+    """Return which connector carries the free joint: the middle one.
 
-
-def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
-    """Return the attributes of a wheel-floor pair."""
-    mu = spec.friction.mu_n / (1 + numerics.preload)
-    return {
-        "condim": 3,
-        "friction": [mu, mu, 0.005, 0.0001, 0.0001],
-        "solref": [numerics.contact_time, 1],
-        "solreffriction": [numerics.slip_time, 1],
-    }
+    From there no contact is further away than half of the chain, which makes a step a third cheaper than
+    from the head, and the integrator, which evaluates inertia at the beginning of a step, errs a fifth as
+    much in the mean speed.
+    """
+    return (spec.geometry.connectors + 1) // 2
 
 
 def _set_options(mj: mujoco.MjSpec, numerics: Numerics) -> None:
@@ -163,15 +108,23 @@ def _set_options(mj: mujoco.MjSpec, numerics: Numerics) -> None:
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
-    option.tolerance = 1e-10
+    # Gait speeds move by less than 0.01 % from 1e-10 to 1e-4; at rest 1e-7 leaves speeds below 1e-5 m/s.
+    option.tolerance = 1e-7
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _set_inertia(body: mujoco.MjsBody, mass: float) -> None:
-    """Give a body a compact mass at its origin."""
-    body.mass = mass
-    body.ipos = [0, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
-    body.inertia = [mass * _GYRATION**2] * 3
+def _set_inertia(
+    body: mujoco.MjsBody,
+    mass: float,
+    added_mass: float = 0.0,
+    added: np.ndarray | float = 0.0,
+    *,
+    x: float = 0.0,
+) -> None:
+    """Give a body a compact mass at x (m), and what is fixed to it there."""
+    body.mass = mass + added_mass
+    body.ipos = [x, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
+    body.inertia = np.full(3, mass * GYRATION**2) + added
     body.explicitinertial = True
 
 
@@ -188,53 +141,50 @@ def _add_connector(
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     neighbours = (i > 1) + (i < g.connectors)
     links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
-    _set_inertia(body, mass - 2 * spec.mass.wheel - links)
+    _set_inertia(body, mass - 2 * spec.mass.wheel - links, *fixed_inertia(spec, numerics))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
-    spin = spec.mass.wheel * g.wheel_radius**2 / 2
-    for side, sign in (("left", 1), ("right", -1)):
-        wheel = body.add_body(
-            name=f"wheel_{side}_{i}", pos=[0, sign * g.half_track, g.wheel_radius - g.com_height],
-            mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=[spin / 2, spin, spin / 2], explicitinertial=True,
-        )  # fmt: skip
-        wheel.add_joint(
-            mj.find_default("axle"), name=f"axle_{side}_{i}",
-            frictionloss=spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius,
-        )  # fmt: skip
-        wheel.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}")
-        wheel.add_geom(mj.find_default("rim"), name=f"rim_{side}_{i}")
+    add_wheels(mj, body, spec, i, numerics)
 
 
 def _add_segment(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, j: int, numerics: Numerics
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, near: int, far: int, numerics: Numerics
 ) -> mujoco.MjsBody:
-    """Grow segment j tailwards from connector j; return the body of connector j + 1.
+    """Grow the segment between two neighbouring connectors from the near one; return the far one's body.
 
-    Each hinge carries the body behind it; the last one carries the next connector. Stations are distances
-    behind connector j of a straight segment.
+    Each hinge carries the body beyond it; the last one carries the far connector. Stations are distances
+    from the near connector of a straight segment. Names count from the head whichever way it grows.
     """
-    g, n = spec.geometry, numerics.hinges_per_segment
+    g, n, j = spec.geometry, numerics.hinges_per_segment, min(near, far)
+    ahead = near - far  # which way it grows along x, ±1
+    names = [f"{j}_{k}" for k in range(n + 1)][::-ahead]  # of the pieces between the hinges
     hinges = g.rigid_gap / 2 + g.segment_length * hinge_places(n)
     origins = np.append(hinges[:-1], g.pitch)
-    middle = n // 2
-    _add_skin(mj, body, spec, f"skin_{j}_0", 0.0, -hinges[0])
+    _add_skin(mj, body, spec, f"skin_{names[0]}", 0.0, ahead * hinges[0])
     parent_origin = 0.0
     for k in range(n):
         last = k == n - 1
-        name = f"connector_{j + 1}" if last else f"link_{j}_{k + 1}"
-        body = body.add_body(name=name, pos=[parent_origin - origins[k], 0, 0])
+        name = f"connector_{far}" if last else f"link_{names[k + 1]}"
+        body = body.add_body(name=name, pos=[ahead * (origins[k] - parent_origin), 0, 0])
         parent_origin = origins[k]
-        anchor = origins[k] - hinges[k]
-        body.add_joint(mj.find_default("hinge"), name=f"hinge_{j}_{k + 1}", pos=[anchor, 0, 0])
-        if k == middle:
+        anchor = ahead * (hinges[k] - origins[k])
+        _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
+        if k == n // 2:
             for kind in ("pitch", "roll"):
-                centre = origins[k] - g.pitch / 2
-                body.add_joint(mj.find_default(kind), name=f"{kind}_{j}", pos=[centre, 0, 0])
+                _add_joint(mj, body, kind, f"{kind}_{j}", ahead * (g.pitch / 2 - origins[k]), ahead)
         if last:
-            _add_skin(mj, body, spec, f"skin_{j}_{k + 1}", anchor, 0.0)
+            _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
         else:
-            _set_inertia(body, _link_mass(spec, numerics))
-            _add_skin(mj, body, spec, f"skin_{j}_{k + 1}", 0.0, hinges[k] - hinges[k + 1])
+            end = ahead * (hinges[k + 1] - hinges[k])
+            _set_inertia(body, _link_mass(spec, numerics), x=end / 2)
+            _add_skin(mj, body, spec, f"skin_{names[k + 1]}", 0.0, end)
     return body
+
+
+def _add_joint(mj: mujoco.MjSpec, body: mujoco.MjsBody, kind: str, name: str, x: float, ahead: int) -> None:
+    """Add a joint at x (m); where the chain grows ahead its axis is turned round, so that signs stay."""
+    joint = body.add_joint(mj.find_default(kind), name=name, pos=[x, 0, 0])
+    if ahead > 0:
+        joint.axis = [-component for component in joint.axis]
 
 
 def _add_skin(
@@ -258,23 +208,8 @@ def _add_muscles(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
         actuator.gainprm[0] *= sign
 
 
-def _add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
-    """Press each axle down with a constant force along the world's z."""
-    mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
-    for i, force in enumerate(preload_force(spec, numerics).sum(axis=1), start=1):
-        g = spec.geometry
-        mj.body(f"connector_{i}").add_site(
-            mj.find_default(ROOT), name=f"axle_{i}", pos=[0, 0, g.wheel_radius - g.com_height]
-        )
-        actuator = mj.add_actuator(
-            mj.find_default("press"), name=f"press_{i}", target=f"axle_{i}",
-            trntype=mujoco.mjtTrn.mjTRN_SITE, refsite="origin",
-        )  # fmt: skip
-        actuator.biasprm[0] = -force
-
-
 def _add_home(mj: mujoco.MjSpec) -> None:
     """Add keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
-    root = mj.body("connector_1")
+    root = mj.worldbody.first_body()
     others = [0.0] * (len(mj.joints) - 1)  # each of them a hinge
     mj.add_key(name="home", qpos=[*root.pos, 1, 0, 0, 0, *others], ctrl=[0.0] * len(mj.actuators))

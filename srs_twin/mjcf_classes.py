@@ -10,40 +10,32 @@ import math
 
 import mujoco
 
+from srs_twin.mjcf_numerics import Numerics
 from srs_twin.spec import RobotSpec
 
 ROOT = "snake"
 _SOFT, _HARD, _RUBBER = [0.93, 0.66, 0.42, 1], [0.2, 0.23, 0.28, 1], [0.07, 0.07, 0.08, 1]
 _DRAWN, _TOUCHING, _HIDDEN = 2, 3, 5  # geom and site groups; viewers show 0 to 2
 _FLANGE = 1.08  # radius of a connector's disc over that of the body
+_RUNNER = 0.25  # radius of a skid's runner over that of a wheel
 _CLEARANCE = 0.001  # m, of the drawn body above the floor
 
 
-def add_classes(
-    mj: mujoco.MjSpec,
-    spec: RobotSpec,
-    *,
-    hinges: int,
-    timestep: float,
-    axle_time: float,
-    limit_pa: float,
-) -> None:
+def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics, *, limit_pa: float) -> None:
     """Add the classes of a robot.
 
     Args:
         mj: the model to add them to.
         spec: the robot.
-        hinges: bending hinges a segment.
-        timestep: s.
-        axle_time: time constant with which the axles' friction stops them, s.
+        numerics: time step, discretisation, wheels.
         limit_pa: upper end of the chambers' controls, Pa.
     """
     root = mj.add_default(ROOT, mj.default)
     root.geom.contype = root.geom.conaffinity = 0
     root.geom.mass = 0
     root.site.group = _HIDDEN
-    _add_joints(mj, root, spec, hinges, timestep, axle_time)
-    _add_geoms(mj, root, spec)
+    _add_joints(mj, root, spec, numerics)
+    _add_geoms(mj, root, spec, numerics)
     muscle = mj.add_default("muscle", root).actuator
     muscle.ctrllimited, muscle.ctrlrange = True, [0, limit_pa]
     muscle.gainprm[0] = spec.bending.stiffness * spec.actuator.gain
@@ -52,6 +44,11 @@ def add_classes(
     press.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     press.gainprm[0] = 0.0
     press.ctrllimited, press.ctrlrange = True, [0, 1]
+
+
+def foot_radius(spec: RobotSpec, numerics: Numerics) -> float:
+    """Return the radius of the spheres that touch the floor: wheels or the lower ends of runners, m."""
+    return spec.geometry.wheel_radius * (1.0 if numerics.wheels == "rolling" else _RUNNER)
 
 
 def drawn_radius(spec: RobotSpec) -> float:
@@ -64,14 +61,7 @@ def drawn_height(spec: RobotSpec) -> float:
     return max(0.0, round(drawn_radius(spec) * _FLANGE + _CLEARANCE - spec.geometry.com_height, 6))
 
 
-def _add_joints(
-    mj: mujoco.MjSpec,
-    root: mujoco.MjsDefault,
-    spec: RobotSpec,
-    hinges: int,
-    timestep: float,
-    axle_time: float,
-) -> None:
+def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, numerics: Numerics) -> None:
     """Add the joints' classes.
 
     The integrator takes a spring at the end of its step, which damps like h·k besides; that much is taken
@@ -79,26 +69,24 @@ def _add_joints(
     """
     bending = spec.bending
     for name, axis, stiffness, time in (
-        ("hinge", [0, 0, -1], hinges * bending.stiffness, bending.damping_time),
+        ("hinge", [0, 0, -1], numerics.hinges_per_segment * bending.stiffness, bending.damping_time),
         ("pitch", [0, 1, 0], bending.pitch_stiffness, bending.out_of_plane_damping_time),
         ("roll", [1, 0, 0], bending.roll_stiffness, bending.out_of_plane_damping_time),
     ):
         joint = mj.add_default(name, root).joint
         joint.axis = axis
         joint.stiffness[0] = stiffness
-        joint.damping[0] = stiffness * (time - timestep)
-    axle = mj.add_default("axle", root).joint
-    axle.axis = [0, 1, 0]
-    axle.solref_friction = [axle_time, 1]
+        joint.damping[0] = stiffness * (time - numerics.timestep)
+    if numerics.wheels == "rolling":
+        axle = mj.add_default("axle", root).joint
+        axle.axis = [0, 1, 0]
+        axle.solref_friction = [numerics.axle_time, 1]
 
 
-def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec) -> None:
-    g = spec.geometry
-    upright, across = [math.sqrt(0.5), 0, math.sqrt(0.5), 0], [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
-    tread = mj.add_default("tread", root).geom
-    tread.type, tread.size, tread.group = mujoco.mjtGeom.mjGEOM_SPHERE, [g.wheel_radius, 0, 0], _TOUCHING
+def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, numerics: Numerics) -> None:
+    _add_feet(mj, root, spec, numerics)
+    upright = [math.sqrt(0.5), 0, math.sqrt(0.5), 0]
     for name, kind, size, quat, rgba in (
-        ("rim", mujoco.mjtGeom.mjGEOM_CYLINDER, [g.wheel_radius, 0.2 * g.wheel_radius, 0], across, _RUBBER),
         ("skin", mujoco.mjtGeom.mjGEOM_CAPSULE, [drawn_radius(spec), 0, 0], None, _SOFT),
         ("plate", mujoco.mjtGeom.mjGEOM_CYLINDER, [_FLANGE * drawn_radius(spec), 0.003, 0], upright, _HARD),
     ):
@@ -106,3 +94,17 @@ def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec) -> N
         geom.type, geom.size, geom.rgba, geom.group = kind, size, rgba, _DRAWN
         if quat is not None:
             geom.quat = quat
+
+
+def _add_feet(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, numerics: Numerics) -> None:
+    """Add class ``tread``, what touches the floor: the runner of a skid, or a sphere drawn as a ``rim``."""
+    tread = mj.add_default("tread", root).geom
+    tread.size = [foot_radius(spec, numerics), 0, 0]
+    if numerics.wheels == "skid":
+        tread.type, tread.group, tread.rgba = mujoco.mjtGeom.mjGEOM_CAPSULE, _DRAWN, _RUBBER
+        return
+    tread.type, tread.group = mujoco.mjtGeom.mjGEOM_SPHERE, _TOUCHING
+    radius, across = spec.geometry.wheel_radius, [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
+    rim = mj.add_default("rim", root).geom
+    rim.type, rim.size, rim.quat = mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, 0.2 * radius, 0], across
+    rim.rgba, rim.group = _RUBBER, _DRAWN

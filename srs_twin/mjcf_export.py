@@ -13,7 +13,8 @@ from xml.dom import minidom
 import mujoco
 
 from srs_twin.files import atomic_write
-from srs_twin.mjcf import Numerics, robot_mjcf, scene_mjcf
+from srs_twin.mjcf import robot_mjcf, scene_mjcf
+from srs_twin.mjcf_numerics import Numerics
 from srs_twin.spec import RobotSpec
 
 SCENE = "scene.xml"

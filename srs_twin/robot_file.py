@@ -6,13 +6,14 @@ number copied from a table with another unit is refused. The published robots ar
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag
 
 from srs_twin.documents import Loc
-from srs_twin.spec import WHEEL_SHARE, Actuator, Bending, Friction, Geometry, Mass, RobotSpec, Supply
+from srs_twin.spec import WHEEL_SHARE, Actuator, Bending, Chamber, Friction, Geometry, Mass, RobotSpec, Supply
 from srs_twin.validation import Strict
 
 Status = Literal["measured", "calibrated", "estimated"]
@@ -20,6 +21,7 @@ Value = TypeVar("Value")
 Unit = TypeVar("Unit")
 
 PA_PER_KPA = 1000.0
+M3_PER_ML = 1e-6
 
 
 class Record(Strict, Generic[Value, Unit]):
@@ -138,6 +140,17 @@ class ActuatorFile(Strict):
     )
 
 
+class ChamberFile(Strict):
+    """Air space of one chamber."""
+
+    dead_volume_ml: Record[Annotated[float, between(0.1, 10_000.0)], Literal["ml"]] = Field(
+        description="Volume of a straight segment's chamber with its tube, ml, 0.1 to 10000."
+    )
+    air_volume_ml: Record[Annotated[float, between(0.1, 10_000.0)], Literal["ml"]] = Field(
+        description="Volume by which a chamber grows up to a bend of 90 degrees, ml, 0.1 to 10000."
+    )
+
+
 class SupplyFile(Strict):
     """Gauge pressures."""
 
@@ -170,6 +183,7 @@ class RobotFile(Strict):
     friction: FrictionFile
     bending: BendingFile
     actuator: ActuatorFile
+    chamber: ChamberFile
     supply: SupplyFile
     gait: GaitFile
 
@@ -211,6 +225,10 @@ class RobotFile(Strict):
                 tau_vent=actuator.tau_vent_s.value,
                 tau_mode=actuator.tau_mode_s.value,
                 gain=actuator.bend_rad.value / (actuator.at_pressure_kpa.value * PA_PER_KPA),
+            ),
+            chamber=Chamber(
+                dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
+                displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
             ),
             supply=Supply(
                 nominal=supply.nominal_kpa.value * PA_PER_KPA,

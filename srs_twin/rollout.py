@@ -9,9 +9,11 @@ import numpy as np
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.plants.base import Plant, Pose, SnakeState
+from srs_twin.pneumatics.schedule import Schedule
 from srs_twin.trajectory import Event, Trajectory
 
 Observer = Callable[[SnakeState], None]
+Progress = Callable[[float], None]
 
 
 def rollout(
@@ -24,8 +26,12 @@ def rollout(
     record_hz: float = 100,
     until: Callable[[SnakeState], bool] | None = None,
     observers: Iterable[Observer] = (),
+    progress: Progress | None = None,
 ) -> Trajectory:
     """Run a plant under a controller from rest.
+
+    Where nothing looks on (`until`, `observers`), a controller that does not sense runs its whole script on
+    a plant that can follow one; otherwise they meet every tick.
 
     Args:
         plant: what moves.
@@ -37,6 +43,7 @@ def rollout(
             tick.
         until: ends the run after the tick in which it returns True.
         observers: called with the state at the start and after every tick.
+        progress: called now and then with the simulated time, s.
 
     Returns:
         The samples from t = 0 on; where `until` ends the run between two, its last state as well.
@@ -47,19 +54,70 @@ def rollout(
     """
     ticks = whole_steps("duration", duration, "tick", plant.tick)
     samples, stride = _sampling(plant.tick, record_hz)
-    watchers = tuple(observers)
     state = plant.reset(pose=pose, seed=seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
     recorder = _Recorder(plant, controller, record_hz, duration)
     recorder.add(state)
+    watchers = tuple(observers)
+    script = None if until is not None or watchers else controller.script(ticks * plant.tick)
+    try:
+        if script is None or not _follow(plant, script, ticks, samples, stride, recorder, progress):
+            _meet(plant, controller, ticks, samples, stride, recorder, state, until, watchers, progress)
+    except DivergedError as error:
+        if error.history is not None and len(error.history.time):
+            recorder.add(error.history)
+        error.trajectory = recorder.trajectory()
+        raise
+    return recorder.trajectory()
+
+
+def _follow(
+    plant: Plant,
+    script: Schedule,
+    ticks: int,
+    samples: int,
+    stride: int,
+    recorder: _Recorder,
+    progress: Progress | None,
+) -> bool:
+    """Let a plant follow a script; return whether it can.
+
+    Stretches are whole numbers of recorded ticks, the last one apart, whose unrecorded rest is only played.
+    """
+    stretch = max(1, round(plant.stretch / plant.tick / stride)) * stride
+    recorded = ticks - ticks % stride
+    begun = 0
+    while begun < ticks:
+        now = min(stretch, (recorded if begun < recorded else ticks) - begun)
+        part = script.part(begun * plant.tick, (begun + now) * plant.tick)
+        history = plant.play(part, now * samples // stride if begun < recorded else 1)
+        if history is None:
+            return False
+        if begun < recorded:
+            recorder.add(history)
+        begun += now
+        if progress is not None:
+            progress(begun * plant.tick)
+    return True
+
+
+def _meet(
+    plant: Plant,
+    controller: Controller,
+    ticks: int,
+    samples: int,
+    stride: int,
+    recorder: _Recorder,
+    state: SnakeState,
+    until: Callable[[SnakeState], bool] | None,
+    watchers: tuple[Observer, ...],
+    progress: Progress | None,
+) -> None:
+    """Let plant and controller meet every tick."""
     for watch in watchers:
         watch(state)
     for k in range(1, ticks + 1):
-        try:
-            states = plant.advance(controller.step(state), samples)
-        except DivergedError as error:
-            error.trajectory = recorder.trajectory()
-            raise
+        states = plant.advance(controller.step(state), samples)
         state = states[-1]
         ends = until is not None and until(state)
         if k % stride == 0 or ends:
@@ -68,9 +126,10 @@ def rollout(
         recorder.events.extend(controller.events())
         for watch in watchers:
             watch(state)
+        if progress is not None:
+            progress(k * plant.tick)
         if ends:
             break
-    return recorder.trajectory()
 
 
 def _sampling(tick: float, record_hz: float) -> tuple[int, int]:
@@ -91,32 +150,36 @@ class _Recorder:
     def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
         self._plant, self._controller = plant, controller
         self._about = {"record_hz": record_hz, "duration_s": duration}
-        self._states: list[SnakeState] = []
-        self._signals: list[dict[str, float]] = []
+        self._parts: list[SnakeState] = []
+        self._signals: list[tuple[int, dict[str, float]]] = []
         self.events: list[Event] = []
 
     def add(self, state: SnakeState) -> None:
-        self._states.append(state)
-        self._signals.append(_numbered(self._controller.signals()))
+        """Add a moment or a history, with the controller's signals of now."""
+        self._parts.append(state)
+        self._signals.append((np.size(state.time), _numbered(self._controller.signals())))
 
     def trajectory(self) -> Trajectory:
+        self._states = SnakeState.history(self._parts)
         columns = {"time": self._column("time")}
         columns |= _spread("com_", self._column("com"), "xy")
         columns["heading"] = self._column("heading")
         position = self._column("position")
         columns |= _spread("x_", position[..., 0]) | _spread("y_", position[..., 1])
-        for name in ("theta", "bend", "sensed"):
+        for name in ("theta", "bend", "sensed", "torque"):
             columns |= _spread(f"{name}_", self._column(name))
         for name, quantity in (("pressure", "pressure"), ("valve", "valves")):
             values = self._column(quantity)
             columns |= _spread(f"{name}_plus_", values[..., 0]) | _spread(f"{name}_minus_", values[..., 1])
-        for name in self._signals[0]:
-            columns[name] = np.array([s[name] for s in self._signals], dtype=float)
+        columns |= {name: self._column(name) for name in ("work", "air")}
+        counts = [count for count, _ in self._signals]
+        for name in self._signals[0][1]:
+            columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)
         columns |= _spread("qpos_", self._column("qpos"))
         return Trajectory(columns, events=tuple(self.events), metadata=self._metadata())
 
     def _column(self, name: str) -> np.ndarray:
-        return np.array([getattr(s, name) for s in self._states], dtype=float)
+        return np.asarray(getattr(self._states, name), dtype=float)
 
     def _metadata(self) -> dict[str, object]:
         plant = self._plant
@@ -125,6 +188,9 @@ class _Recorder:
             | self._about
             | {
                 "body_length_m": plant.spec.geometry.body_length,
+                "segment_length_m": plant.spec.geometry.segment_length,
+                "rigid_gap_m": plant.spec.geometry.rigid_gap,
+                "mass_kg": plant.spec.mass.total,
                 "controller": self._controller.kind,
                 "gait_frequency_hz": self._controller.frequency,
                 "valve_switches": plant.openings().tolist(),

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srs_twin import __version__
-from srs_twin.comparison.compare import compare
+from srs_twin.comparison.compare import Comparison, compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.documents import dump_yaml
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.files import atomic_write, shown
-from srs_twin.plants.base import Plant, SnakeState
+from srs_twin.plants.base import Plant
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
 
@@ -112,10 +112,10 @@ class PreparedRun:
     def _drive(self, kind: str, progress: Progress | None) -> Trajectory:
         plant, controller = self.parts[kind]
         scenario = self.scenario
-        observers = () if progress is None else (_Watcher(kind, scenario.duration, progress),)
+        watcher = None if progress is None else _Watcher(kind, scenario.duration, progress)
         trajectory = rollout(
             plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed,
-            record_hz=scenario.record_hz, observers=observers,
+            record_hz=scenario.record_hz, progress=watcher,
         )  # fmt: skip
         if progress is not None:
             progress(kind, 1.0)
@@ -136,7 +136,7 @@ class PreparedRun:
         # The plants' own robot: a scenario may have taken its gaps away.
         spec = [plant.spec for plant, _ in self.parts.values()][-1]
         both = all(plant in trajectories for plant in PLANTS)
-        comparison = compare(*(trajectories[plant] for plant in PLANTS)) if both else None
+        comparison = _compare(scenario, trajectories) if both else None
         metrics: dict[str, Any] = {
             "scenario": scenario.name,
             "robot": scenario.robot.name,
@@ -173,16 +173,21 @@ class PreparedRun:
                 raise InputError(f"{where}: cannot be replaced ({error.strerror})") from error
 
 
+def _compare(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> Comparison:
+    analytical, twin = (trajectories[plant] for plant in PLANTS)
+    return compare(analytical, twin, gap_factor=scenario.gap_factor)
+
+
 class _Watcher:
-    """Observer of a rollout: reports a plant's progress, a hundred times at most."""
+    """Reports a rollout's progress, a hundred times at most."""
 
     def __init__(self, kind: str, duration: float, progress: Progress) -> None:
         self._kind, self._duration, self._progress = kind, duration, progress
         self._told = 0
         progress(kind, 0.0)
 
-    def __call__(self, state: SnakeState) -> None:
-        part = state.time / self._duration
+    def __call__(self, time: float) -> None:
+        part = time / self._duration
         if self._told < int(100 * part) < 100:
             self._told = int(100 * part)
             self._progress(self._kind, part)

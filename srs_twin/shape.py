@@ -15,38 +15,39 @@ from __future__ import annotations
 
 import numpy as np
 
+_NEAR = 0.1  # rad: below it series, whose next terms are below 1e-16
 
-def chord(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
-    """Return the distance between the connectors of a bent segment, m.
+
+def chords(bend, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²), smooth through q = 0.
 
     Args:
-        bend: q, rad, any shape.
+        bend: q, rad, any shape; a number when compiled.
         length: l, m.
         gap: L_o, m.
     """
-    return length * np.sinc(bend / (2 * np.pi)) + gap * np.cos(bend / 2)
-
-
-def chord_slope(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
-    """Return dL/dq, m/rad; smooth through q = 0. Arguments as in `chord`."""
     # Blended by arithmetic, not np.where, so that the compiled scalar form is the same code.
-    near = 1.0 * (np.abs(bend) < 1e-2)
+    near = 1.0 * (np.abs(bend) < _NEAR)
+    far = 1.0 - near
     q = bend + near
-    far_slope = (np.cos(q / 2) - np.sinc(q / (2 * np.pi))) / q
-    # Next term of the series: q^7/11612160, below 1e-21 at |q| = 1e-2.
-    near_slope = -bend / 12 * (1 - bend**2 / 40 * (1 - bend**2 / 112))
-    return length * (near * near_slope + (1 - near) * far_slope) - gap / 2 * np.sin(bend / 2)
+    sine, cosine = np.sin(bend / 2), np.cos(bend / 2)
+    p = bend * bend
+    arc = far * 2 * sine / q + near * (1 - p / 24 * (1 - p / 80 * (1 - p / 168)))
+    slope = far * (cosine - arc) / q - near * bend / 12 * (1 - p / 40 * (1 - p / 112 * (1 - p / 216)))
+    curvature = -far * (arc / 4 + 2 * slope / q) - near / 12 * (
+        1 - 3 * p / 40 * (1 - 5 * p / 336 * (1 - 7 * p / 1080))
+    )
+    return (
+        length * arc + gap * cosine,
+        length * slope - gap / 2 * sine,
+        length * curvature - gap / 4 * cosine,
+    )
 
 
-def chord_curvature(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
-    """Return d²L/dq², m/rad²; smooth through q = 0. Arguments as in `chord`."""
-    near = 1.0 * (np.abs(bend) < 0.1)
-    q = bend + near
-    arc = np.sinc(q / (2 * np.pi))
-    far_curvature = -arc / 4 - 2 * (np.cos(q / 2) - arc) / q**2
-    # Next term of the series: -q^8/454164480, below 1e-16 at |q| = 0.1.
-    near_curvature = -1 / 12 + bend**2 / 160 - bend**4 / 10752 + bend**6 / 1658880
-    return length * (near * near_curvature + (1 - near) * far_curvature) - gap / 4 * np.cos(bend / 2)
+def chord(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
+    """Return the distance between the connectors of a bent segment, m. Arguments as in `chords`."""
+    distance: np.ndarray = chords(bend, length, gap)[0]
+    return distance
 
 
 def relative_headings(bend: np.ndarray) -> np.ndarray:

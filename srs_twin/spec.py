@@ -79,6 +79,9 @@ class Geometry:
         return self.segments * self.pitch
 
 
+GYRATION = 0.005
+"""Radius of gyration of a connector without its wheels, m: near the text's point mass."""
+
 WHEEL_SHARE = 0.9
 """Most of a connector's mass that its two wheels may make up."""
 
@@ -177,6 +180,22 @@ class Actuator:
 
 
 @dataclass(frozen=True)
+class Chamber:
+    """Air space of one chamber of a segment: V(q) = dead_volume + displacement · max(0, ± q).
+
+    Attributes:
+        dead_volume: of a straight segment's chamber with its tube, m³; it never gets smaller.
+        displacement: growth per angle by which the segment bends the chamber's own way, m³/rad.
+    """
+
+    dead_volume: float
+    displacement: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "dead_volume", "displacement")
+
+
+@dataclass(frozen=True)
 class Supply:
     """Pressures, gauge.
 
@@ -213,6 +232,7 @@ class RobotSpec:
     friction: Friction
     bending: Bending
     actuator: Actuator
+    chamber: Chamber
     supply: Supply
     phase_step: float
 
@@ -225,6 +245,13 @@ class RobotSpec:
     def segments(self) -> int:
         """Number of bending segments, N − 1."""
         return self.geometry.segments
+
+    def yaw_inertia(self) -> np.ndarray:
+        """Return each connector's moment of inertia about its own vertical, wheels included, (N,), kg·m²."""
+        wheel, g = self.mass.wheel, self.geometry
+        wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
+        inertia: np.ndarray = (self.mass.array() - 2 * wheel) * GYRATION**2 + wheels
+        return inertia
 
 
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:

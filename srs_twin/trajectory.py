@@ -15,7 +15,7 @@ from srs_twin.errors import InputError
 _UNITS = {
     "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
     "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
-    "valve_minus": "1", "qpos": "mixed",
+    "valve_minus": "1", "torque": "N·m", "work": "J", "air": "J", "qpos": "mixed",
 }  # fmt: skip
 
 
@@ -39,8 +39,10 @@ class Trajectory:
     """Columns over time of one rollout. Frozen; arrays are not to be written to.
 
     Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``
-    (head first), ``bend_1…``, ``sensed_1…``, ``pressure_plus_1…``, ``pressure_minus_1…``,
-    ``valve_plus_1…``, ``valve_minus_1…``, the controller's signals, and for the twin ``qpos_1…``.
+    (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``,
+    ``pressure_plus_1…``,
+    ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the controller's signals, and for the twin
+    ``qpos_1…``.
 
     Attributes:
         columns: name → float array, each of shape (samples,).

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin import AnalyticalSnake, Plant, RobotSpec, TwinSnake, load_robot
+from srs_twin.mjcf import root_connector
 from srs_twin.plants import kernels
 
 GRAVITY = 9.81
@@ -53,10 +54,11 @@ def _throw_analytical(
     stations = -spec.geometry.pitch * np.arange(spec.geometry.connectors)
     mass = spec.mass.array()
     inertia = (mass * (stations - mass @ stations / mass.sum()) ** 2).sum()
-    plant._state[kernels.VX : kernels.VY + 1] = velocity
-    plant._state[kernels.MOMENT] = inertia * spin
+    inertia += plant._body.solid.inertia.sum()
+    plant._body.state[kernels.VX : kernels.VY + 1] = velocity
+    plant._body.state[kernels.MOMENT] = inertia * spin
     c, s = np.cos(heading), np.sin(heading)
-    plant._velocity[:] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], spin
+    plant._body.velocity[:3] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], spin
 
 
 def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) -> None:
@@ -71,8 +73,10 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
         return np.asarray(velocity) + spin * np.array([-arm[1], arm[0]])
 
     physics.data.qvel[:] = 0.0
-    physics.data.qvel[:2] = at(places[0])
+    physics.data.qvel[:2] = at(places[root_connector(plant.spec) - 1])
     physics.data.qvel[5] = spin
+    if plant.wheels == "skid":
+        return
     for i, (place, heading) in enumerate(zip(places, headings, strict=True), start=1):
         along = at(place) @ [np.cos(heading), np.sin(heading)]
         for side, sign in (("left", 1), ("right", -1)):

@@ -99,7 +99,7 @@ def test_whatever_is_thrown_only_loses_energy_and_comes_to_rest(law, vx, vy, spi
     last = np.inf
     for _ in range(75):
         state = plant.step(vented(plant.spec))
-        moment = plant._state[kernels.MOMENT]
+        moment = plant._body.state[kernels.MOMENT]
         now = plant.spec.mass.total * (state.com_velocity @ state.com_velocity) / 2 + moment**2 / inertia / 2
         assert now <= last * (1 + 1e-6) + 1e-15
         last = now

@@ -12,12 +12,21 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a module imports only from its own step or from steps to its left.
 ORDER = (
-    ("errors",),
+    ("errors", "compiled"),
     ("files", "documents", "validation"),
     ("spec", "robots", "robot_file", "world"),
     ("trajectory",),
     ("shape", "friction", "pneumatics", "sensing"),
-    ("planning", "mjcf_classes", "mjcf_surroundings", "mjcf", "mjcf_export", "mjcf_check"),
+    (
+        "planning",
+        "mjcf_numerics",
+        "mjcf_classes",
+        "mjcf_surroundings",
+        "mjcf_wheels",
+        "mjcf",
+        "mjcf_export",
+        "mjcf_check",
+    ),
     ("plants", "control"),
     ("rollout",),
     ("comparison",),
@@ -36,6 +45,7 @@ RESERVED = {
         "mjcf",
         "mjcf_classes",
         "mjcf_surroundings",
+        "mjcf_wheels",
         "mjcf_export",
         "mjcf_check",
         "plants",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numba import njit
 
 from srs_twin import friction
 
@@ -122,6 +123,95 @@ def test_wheel_law_is_the_steady_creep_of_a_spinning_wheel(v_t, v_n, mu_t):
     expected = spinning_wheel(v_t, v_n, mu_t, mu_n)
     found = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
     assert found == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
+
+
+def at_slip(law, degrees: float, mu_t: float, mu_n: float) -> tuple[float, float]:
+    """Return the force at 0.1 m/s, `degrees` off the heading."""
+    angle = math.radians(degrees)
+    return forces(law, 0.1 * math.cos(angle), 0.1 * math.sin(angle), mu_t, mu_n, 1e-6)
+
+
+@given(SPEED, SPEED, st.floats(0.01, 1.2), st.floats(0.01, 1.2), SLIP)
+def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_rim(v_t, v_n, mu_t, mu_n, slip):
+    def filled(v_t, v_n):
+        f_t, f_n = forces(friction.ellipse, v_t, v_n, mu_t, mu_n, slip)
+        return math.hypot(f_t / mu_t, f_n / mu_n) / LOAD
+
+    assert filled(v_t, v_n) <= 1 + 1e-12
+    assume(math.hypot(v_t, v_n) > 1e-3)
+    assert filled(v_t * 1e7, v_n * 1e7) == pytest.approx(1, rel=1e-4)
+
+
+@given(st.floats(-3.2, 3.2), st.floats(0.02, 1.2), st.floats(0.02, 1.2))
+def test_no_force_in_the_ellipse_takes_more_power(angle, mu_t, mu_n):
+    v = 0.3 * np.array([math.cos(angle), math.sin(angle)])
+    taken = -np.dot(forces(friction.ellipse, *v, mu_t, mu_n, 1e-8), v)
+    turn = np.linspace(0, 2 * np.pi, 721)
+    rim = LOAD * np.array([mu_t * np.cos(turn), mu_n * np.sin(turn)])
+    assert (-v @ rim).max() == pytest.approx(taken, rel=1e-4)
+    assert (-v @ rim).max() <= taken * (1 + 1e-9)
+
+
+@given(SPEED, MU, st.floats(0, 1), SLIP)
+def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip):
+    lesser = share * greater
+    for mu_t, mu_n in ((greater, lesser), (lesser, greater)):
+        along, across = forces(friction.ellipse, v, 0.0, mu_t, mu_n, slip), (0.0, v)
+        # The slip speed is that of the greater coefficient; towards the other one v has to be well above it.
+        if mu_t == greater:
+            assert along == pytest.approx(forces(friction.axis, v, 0.0, mu_t, mu_n, slip), abs=1e-12)
+        else:
+            found = forces(friction.ellipse, *across, mu_t, mu_n, slip)
+            assert found == pytest.approx(forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12)
+    assume(abs(v) > 0.1 and share > 0.1)
+    found = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
+    assert found == pytest.approx(forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6)
+
+
+def test_ellipse_law_with_equal_coefficients_is_the_isotropic_cone_of_a_locked_wheel():
+    for degrees in (0, 15, 70, 200):
+        cone = at_slip(friction.wheel, degrees, 0.5, 0.5)
+        assert at_slip(friction.ellipse, degrees, 0.5, 0.5) == pytest.approx(cone, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mu_t", "mu_n", "times"),
+    [(0.043, 0.57, 3.69), (0.0966, 0.68, 2.13)],
+    ids=["gen2", "gen1, measured"],
+)
+def test_at_15_degrees_of_slip_a_skid_drags_along_several_times_less_than_a_wheel(mu_t, mu_n, times):
+    axis, ellipse = (at_slip(law, 15, mu_t, mu_n) for law in (friction.axis, friction.ellipse))
+    assert axis[0] / ellipse[0] == pytest.approx(times, abs=0.01)
+    assert times == pytest.approx(math.hypot(1, mu_n / mu_t * math.tan(math.radians(15))), abs=0.01)
+    assert axis[1] / ellipse[1] == pytest.approx(1, abs=0.15)
+
+
+@EACH_LAW
+def test_no_coefficient_no_force(law):
+    for v in ((0.1, -0.2), (0.0, 0.0)):
+        assert list(law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx([0] * 6, abs=1e-15)
+        found = law(*v, LOAD, 0.0, 0.5, 1e-3)
+        assert np.isfinite(found).all() and found[0] == pytest.approx(0, abs=1e-15)
+
+
+@EACH_LAW
+@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_slopes_are_symmetric(law, v_t, v_n, mu_t, mu_n, slip):
+    """Every law is steepest descent of a potential; the kernels carry one of the two mixed slopes only."""
+    _, _, _, t_by_n, n_by_t, _ = law(v_t, v_n, LOAD, mu_t, mu_n, slip)
+    assert t_by_n == pytest.approx(n_by_t, rel=1e-12, abs=1e-15)
+
+
+@EACH_LAW
+def test_compiled_scalars_give_what_arrays_give(law):
+    v_t, v_n = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
+    whole, scalar = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2), njit(law)
+    for k in range(20):
+        assert [part[k] for part in whole] == pytest.approx(scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2))
+
+
+def test_laws_at_the_track_are_laws():
+    assert set(friction.AT_TRACK) == {"wheel", "ellipse"} <= set(friction.LAWS)
 
 
 def test_laws_are_elementwise():

@@ -10,7 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from srs_twin.friction import LAWS
-from srs_twin.plants import kernels
+from srs_twin.plants import kernels, kinematics
+from srs_twin.plants.floor import Floor, fill_forces, floor_forces
+from srs_twin.plants.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
 
 GRAVITY = 9.81
 
@@ -45,12 +47,16 @@ def by_kernel(swim: Swim, duration: float, step: float) -> np.ndarray:
     count = round(duration / step)
     starts = step * np.arange(count)
     bends, rates = swim.bends(np.stack([starts + kernels.GAMMA * step, starts + step], axis=1))
-    state = np.zeros(6)
-    failed = kernels.advance(
-        state, np.full(count, step), bends, rates, np.array(swim.mass), swim.length, swim.gap,
-        LAWS.index(swim.law), swim.track, swim.mu_t, swim.mu_n, swim.slip, np.zeros(3),
+    state = np.zeros(kernels.STATES)
+    mass = np.array(swim.mass)
+    solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
+    floor = Floor(LAWS.index(swim.law), swim.track, swim.mu_t, swim.mu_n, swim.slip)
+    none = np.empty((0, kernels.STATES))
+    done = kernels.advance(
+        state, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True, np.zeros(3),
+        none, none,
     )  # fmt: skip
-    assert failed == 0
+    assert done == count
     return state
 
 
@@ -174,38 +180,72 @@ def test_regularisation_does_not_decide_the_result():
     assert far[1] == pytest.approx(far[0], rel=5e-3)
 
 
-def test_slopes_of_the_floor_forces_are_their_derivatives():
-    generator = np.random.default_rng(2)
-    mass = generator.uniform(0.02, 0.1, size=4)
-    body = np.empty((4, 6))
-    bend, rate = generator.normal(size=(2, 3))
-    kernels.pose_body(bend, rate, mass, 0.04, 0.02, body)
-    u = np.array([0.2, -0.1, 1.5])
+def draw(seed: int, connectors: int) -> tuple[Solid, np.ndarray, np.ndarray]:
+    """Return a random body, bends and rates."""
+    g = np.random.default_rng(seed)
+    mass, own = g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors)
+    bend, rate = g.normal(size=(2, connectors - 1))
+    return Solid(mass, own, 0.04, 0.02, 0.0), bend, rate
 
-    def total(v: np.ndarray, law: int, track: float) -> tuple[np.ndarray, np.ndarray]:
-        force, net, slope = np.empty((4, 2)), np.empty(3), np.empty((3, 3))
-        kernels.floor_forces(body, mass, v, law, track, 0.1, 0.6, 0.05, force, net, slope)
-        assert force.sum(axis=0) == pytest.approx(net[:2], abs=1e-14)
-        return net, slope
 
-    for law in range(len(LAWS)):
-        for track in (0.0, 0.02):
-            slope = total(u, law, track)[1]
-            h = 1e-6 * np.eye(3)
-            found = [(total(u + d, law, track)[0] - total(u - d, law, track)[0]) / 2e-6 for d in h]
-            assert slope == pytest.approx(np.transpose(found), abs=1e-6)
+def posed(solid: Solid, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the body as the kernels pose it."""
+    body = np.empty((len(solid.mass), kinematics.COLUMNS))
+    pose_body(bend, rate, solid, body)
+    return body
+
+
+@pytest.mark.parametrize("law", range(len(LAWS)))
+@pytest.mark.parametrize("track", [0.0, 0.02])
+def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
+    solid, bend, rate = draw(2, 4)
+    body, u = posed(solid, bend, rate), np.array([0.2, -0.1, 1.5])
+    floor = Floor(law, track, 0.1, 0.6, 0.05)
+
+    def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        net, slope = np.empty(3), np.empty((3, 3))
+        power = floor_forces(body, solid.mass, v, floor, net, slope)
+        return net, slope, power
+
+    net, slope, power = total(u)
+    h = 1e-6 * np.eye(3)
+    found = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
+    assert slope == pytest.approx(np.transpose(found), abs=1e-6)
+    # The same forces one connector at a time: their sum, their moment and the power they take.
+    force = np.empty((4, 3))
+    fill_forces(body, solid.mass, u, floor, force)
+    turn = body[:, COS] + 1j * body[:, SIN]
+    pushed = (force[:, 0] + 1j * force[:, 1]) * turn
+    place, own = body[:, X] + 1j * body[:, Y], body[:, VX] + 1j * body[:, VY]
+    velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[:, SPIN]
+    assert net[:2] == pytest.approx([pushed.sum().real, pushed.sum().imag], abs=1e-14)
+    assert net[2] == pytest.approx((place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14)
+    given = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
+    assert power == pytest.approx(-given, rel=1e-12) and power > 0
 
 
 def test_posed_body_moves_at_the_rates_it_says():
-    generator = np.random.default_rng(3)
-    mass, bend, rate = generator.uniform(0.02, 0.1, 5), generator.normal(size=4), generator.normal(size=4)
-    now, before, after = (np.empty((5, 6)) for _ in range(3))
-    inertia, moment = kernels.pose_body(bend, rate, mass, 0.04, 0.02, now)
-    kernels.pose_body(bend - 1e-6 * rate, rate, mass, 0.04, 0.02, before)
-    kernels.pose_body(bend + 1e-6 * rate, rate, mass, 0.04, 0.02, after)
+    solid, bend, rate = draw(3, 5)
+    now, before, after = (posed(solid, bend + h * rate, rate) for h in (0.0, -1e-6, 1e-6))
     difference = (after - before) / 2e-6
-    assert now[:, 1] == pytest.approx(difference[:, 0], abs=1e-8)
-    assert now[:, 4:] == pytest.approx(difference[:, 2:4], abs=1e-9)
-    assert inertia == pytest.approx((mass * (now[:, 2:4] ** 2).sum(axis=1)).sum())
-    cross = now[:, 2] * now[:, 5] - now[:, 3] * now[:, 4]
-    assert moment == pytest.approx((mass * cross).sum())
+    turning = now[:, COS] * difference[:, SIN] - now[:, SIN] * difference[:, COS]
+    assert now[:, SPIN] == pytest.approx(turning, abs=1e-8)
+    assert now[:, VX : VY + 1] == pytest.approx(difference[:, X : Y + 1], abs=1e-9)
+    inertia, moment = pose_body(bend, rate, solid, now)
+    place, own = now[:, X : Y + 1], solid.inertia
+    assert inertia == pytest.approx((solid.mass * (place**2).sum(axis=1) + own).sum())
+    cross = now[:, X] * now[:, VY] - now[:, Y] * now[:, VX]
+    assert moment == pytest.approx((solid.mass * cross + own * now[:, SPIN]).sum())
+
+
+def test_frozen_chords_keep_the_straight_length():
+    solid, bend, rate = draw(4, 5)
+    now = posed(solid._replace(frozen=1.0), bend, rate)
+    ahead, after = (posed(solid._replace(frozen=1.0), bend + h * rate, rate) for h in (-1e-6, 1e-6))
+    links = np.diff(now[:, X : Y + 1], axis=0)
+    assert np.hypot(*links.T) == pytest.approx([0.06] * 4)
+    assert now[:, VX : VY + 1] == pytest.approx((after - ahead)[:, X : Y + 1] / 2e-6, abs=1e-9)
+    # Along the mean of the two headings, as the arcs' chords.
+    whole = posed(solid, bend, rate)
+    arcs = np.diff(whole[:, X : Y + 1], axis=0)
+    assert np.arctan2(*links.T) == pytest.approx(np.arctan2(*arcs.T), abs=1e-12)

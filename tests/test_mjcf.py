@@ -8,10 +8,13 @@ import pytest
 from snakes import GRAVITY, chain, robot
 
 from srs_twin import InputError, load_robot
-from srs_twin.mjcf import Numerics, contact, hinge_places, preload_force, robot_mjcf, scene_mjcf, treads
+from srs_twin.mjcf import hinge_places, robot_mjcf, scene_mjcf
+from srs_twin.mjcf_numerics import Numerics
+from srs_twin.mjcf_wheels import contact, preload_force, treads
 
 NAMES = ("gen1", "gen2", "gen3", "gen4")
 RIGHT_ANGLE = np.pi / 2
+HINGES = range(1, Numerics.hinges_per_segment + 1)
 
 
 def hinged_chord(bend: float, hinges: int) -> float:
@@ -105,7 +108,7 @@ def test_hinges_in_series_have_the_segments_stiffness_and_damping(scene):
     model, _, name = scene
     bending = load_robot(name).bending
     for j in range(1, 5):
-        hinges = [model.joint(f"hinge_{j}_{k}").id for k in range(1, 5)]
+        hinges = [model.joint(f"hinge_{j}_{k}").id for k in HINGES]
         assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(bending.stiffness)
         damping = model.dof_damping[model.jnt_dofadr[hinges]]
         # The integrator's springs stand at the end of a step and damp by stiffness × step besides.
@@ -123,9 +126,9 @@ def test_plus_pressure_presses_towards_a_left_bend(scene):
         data.ctrl[:] = 0.0
         data.ctrl[model.actuator(f"{chamber}_2").id] = 1e4
         mujoco.mj_forward(model, data)
-        moment = data.qfrc_actuator[model.jnt_dofadr[[model.joint(f"hinge_2_{k}").id for k in range(1, 5)]]]
+        moment = data.qfrc_actuator[model.jnt_dofadr[[model.joint(f"hinge_2_{k}").id for k in HINGES]]]
         expected = sign * spec.bending.stiffness * spec.actuator.gain * 1e4
-        assert moment == pytest.approx([expected] * 4, rel=1e-9)
+        assert moment == pytest.approx([expected] * len(HINGES), rel=1e-9)
     data.ctrl[:] = 0.0
 
 
@@ -133,8 +136,8 @@ def test_tendon_length_is_the_difference_of_headings(scene):
     model, _, _ = scene
     data = mujoco.MjData(model)
     for j, bend in enumerate((0.4, -0.8, 1.2, 0.1), start=1):
-        for k in range(1, 5):
-            data.qpos[model.joint(f"hinge_{j}_{k}").qposadr] = bend / 4
+        for k in HINGES:
+            data.qpos[model.joint(f"hinge_{j}_{k}").qposadr] = bend / len(HINGES)
     mujoco.mj_forward(model, data)
     frames = data.xmat[[model.body(f"connector_{i}").id for i in range(1, 6)]]
     headings = np.unwrap(np.arctan2(frames[:, 3], frames[:, 0]))

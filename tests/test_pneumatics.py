@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 from snakes import chain
 
 from srs_twin import InputError, RobotSpec
-from srs_twin.pneumatics import LagPneumatics, valve_runs
+from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
+from srs_twin.pneumatics.chamber import AMBIENT_PA
 
 SUPPLY = 50e3
 GAIN = 3e-5
@@ -46,7 +47,7 @@ def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, ven
     tick, values = 0.03, np.zeros(3)
     at = np.array([0.004, 0.01, 0.017, 0.0299, tick])
     for slots in valves:
-        trace = pneumatics.advance(pneumatics.slots(slots), tick, at)
+        trace = pneumatics.advance(pneumatics.schedule(slots, tick), at)
         for k, state in enumerate(slots[:, 0, :]):
             rows = np.flatnonzero((at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12))
             inside = at[rows] - tick * k / 3
@@ -75,12 +76,12 @@ def test_result_does_not_depend_on_how_a_tick_is_cut(valves):
     spec = actuated(2, fill=0.08, vent=0.15)
     one, many = (LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1) for _ in range(2))
     at = np.linspace(0.02, 0.06, 3)
-    whole = one.advance(valves.reshape(-1, 2, 2), 0.06, at)
+    whole = one.advance(one.schedule(valves.reshape(-1, 2, 2), 0.06), at)
     for k, slots in enumerate(valves):
         # Each of the three ticks as slots, and each slot again as 5 ticks of its own.
         for slot in slots:
             for _ in range(5):
-                part = many.advance(many.slots(slot), 0.001, np.array([0.001]))
+                part = many.advance(many.schedule(slot, 0.001), np.array([0.001]))
         assert part.pressure[-1] == pytest.approx(whole.pressure[k], abs=1e-9 * SUPPLY)
         assert part.bend[-1] == pytest.approx(whole.bend[k], abs=1e-10)
         assert part.bend_rate[-1] == pytest.approx(whole.bend_rate[k], abs=1e-7)
@@ -92,7 +93,7 @@ def test_result_does_not_depend_on_how_a_tick_is_cut(valves):
 def test_pressures_stay_between_zero_and_the_supply(valves, fill, vent, leak):
     pneumatics = LagPneumatics(actuated(2, fill=fill, vent=vent), supply_pa=SUPPLY, leak_per_s=leak)
     for slots in valves:
-        trace = pneumatics.advance(pneumatics.slots(slots), 0.05, np.linspace(0, 0.05, 11))
+        trace = pneumatics.advance(pneumatics.schedule(slots, 0.05), np.linspace(0, 0.05, 11))
         assert trace.pressure.min() >= 0
         assert trace.pressure.max() <= SUPPLY * (1 + 1e-12)
         assert np.abs(trace.bend).max() <= GAIN * SUPPLY * (1 + 1e-12)
@@ -103,8 +104,8 @@ def test_pressures_stay_between_zero_and_the_supply(valves, fill, vent, leak):
 def test_exchanged_chambers_bend_the_other_way(valves):
     left, right = (LagPneumatics(actuated(), supply_pa=SUPPLY) for _ in range(2))
     for slots in valves:
-        a = left.advance(left.slots(slots), 0.02, np.array([0.013, 0.02]))
-        b = right.advance(right.slots(slots[..., ::-1]), 0.02, np.array([0.013, 0.02]))
+        a = left.advance(left.schedule(slots, 0.02), np.array([0.013, 0.02]))
+        b = right.advance(right.schedule(slots[..., ::-1], 0.02), np.array([0.013, 0.02]))
         assert (a.pressure == b.pressure[..., ::-1]).all()
         assert a.bend == pytest.approx(-b.bend, abs=1e-15)
 
@@ -118,7 +119,7 @@ def test_openings_count_every_change_to_fill(valves):
         expected += (state == 1) & (last != 1)
         last = state
     for slots in valves:
-        pneumatics.advance(pneumatics.slots(slots), 0.02, np.array([0.02]))
+        pneumatics.advance(pneumatics.schedule(slots, 0.02), np.array([0.02]))
     assert (pneumatics.openings == expected).all()
 
 
@@ -126,17 +127,17 @@ def test_hold_keeps_the_pressure_and_a_leak_lets_it_go():
     for leak in (0.0, 0.4):
         pneumatics = LagPneumatics(actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
         fill, hold = np.array([[1, -1]]), np.array([[0, 0]])
-        full = pneumatics.advance(pneumatics.slots(fill), 0.5, np.array([0.5])).pressure[0, 0, 0]
-        held = pneumatics.advance(pneumatics.slots(hold), 2.0, np.array([1.0, 2.0])).pressure[:, 0, 0]
+        full = pneumatics.advance(pneumatics.schedule(fill, 0.5), np.array([0.5])).pressure[0, 0, 0]
+        held = pneumatics.advance(pneumatics.schedule(hold, 2.0), np.array([1.0, 2.0])).pressure[:, 0, 0]
         assert held == pytest.approx(full * np.exp(-leak * np.array([1.0, 2.0])), rel=1e-12)
         assert full > 0.8 * SUPPLY
 
 
 def test_fill_and_vent_have_their_own_time_constants():
     pneumatics = LagPneumatics(actuated(1, fill=0.2, vent=0.05), supply_pa=SUPPLY)
-    filled = pneumatics.advance(pneumatics.slots([[1, -1]]), 0.2, np.array([0.2])).pressure[0, 0, 0]
+    filled = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.2), np.array([0.2])).pressure[0, 0, 0]
     assert filled == pytest.approx(SUPPLY * (1 - np.exp(-1)))
-    emptied = pneumatics.advance(pneumatics.slots([[-1, -1]]), 0.05, np.array([0.05])).pressure[0, 0, 0]
+    emptied = pneumatics.advance(pneumatics.schedule([[-1, -1]], 0.05), np.array([0.05])).pressure[0, 0, 0]
     assert emptied == pytest.approx(filled * np.exp(-1))
 
 
@@ -145,47 +146,129 @@ def test_equal_time_constants_are_no_exception(excess):
     """τ₁ → τ₂: the step response becomes 1 − (1 + t/τ) e^{−t/τ} without a jump."""
     tau, time = 0.05, np.linspace(0, 0.4, 9)
     pneumatics = LagPneumatics(actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY)
-    bend = pneumatics.advance(pneumatics.slots([[1, -1]]), 0.4, time).bend[:, 0]
+    bend = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.4), time).bend[:, 0]
     expected = GAIN * SUPPLY * (1 - (1 + time / tau) * np.exp(-time / tau))
     assert bend == pytest.approx(expected, abs=(1e-6 + excess) * GAIN * SUPPLY)
 
 
+@settings(max_examples=15, deadline=None)
+@given(commands(4, 2, 1, (-1, 0, 1)), st.sampled_from([0.0, 0.6]))
+def test_air_is_what_flows_in(valves, leak):
+    """Against ∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations themselves."""
+    spec, tau = actuated(1), 0.11
+    pneumatics = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
+    values, space, worth = np.zeros(4), spec.chamber, SUPPLY / (SUPPLY + AMBIENT_PA)
+    for slots in valves:
+        trace = pneumatics.advance(pneumatics.schedule(slots, 0.1), np.linspace(0.002, 0.1, 50))
+        for state in slots[:, 0, :]:
+
+            def rates(_, y, state=state):
+                filling = np.where(state == 1, (SUPPLY - y[:2]) / tau, 0)
+                turning = (GAIN * (y[0] - y[1]) - y[2]) / 0.00214
+                way = np.array([1.0, -1.0])
+                volume = space.dead_volume + space.displacement * np.maximum(0, way * y[2])
+                growing = space.displacement * np.where(way * y[2] > 0, way, 0) * turning
+                drawn = ((volume * filling + (y[:2] + AMBIENT_PA) * growing) * (state == 1)).sum()
+                rate = filling - np.where(state == -1, y[:2] / tau, 0) - leak * y[:2]
+                return [*rate, turning, worth * drawn]
+
+            values = solve_ivp(
+                rates,
+                (0, 0.05),
+                values,
+                method="LSODA",
+                rtol=1e-9,
+                atol=[1e-4, 1e-4, 1e-10, 1e-9],
+                max_step=5e-4,
+            ).y[:, -1]
+        assert trace.air[-1] == pneumatics.air == pytest.approx(values[3], abs=2e-6)
+
+
+def test_air_of_one_fill_is_pressure_times_volume():
+    spec = actuated(1)
+    pneumatics = LagPneumatics(spec, supply_pa=SUPPLY)
+    pneumatics.advance(pneumatics.schedule([[1, -1]], 5.0), np.zeros(0))
+    grown = spec.chamber.dead_volume + spec.chamber.displacement * GAIN * SUPPLY
+    amount = (SUPPLY + AMBIENT_PA) * grown - AMBIENT_PA * spec.chamber.dead_volume
+    assert pneumatics.air == pytest.approx(SUPPLY * amount / (SUPPLY + AMBIENT_PA), rel=1e-9)
+    drawn = pneumatics.air
+    pneumatics.advance(pneumatics.schedule([[-1, -1]], 5.0), np.zeros(0))
+    assert pneumatics.air == drawn, "venting gives nothing back and takes nothing"
+    pneumatics.reset()
+    assert pneumatics.air == 0.0
+
+
+@pytest.mark.parametrize("kind", ["lag", "orifice"])
+@pytest.mark.parametrize("delay", [0.003, 0.02, 0.0535])
+def test_a_valve_delay_shifts_everything_across_ticks(kind, delay):
+    prompt, late = (
+        make_pneumatics(kind, actuated(), supply_pa=SUPPLY, layout="in_out", leak_per_s=0.2, valve_delay_s=d)
+        for d in (0.0, delay)
+    )
+    valves = np.random.default_rng(7).choice([-1, 0, 1], size=(9, 2, 2, 2))
+    times = np.linspace(0.0, 0.18, 1801)
+    whole = prompt.advance(prompt.schedule(valves.reshape(-1, 2, 2), 0.18), times)
+    pressures, states = [], []
+    for slots in valves:
+        trace = late.advance(late.schedule(slots, 0.02), np.array([0.01, 0.02]))
+        pressures.append(trace.pressure)
+        states.append(trace.valves)
+    ends = 0.01 * np.arange(1, 19) - delay
+    for k in np.ndindex(2, 2):
+        expected = np.interp(ends, times, whole.pressure[(slice(None), *k)], left=0.0)
+        assert np.concatenate(pressures)[(slice(None), *k)] == pytest.approx(expected, abs=0.01 * SUPPLY)
+    # Before the first command arrives valves vent, which opens nothing.
+    assert (np.concatenate(states)[ends < 0] == -1).all()
+    assert (late.openings <= prompt.openings).all() and late.openings.sum() > 0
+
+
+def test_what_valves_do_is_known_beforehand():
+    pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, valve_delay_s=0.03)
+    fill = np.ones((2, 2), dtype=np.int8)
+    first = pneumatics.schedule(fill, 0.02)
+    assert pneumatics.effective(first).states.tolist() == [(-fill).tolist()]
+    pneumatics.advance(first, np.zeros(0))
+    second = pneumatics.schedule(fill, 0.02)
+    assert pneumatics.effective(second).events == pytest.approx([0.01])
+    assert pneumatics.openings.sum() == 0 and pneumatics.valves.max() == -1
+    pneumatics.advance(second, np.zeros(0))
+    assert (pneumatics.openings == 1).all() and pneumatics.valves.min() == 1
+
+
 def test_reset_empties_everything():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY)
-    pneumatics.advance(pneumatics.slots(np.ones((2, 2), dtype=np.int8)), 0.1, np.array([0.1]))
+    pneumatics.advance(pneumatics.schedule(np.ones((2, 2), dtype=np.int8), 0.1), np.array([0.1]))
     assert pneumatics.pressure.min() > 0 and (pneumatics.openings == 1).all()
     pneumatics.reset()
     assert not pneumatics.pressure.any() and not pneumatics.bend.any() and not pneumatics.openings.any()
     assert (pneumatics.valves == -1).all()
 
 
-def test_runs_join_equal_slots():
+def test_a_schedule_joins_equal_slots_and_is_cut_and_joined_again():
     slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones((1, 2, 2), dtype=np.int8)
-    runs = [(start, stop, int(state[0, 0])) for start, stop, state in valve_runs(slots, 0.6)]
-    assert runs == [
-        (0.0, pytest.approx(0.2), 1),
-        (pytest.approx(0.2), pytest.approx(0.5), -1),
-        (pytest.approx(0.5), pytest.approx(0.6), 1),
-    ]
+    whole = Schedule.of_slots(slots, 0.6)
+    assert whole.starts == pytest.approx([0.0, 0.2, 0.5]) and whole.events == pytest.approx([0.2, 0.5])
+    assert whole.states[:, 0, 0].tolist() == [1, -1, 1]
+    middle = whole.part(0.2, 0.55)
+    assert middle.starts == pytest.approx([0.0, 0.3]) and middle.span == pytest.approx(0.35)
+    again = whole.part(0.0, 0.3).then(whole.part(0.3, 0.6))
+    assert again.starts == pytest.approx(whole.starts) and (again.states == whole.states).all()
 
 
 def test_layouts_refuse_what_their_valves_cannot_do():
-    assert LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").slots(np.zeros((2, 2))).shape == (
-        1,
-        2,
-        2,
-    )
+    holding = LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").schedule(np.zeros((2, 2)), 0.1)
+    assert holding.states.shape == (1, 2, 2)
     with pytest.raises(InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"):
         LagPneumatics(actuated(), supply_pa=1.0, layout="5/2")
     pneumatics = LagPneumatics(actuated(), supply_pa=1.0)
     with pytest.raises(
         InputError, match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)"
     ):
-        pneumatics.slots(np.zeros((2, 2), dtype=np.int8))
+        pneumatics.schedule(np.zeros((2, 2), dtype=np.int8), 0.1)
     with pytest.raises(InputError, match=r"valve state 2 is not possible with layout 3/2"):
-        pneumatics.slots(np.array([[1, -1], [2, 1]]))
+        pneumatics.schedule(np.array([[1, -1], [2, 1]]), 0.1)
     with pytest.raises(InputError, match="valve state nan is not possible"):
-        pneumatics.slots(np.array([[1, -1], [np.nan, 1]]))
+        pneumatics.schedule(np.array([[1, -1], [np.nan, 1]]), 0.1)
     wrong = r"valves have shape \(3, 2\); allowed: \(2, 2\) or \(slots, 2, 2\)"
     with pytest.raises(InputError, match=wrong):
-        pneumatics.slots(np.ones((3, 2)))
+        pneumatics.schedule(np.ones((3, 2)), 0.1)

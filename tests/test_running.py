@@ -145,19 +145,24 @@ def test_progress_rises_to_the_end_for_each_plant(tmp_path):
 def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tmp_path):
     job = prepare(load_scenario(write(tmp_path, "short")), tmp_path / "out")
     plant = job.parts["analytical"][0]
-    sound = plant.advance
-    ticks = iter(range(1000))
+    sound = plant.play
 
-    def unsound(valves, samples):
-        if next(ticks) == 50:
-            raise DivergedError("analytical", 50 * plant.tick, "com_velocity is not finite")
-        return sound(valves, samples)
+    def unsound(schedule, samples):
+        first = sound(schedule.part(0.0, 1.0), samples // 2)
+        plant._body.state[3] = np.nan
+        try:
+            return sound(schedule.part(1.0, 2.0), samples // 2)
+        except DivergedError as error:
+            error.history = first
+            raise
 
-    plant.advance = unsound
+    plant.play = unsound
     result = job.execute()
     (error,) = result.diverged
     assert error.exit_code == 3
-    assert str(error).startswith("short: analytical diverged at t = 1 s: com_velocity is not finite; ")
+    assert str(error).startswith(
+        "short: analytical diverged at t = 1.002 s: step 1 of 504 found no plausible"
+    )
     assert str(error).endswith(str(tmp_path / "out/analytical.parquet"))
     kept = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
     assert kept.time[-1] == pytest.approx(1.0)

@@ -102,6 +102,12 @@ def test_defaults_are_those_of_the_plants(kind):
     assert settings == {name: parameters[name].default for name in settings}
 
 
+def test_skids_and_their_law_reach_the_plants():
+    s = scenario(plants={"analytical": {"friction": "ellipse"}, "twin": {"wheels": "skid"}})
+    assert s.build_plant("analytical").friction == "ellipse"
+    assert s.build_plant("twin").wheels == "skid"
+
+
 def test_the_controller_is_a_gait():
     gait = scenario(controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}).build_controller()
     assert (gait.kind, gait.frequency, gait.offset) == ("gait", 1.5, 0.3)
@@ -190,6 +196,85 @@ def test_problems_of_a_robot_file_name_that_file(tmp_path):
     assert found[-1] == "seed: must be a whole number from 0 to 4294967295, not -1"
 
 
+# Pneumatics
+
+
+def test_the_default_pneumatics_are_written_out():
+    s = scenario()
+    assert s.document["pneumatics"] == {"kind": "lag", "leak_per_s": 0.0, "valve_delay_s": 0.0}
+    chambers = s.build_plant("analytical").pneumatics
+    assert chambers.describe() == {"kind": "lag", "leak_per_s": 0.0, "valve_delay_s": 0.0}
+
+
+@pytest.mark.parametrize("plant", ["analytical", "twin"])
+@pytest.mark.parametrize(
+    ("given", "described"),
+    [
+        (
+            {"leak_per_s": 0.2, "valve_delay_s": 0.004},
+            {"kind": "lag", "leak_per_s": 0.2, "valve_delay_s": 0.004},
+        ),
+        (
+            {"kind": "orifice", "flow_limit_l_per_min": 2.0, "valve_delay_s": 0.01},
+            {
+                "kind": "orifice", "critical_ratio": 0.3, "flow_limit_l_per_min": 2.0, "line_volume_ml": 50.0,
+                "leak_per_s": 0.0, "valve_delay_s": 0.01,
+            },
+        ),
+        (
+            {"kind": "orifice", "critical_ratio": 0.5, "leak_per_s": 0.1},
+            {"kind": "orifice", "critical_ratio": 0.5, "leak_per_s": 0.1, "valve_delay_s": 0.0},
+        ),
+    ],
+)  # fmt: skip
+def test_pneumatics_reach_both_plants(plant, given, described):
+    s = scenario(pneumatics=given)
+    first, second = (s.build_plant(plant).pneumatics for _ in range(2))
+    assert first is not second, "chambers have a state"
+    told = first.describe()
+    assert {key: told[key] for key in described} == pytest.approx(described)
+    assert parse_scenario(s.document) == s
+    assert s.document["pneumatics"] == described
+
+
+def test_defaults_of_pneumatics_are_those_of_the_chambers():
+    from srs_twin.pneumatics import KINDS
+
+    parameters = inspect.signature(KINDS["orifice"]).parameters
+    settings = vars(scenario().pneumatics)
+    assert {k: v for k, v in settings.items() if k != "kind"} == {
+        k: parameters[k].default for k in settings if k != "kind"
+    }
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (
+            {"kind": "orifise"},
+            "pneumatics.kind: must be one of lag, orifice, not text 'orifise'; did you mean orifice?",
+        ),
+        ({"leek_per_s": 1}, "pneumatics.leek_per_s: unknown key; did you mean leak_per_s?"),
+        ({"valve_delay_s": -1}, "pneumatics.valve_delay_s: must be a number from 0 to 1, not -1"),
+        (
+            {"critical_ratio": 0.3},
+            "pneumatics: critical_ratio belongs to kind: orifice; set that, or take critical_ratio out",
+        ),
+        (
+            {"kind": "orifice", "line_volume_ml": 5.0},
+            "pneumatics: line_volume_ml is felt only with flow_limit_l_per_min; give that too",
+        ),
+        (
+            {"kind": "orifice", "flow_limit_l_per_min": 0},
+            "flow_limit_l_per_min: must be a number from 0.01 to 10000",
+        ),
+        ("lag", "pneumatics: must be a block of keys (kind, leak_per_s, valve_delay_s, critical_ratio, "),
+    ],
+)
+def test_pneumatics_that_are_refused(given, words):
+    assert any(words in line for line in refusal(pneumatics=given)), refusal(pneumatics=given)
+
+
 # Pressure
 
 
@@ -232,16 +317,26 @@ def test_the_limit_follows_an_override():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"plants": plants(tick_s=0.0205)}, "plants.analytical.tick_s: tick 0.0205 s is no multiple of time"),
         (
-            {"plants": plants(timestep_s=0.003)},
-            "plants.analytical.tick_s: tick 0.02 s is no multiple of time",
+            {"plants": {"twin": {"tick_s": 0.0205}}},
+            "plants.twin.tick_s: tick 0.0205 s is no multiple of time",
+        ),
+        (
+            {"plants": {"twin": {"timestep_s": 0.0015}}},
+            "plants.twin.tick_s: tick 0.02 s is no multiple of time",
+        ),
+        (
+            {"plants": plants(tick_s=0.02005)},
+            "plants.analytical.tick_s: tick 0.02005 s is no multiple of valve",
         ),
         ({"plants": plants(timestep_s=2.5e-5, tick_s=0.001025)}, "no multiple of valve slot 0.0001 s"),
         ({"duration_s": 1.01}, "duration_s: duration 1.01 s is no multiple of the analytical plant's tick"),
         ({"record_hz": 60}, "record_hz: the analytical plant's tick 0.02 s is no multiple of recording int"),
         ({"record_hz": 30}, "record_hz: recording interval 0.0333333 s is no multiple of the analytical pl"),
-        ({"plants": plants(timestep_s=0.004)}, "record_hz: recording interval 0.01 s is no multiple of"),
+        (
+            {"plants": {"twin": {}}, "record_hz": 2500},
+            "record_hz: recording interval 0.0004 s is no multiple of the twin's time step",
+        ),
     ],
 )
 def test_times_that_do_not_fit(changes, words):

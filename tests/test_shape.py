@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from srs_twin.shape import body_shape, chord, chord_slope, relative_headings
+from srs_twin.shape import body_shape, chord, chords, relative_headings
 
 BEND = st.floats(-3.0, 3.0)
 LENGTH = st.floats(0.01, 0.2)
@@ -35,23 +35,30 @@ def test_chord_spans_the_arc_and_its_gaps_along_the_mean_heading(bend, length, g
 def test_chord_slope_is_the_derivative(bend, length, gap):
     h = 1e-5
     expected = (chord(bend + h, length, gap) - chord(bend - h, length, gap)) / (2 * h)
-    assert chord_slope(bend, length, gap) == pytest.approx(expected, abs=1e-10)
+    assert chords(bend, length, gap)[1] == pytest.approx(expected, abs=1e-10)
 
 
-@pytest.mark.parametrize("bend", [0.0, 1e-300, 1e-9, -1e-6, 1e-3, 9.999e-3, 1.0001e-2, -1e-2, 2e-2])
+@pytest.mark.parametrize("bend", [-2.0, -0.1001, -0.0999, -1e-3, 0.0, 0.05, 0.3, 6.0])
+def test_curvature_is_the_slope_of_the_slope(bend):
+    h, slopes = 1e-2, [chords(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)]
+    sixth_order = -slopes[0] + 9 * slopes[1] - 45 * slopes[2] + 45 * slopes[4] - 9 * slopes[5] + slopes[6]
+    assert chords(bend, 0.04, 0.02)[2] == pytest.approx(sixth_order / (60 * h), abs=1e-12)
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-300, 1e-9, -1e-6, 1e-3, 9.999e-3, 1.0001e-2, -2e-2, 0.0999])
 def test_geometry_is_smooth_through_zero_bend(bend):
     """Against the series to the eighth order: L = l (1 − q²/24 + q⁴/1920 − …), no division by zero."""
     q, length = bend, 0.05
     series = 1 - q**2 / 24 + q**4 / 1920 - q**6 / 322560
-    slope = -q / 12 + q**3 / 480 - q**5 / 53760
+    slope = -q / 12 + q**3 / 480 - q**5 / 53760 + q**7 / 11612160
     assert chord(q, length, 0.0) == pytest.approx(length * series, rel=1e-14)
-    assert chord_slope(q, length, 0.0) == pytest.approx(length * slope, rel=1e-10, abs=1e-300)
+    assert chords(q, length, 0.0)[1] == pytest.approx(length * slope, rel=1e-10, abs=1e-300)
 
 
 def test_slope_is_odd_and_chord_even():
     q = np.linspace(-3, 3, 61)
     assert chord(q, 0.04, 0.02) == pytest.approx(chord(-q, 0.04, 0.02), rel=1e-15)
-    assert chord_slope(q, 0.04, 0.02) == pytest.approx(-chord_slope(-q, 0.04, 0.02), abs=1e-15)
+    assert chords(q, 0.04, 0.02)[1] == pytest.approx(-chords(-q, 0.04, 0.02)[1], abs=1e-15)
 
 
 def integrated_body(bends: np.ndarray, length: float, gap: float) -> tuple[np.ndarray, np.ndarray]:

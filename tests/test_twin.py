@@ -8,6 +8,7 @@ from dm_control import mujoco as dm
 from snakes import GRAVITY, chain, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, rollout
+from srs_twin.mjcf import Numerics
 
 SPEC = robot()
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
@@ -99,7 +100,7 @@ def test_accessors_name_what_mujoco_numbers():
     rollout(plant, Gait(2.0, 0.2), 0.3)
     physics, named = plant.physics, plant.physics.named.data
     for j in range(1, 5):
-        hinges = [f"hinge_{j}_{k}" for k in range(1, 5)]
+        hinges = [f"hinge_{j}_{k}" for k in range(1, Numerics.hinges_per_segment + 1)]
         assert physics.bend_angles()[j - 1] == pytest.approx(named.qpos[hinges].sum(), abs=1e-12)
         assert physics.bend_rates()[j - 1] == pytest.approx(named.qvel[hinges].sum(), abs=1e-9)
     for i in range(1, 6):
@@ -200,7 +201,7 @@ def test_both_plants_get_the_same_pressures():
 
 
 def test_what_cannot_be_built_is_refused():
-    with pytest.raises(InputError, match="wheels 'round' are unknown; allowed: rolling"):
+    with pytest.raises(InputError, match="wheels 'round' are unknown; allowed: rolling, skid"):
         TwinSnake(SPEC, wheels="round")
     with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):
         TwinSnake(SPEC, timestep=0.0015)

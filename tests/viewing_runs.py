@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from synthetic import Snake, numbered, with_columns
 
-from srs_twin.spec import Actuator, Bending, Friction, Geometry, Mass, RobotSpec, Supply
+from srs_twin.spec import Actuator, Bending, Chamber, Friction, Geometry, Mass, RobotSpec, Supply
 from srs_twin.trajectory import Trajectory
 
 SUPPLY_PA = 48_300.0
@@ -22,6 +22,7 @@ def robot(connectors: int = 5) -> RobotSpec:
         friction=Friction(0.043, 0.57),
         bending=Bending(0.1, 0.002, 0.1, 0.1, 0.01),
         actuator=Actuator(0.1, 0.1, 0.002, 3e-5),
+        chamber=Chamber(1e-5, 3e-5),
         supply=Supply(48_000.0, 69_000.0, 69_000.0, "test"),
         phase_step=2 * np.pi / (connectors - 1),
     )

@@ -21,7 +21,8 @@ class Comparison:
     """The difference of a candidate (the twin) from a reference (the analytical model).
 
     Attributes:
-        metrics: by the names of `COMPARISON_UNITS`. ``com_speed_rel`` = (candidate − reference)/reference;
+        metrics: by the names of `COMPARISON_UNITS`. ``com_speed_rel`` = (candidate − reference)/reference,
+            the reference's speed times ``gap_factor``, which is 1 unless it was asked for;
             ``yaw_rate_abs`` the size of the difference of the yaw rates; ``shape_rms_m`` the distance of
             like connectors with both bodies in their centre-of-mass frame at zero mean heading (section
             3.4.1), root mean square over connectors and time, ``shape_rms_body`` the same over the
@@ -41,7 +42,7 @@ class Comparison:
     bend_error: np.ndarray
 
 
-def compare(reference: Trajectory, candidate: Trajectory) -> Comparison:
+def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = False) -> Comparison:
     """Compare two runs at equal times.
 
     Where the sample times differ the candidate is interpolated to the reference's, over the span that both
@@ -50,10 +51,12 @@ def compare(reference: Trajectory, candidate: Trajectory) -> Comparison:
     Args:
         reference: the analytical model's run.
         candidate: the twin's run.
+        gap_factor: compare speeds as the dissertation does, whose model has no rigid gaps: multiply the
+            reference's by (l + L_o)/l of the candidate (Section 3.4.2).
 
     Raises:
-        InputError: unequal connectors, no time in common, or columns or metadata that are missing or
-            unusable.
+        InputError: unequal connectors, no time in common, columns or metadata that are missing or
+            unusable, or a gap factor for a reference that has gaps of its own.
     """
     for trajectory in (reference, candidate):
         require(trajectory, "com_x", "com_y", "heading", "x", "y", "bend")
@@ -68,7 +71,7 @@ def compare(reference: Trajectory, candidate: Trajectory) -> Comparison:
     path_error = np.linalg.norm(theirs.com - ours.com, axis=-1)
     bend_error = theirs.bend - ours.bend
     metrics = {
-        **_gait_differences(reference, candidate),
+        **_gait_differences(reference, candidate, _gap_factor(reference, candidate) if gap_factor else 1.0),
         "shape_rms_m": _rms(distance),
         "shape_rms_body": _rms(distance) / body_length(reference),
         "path_rms_m": _rms(path_error),
@@ -144,13 +147,26 @@ def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     return common
 
 
-def _gait_differences(reference: Trajectory, candidate: Trajectory) -> dict[str, float | None]:
+def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
+    if reference.metadata.get("rigid_gap_m"):
+        raise InputError(
+            f"{label(reference)} has rigid gaps in its geometry, so the factor (l + L_o)/l would count them "
+            "twice; run it without gaps"
+        )
+    length, gap = (candidate.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m"))
+    if length is None or gap is None:
+        raise InputError(f"{label(candidate)}: metadata segment_length_m or rigid_gap_m is missing")
+    return float((length + gap) / length)
+
+
+def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: float) -> dict[str, float | None]:
     ours, theirs = plant_metrics(reference), plant_metrics(candidate)
     if ours["com_speed_m_s"] is None or theirs["com_speed_m_s"] is None:
-        return {"com_speed_rel": None, "yaw_rate_abs": None}
-    gain = theirs["com_speed_m_s"] - ours["com_speed_m_s"]
+        return {"com_speed_rel": None, "gap_factor": factor, "yaw_rate_abs": None}
+    speed = factor * ours["com_speed_m_s"]
     return {
-        "com_speed_rel": _ratio(gain, ours["com_speed_m_s"]),
+        "com_speed_rel": _ratio(theirs["com_speed_m_s"] - speed, speed),
+        "gap_factor": factor,
         "yaw_rate_abs": abs(theirs["yaw_rate_rad_s"] - ours["yaw_rate_rad_s"]),
     }
 

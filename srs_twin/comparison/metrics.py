@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.comparison.energy import ENERGY_METRICS, energy_metrics
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.sampling import body_length, require
 from srs_twin.trajectory import Trajectory
@@ -18,16 +19,26 @@ METRIC_UNITS = {
     "yaw_rate_rad_s": "rad/s",
     "turning_radius_m": "m",
     "mean_bend_amplitude_rad": "rad",
+    "mechanical_power_w": "W",
+    "cost_of_transport": "1",
+    "pneumatic_power_w": "W",
+    "pneumatic_cost_of_transport": "1",
     "wall_s": "s",
     "realtime_factor": "1",
 }
 
 # Metrics of a plant that are lists, head first.
-LIST_METRIC_UNITS = {"bend_amplitude_rad": "rad", "bend_bias_rad": "rad", "valve_switches": "1"}
+LIST_METRIC_UNITS = {
+    "bend_amplitude_rad": "rad",
+    "bend_bias_rad": "rad",
+    "torque_rms_nm": "N·m",
+    "valve_switches": "1",
+}
 
 # Metrics of `compare`, each one number; they stand here so that naming them needs nothing else.
 COMPARISON_UNITS = {
     "com_speed_rel": "1",
+    "gap_factor": "1",
     "yaw_rate_abs": "rad/s",
     "shape_rms_m": "m",
     "shape_rms_body": "1",
@@ -45,7 +56,7 @@ STRAIGHT_TURN_RAD = 1e-3
 
 _GAIT_METRICS = (
     "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
-    "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad",
+    "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", *ENERGY_METRICS,
 )  # fmt: skip
 
 
@@ -63,6 +74,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over them; head first.
       ``mean_bend_amplitude_rad`` is the mean over the segments.
     - ``bend_bias_rad``: mean bend, head first.
+    - what it costs: see `energy.energy_metrics`.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
@@ -107,6 +119,7 @@ def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, Any]:
         "bend_amplitude_rad": amplitude.tolist(),
         "bend_bias_rad": window.mean(trajectory, bend).tolist(),
         "mean_bend_amplitude_rad": float(amplitude.mean()),
+        **energy_metrics(trajectory, window, speed),
     }
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.pneumatics.schedule import Schedule
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Event
 
@@ -38,6 +39,16 @@ class Controller(ABC):
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valves for the coming tick, (segments, 2) or (slots, segments, 2), int8."""
+
+    def script(self, duration: float) -> Schedule | None:
+        """Return what it will command over the coming run whatever it senses; None from one that senses.
+
+        Called after `reset`. Signals of a controller with a script stay as they are, and it has no events.
+
+        Args:
+            duration: s, a whole number of ticks.
+        """
+        return None
 
     def signals(self) -> dict[str, Any]:
         """Return what is worth recording now: name → float or array (numbered from 1 when recorded)."""

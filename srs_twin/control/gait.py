@@ -16,6 +16,7 @@ import numpy as np
 from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.plants.base import SnakeState
+from srs_twin.pneumatics.schedule import Schedule
 from srs_twin.spec import RobotSpec
 
 SLOT_S = 1e-4
@@ -65,7 +66,7 @@ class Gait(Controller):
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valves of the coming tick; with slots only when an edge falls inside it."""
-        return self.valves_at(state.time)
+        return self.valves_at(float(state.time))
 
     def valves_at(self, time: float) -> np.ndarray:
         """Return the valves of the tick that begins at `time` (s)."""
@@ -75,6 +76,23 @@ class Gait(Controller):
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._middle)
         return _antagonistic(wave[0] if (wave == wave[0]).all() else wave)
+
+    def script(self, duration: float) -> Schedule:
+        """Return the valves of a whole run."""
+        slot = self._tick / len(self._middle)
+        count = round(duration / slot)
+        if self._shorter_half_wave() < 2 * slot:
+            return Schedule.of_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
+        # Where S changes, and the slots beside it: rounding may place an edge one slot off.
+        rise, period = math.asin(self._offset), 1 / self.frequency
+        phases = np.add.outer(self._lag, [-rise, math.pi + rise]).ravel() / (2 * math.pi) * period
+        numbers = np.arange(math.floor(-phases.max() / period), math.ceil(duration / period) + 1)
+        edges = np.ceil(np.add.outer(phases, period * numbers).ravel() / slot - 0.5)
+        near = np.add.outer(edges, [-1, 0, 1]).ravel()
+        begins = np.unique(np.append(near[(near > 0) & (near < count)], 0)).astype(int)
+        wave = self._wave(slot * (begins + 0.5))
+        keep = np.append(True, (wave[1:] != wave[:-1]).any(axis=1))
+        return Schedule(duration, slot * begins[keep], _antagonistic(wave[keep]))
 
     def signals(self) -> dict[str, float]:
         """Return the offset."""

@@ -1,25 +1,31 @@
-"""AnalyticalSnake: the dissertation's planar model, point masses on constant-curvature segments."""
+"""AnalyticalSnake: the dissertation's planar model, masses on constant-curvature segments."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, whole_steps
-from srs_twin.friction import LAWS
-from srs_twin.plants import kernels
+from srs_twin.friction import AT_TRACK, LAWS
+from srs_twin.plants import kernels, observation
 from srs_twin.plants.base import Plant, Pose, SnakeState
-from srs_twin.plants.given import Body, GivenBends
-from srs_twin.pneumatics import LagPneumatics, Trace, valve_runs
+from srs_twin.plants.floor import Floor
+from srs_twin.plants.given import Body, GivenBends, Motion
+from srs_twin.plants.kinematics import Solid
+from srs_twin.pneumatics import FELT_S, Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.spec import RobotSpec
 
-MODELS = ("complete", "compliant")
-_SPEED_LIMIT = 100.0  # m/s: beyond it the state is not plausible
+MODELS = ("complete", "simplified", "compliant")
+INERTIAS = ("point", "connector", "lumped")
 
 
 class AnalyticalSnake(Plant):
-    """The planar model: `complete`, whose bends follow Eq. 14, or `compliant`, whose bends yield.
+    """The planar model: `complete`, whose bends follow Eq. 14, or one of its neighbours.
+
+    `simplified` freezes every chord at its straight length; `compliant` lets the bends yield to load and
+    inertia.
 
     Attributes:
         timestep: longest step of the integrator, s; steps also end on valve events.
@@ -27,6 +33,7 @@ class AnalyticalSnake(Plant):
     """
 
     name = "analytical"
+    stretch = 10.0
 
     def __init__(
         self,
@@ -34,37 +41,60 @@ class AnalyticalSnake(Plant):
         *,
         model: str = "complete",
         friction: str = "axis",
+        friction_torque: bool = True,
+        inertia: str = "point",
         supply_pa: float | None = None,
         tick: float = 0.02,
-        timestep: float = 0.001,
-        slip_speed: float = 0.0005,
+        timestep: float = 0.002,
+        slip_speed: float = 0.00025,
         layout: str = "3/2",
+        pneumatics: str | Pneumatics = "lag",
+        track: float | None = None,
     ) -> None:
         """Build the model.
 
         Args:
             spec: the robot.
-            model: "complete" (bends as given) or "compliant" (bends that load and inertia deflect).
-            friction: "axis" (one point a connector, the text's law), "wheel" (two wheels at the track)
-                or "viscous" (a law to test with).
+            model: "complete" (bends as given), "simplified" (chords frozen at l + L_o besides) or
+                "compliant" (bends that load and inertia deflect).
+            friction: "axis" (one point a connector, the text's law), "wheel" (two wheels at the track),
+                "ellipse" (two skids there) or "viscous" (a law to test with).
+            friction_torque: whether friction's moment about the centre of mass acts; False is the text's
+                first model, `simplified` only.
+            inertia: of each connector about itself: "point" none, "connector" that of a compact body with
+                two wheels, as the twin has it, "lumped" the text's j(i) = Σ m L²/3, which counts the
+                segments' masses twice (E19).
             supply_pa: supply pressure, Pa; default the robot's nominal one.
             tick: control tick, s.
-            timestep: s; the tick is a multiple of it.
+            timestep: longest step, s.
             slip_speed: ε of the friction law, m/s.
             layout: valve layout, "3/2" or "in_out".
+            pneumatics: "lag", or chambers of one's own.
+            track: where the two contacts of a connector stand, m; default the robot's half track for a law
+                that acts at the wheels and 0, one contact, for the others.
 
         Raises:
-            InputError: an unknown model, law or layout, or a tick that is no multiple of the time step.
+            InputError: an unknown model, law, inertia or layout, a tick or time step that is not above 0,
+                or no friction torque with another model.
         """
-        for kind, given, known in (("model", model, MODELS), ("friction law", friction, LAWS)):
+        for kind, given, known in (
+            ("model", model, MODELS), ("friction law", friction, LAWS), ("inertia", inertia, INERTIAS),
+        ):  # fmt: skip
             if given not in known:
                 raise InputError(f"{kind} '{given}' is unknown; allowed: {', '.join(known)}")
+        if not friction_torque and model != "simplified":
+            raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
+        for name, value in (("tick", tick), ("time step", timestep)):
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"{name} {value!r} s is not allowed; it must be finite and above 0")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
-        self._model, self._slip = model, slip_speed
-        whole_steps("tick", tick, "time step", timestep)
+        self._model, self._inertia, self._turning = model, inertia, friction_torque
         supply = spec.supply.nominal if supply_pa is None else supply_pa
-        self.pneumatics = LagPneumatics(spec, supply_pa=supply, layout=layout)
-        self._mass = spec.mass.array()
+        self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
+        if track is None:
+            track = spec.geometry.half_track if friction in AT_TRACK else 0.0
+        mu = spec.friction
+        self._floor = Floor(LAWS.index(friction), track, mu.mu_t, mu.mu_n, slip_speed)
         self._body = self._make_body()
         self.reset()
 
@@ -73,28 +103,59 @@ class AnalyticalSnake(Plant):
         self.pneumatics.reset()
         self._ticks = 0
         self._body.reset(pose)
-        return self._observe(0.0, self._resting_trace(), -1)
+        body, trace = self._body, self.pneumatics.resting()
+        now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
+        resting = self._observe(np.zeros(1), now, trace)
+        return resting.at(0)
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance one tick; see `Plant.advance`."""
-        commands = self.pneumatics.slots(valves)
-        per_sample = whole_steps("sample interval", self.tick / samples, "time step", self.timestep)
-        ends = self._step_ends(commands, samples * per_sample)
-        starts = np.append(0.0, ends[:-1])
-        steps = ends - starts
-        stages = np.stack([starts + kernels.GAMMA * steps, ends], axis=1)
-        trace = self.pneumatics.advance(commands, self.tick, stages.ravel())
+        history = self.play(self.pneumatics.schedule(valves, self.tick), samples)
+        return [history.at(k) for k in range(samples)]
+
+    def play(self, schedule: Schedule, samples: int) -> SnakeState:
+        """Follow a schedule; see `Plant.play`."""
+        self.pneumatics.check(schedule.states)
+        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        ends, marks = self._step_ends(self.pneumatics.effective(schedule), samples)
+        done, motion, trace = self._drive(schedule, ends, marks)
         begun = self._ticks * self.tick
-        states, first = [], 0
-        for k in range(1, samples + 1):
-            at = self.tick * k / samples
-            last = int(np.searchsorted(ends, at * (1 + 1e-12), side="right"))
-            failed = self._body.move(steps[first:last], trace, slice(2 * first, 2 * last))
-            self._check(begun + at, failed)
-            states.append(self._observe(begun + at, trace, 2 * last - 1))
-            first = last
-        self._ticks += 1
-        return states
+        times = begun + schedule.span * np.arange(1, samples + 1) / samples
+        history = self._observe(times[: len(motion.states)], motion, trace)
+        if done < len(ends):
+            raise DivergedError(
+                self.name,
+                begun + ends[done],
+                f"step {done + 1} of {len(ends)} found no plausible solution, state {self._body.state}",
+                history=history,
+            )
+        self._ticks += ticks
+        return history
+
+    def _drive(self, schedule: Schedule, ends: np.ndarray, marks: np.ndarray) -> tuple[int, Motion, Trace]:
+        """Advance chambers and body; return the steps made, and what was at the marks that were reached.
+
+        Chambers that feel how a yielding body bends take turns with it, a step or two each.
+        """
+        felt = self._chambers_feel
+        pieces = np.unique(np.floor(ends / FELT_S * (1 - 1e-9)), return_index=True)[1] if felt else [0]
+        motions, traces, done = [], [], 0
+        for first, last in zip(pieces, [*pieces[1:], len(ends)], strict=True):
+            begun = ends[first - 1] if first else 0.0
+            starts = np.append(begun, ends[first : last - 1]) - begun
+            steps = ends[first:last] - begun - starts
+            stages = np.stack([starts + kernels.GAMMA * steps, starts + steps], axis=1)
+            bend, rate = self._body.bends()
+            part = schedule.part(begun, ends[last - 1]) if felt else schedule
+            trace = self.pneumatics.advance(part, stages.ravel(), bend=bend, bend_rate=rate)
+            inside = marks[(marks > first) & (marks <= last)] - first
+            made, motion = self._body.move(steps, trace, inside)
+            motions.append(motion)
+            traces.append(trace.at(2 * inside[: len(motion.states)] - 1))
+            done += made
+            if made < len(steps):
+                break
+        return done, Motion.joined(motions), Trace.joined(traces)
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""
@@ -105,80 +166,91 @@ class AnalyticalSnake(Plant):
         return super().describe() | {
             "model": self._model,
             "friction": self.friction,
+            "pneumatics": self.pneumatics.describe(),
+            "friction_torque": self._turning,
+            "inertia": self._inertia,
+            "track_m": self._floor.track,
             "timestep_s": self.timestep,
-            "slip_speed_m_s": self._slip,
+            "slip_speed_m_s": self._floor.slip,
         }
 
     def _make_body(self) -> Body:
-        if self._model == "complete":
-            return GivenBends(self._constants())
+        g = self.spec.geometry
+        frozen = 1.0 if self._model == "simplified" else 0.0
+        solid = Solid(
+            self.spec.mass.array(), self._own_inertia(), g.segment_length, g.rigid_gap, frozen
+        )  # fmt: skip
+        if self._model != "compliant":
+            return GivenBends(solid, self._floor, turning=self._turning)
         # Its kernels take a second to load: not before they are asked for.
         from srs_twin.plants.compliant import YieldingBends
 
-        return YieldingBends(self.spec, self._constants())
+        return YieldingBends(self.spec, solid, self._floor)
 
     @property
-    def _state(self) -> np.ndarray:
-        return self._body.state
+    def _chambers_feel(self) -> bool:
+        return self.pneumatics.feels_bend and self._body.yields
 
-    @property
-    def _velocity(self) -> np.ndarray:
-        return self._body.velocity
+    def _own_inertia(self) -> np.ndarray:
+        """Return the connectors' moments of inertia about themselves, shape (N,), kg·m²."""
+        if self._inertia == "connector":
+            return self.spec.yaw_inertia()
+        mass = self.spec.mass.array()
+        if self._inertia == "point":
+            return np.zeros_like(mass)
+        segments = np.full(len(mass), 2.0)
+        segments[[0, -1]] = 1.0
+        lumped: np.ndarray = segments * mass * self.spec.geometry.pitch**2 / 3
+        return lumped
 
-    def _constants(self) -> tuple[Any, ...]:
-        """Return the kernels' arguments that describe body and floor."""
-        g, mu = self.spec.geometry, self.spec.friction
-        track = g.half_track if self.friction == "wheel" else 0.0
-        law = LAWS.index(self.friction)
-        return self._mass, g.segment_length, g.rigid_gap, law, track, mu.mu_t, mu.mu_n, self._slip
+    def _step_ends(self, schedule: Schedule, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the integrator's steps end, and after how many of them a sample is due.
 
-    def _step_ends(self, commands: np.ndarray, steps: int) -> np.ndarray:
-        """Return where the integrator's steps end: an even grid and every valve event in between."""
-        ends = self.tick * np.arange(1, steps + 1) / steps
-        events = [start for start, _, _ in valve_runs(commands, self.tick)][1:]
-        if not events:
-            return ends
-        ends = np.sort(np.concatenate([ends, events]))
-        return ends[np.append(np.diff(ends) > 1e-9 * self.tick, True)]
+        They end on an even grid, as fine as the time step asks and in step with the samples, and on every
+        valve event in between.
+        """
+        longest = min(self.timestep, FELT_S) if self._chambers_feel else self.timestep
+        per_sample = math.ceil(schedule.span / samples / longest * (1 - 1e-12))
+        count = samples * per_sample
+        ends = schedule.span * np.arange(1, count + 1) / count
+        marks = np.arange(per_sample, count + 1, per_sample)
+        if len(schedule.events):
+            even = np.append(np.ones(count, dtype=bool), np.zeros(len(schedule.events), dtype=bool))
+            ends = np.append(ends, schedule.events)
+            order = np.argsort(ends, kind="stable")
+            ends, even = ends[order], even[order]
+            # An event at the end of an even step ends no step of its own.
+            near = np.diff(ends) < 1e-9 * self.tick
+            keep = np.append(True, ~near) & np.append(~near | even[:-1], True)
+            even |= np.append(False, near & even[:-1])
+            ends, even = ends[keep], even[keep]
+            marks = np.flatnonzero(even)[per_sample - 1 :: per_sample] + 1
+        return ends, marks
 
-    def _resting_trace(self) -> Trace:
-        bend = self.pneumatics.bend[None]
-        return Trace(self.pneumatics.pressure[None], bend, np.zeros_like(bend), self.pneumatics.valves[None])
-
-    def _check(self, time: float, failed: int) -> None:
-        speed = float(np.abs(self._state[kernels.VX : kernels.VY + 1]).max())
-        if failed or not speed < _SPEED_LIMIT or not np.isfinite(self._state).all():
-            raise DivergedError(
-                self.name,
-                time,
-                f"speed {speed:.3g} m/s, {failed} steps without solution, state {self._state}",
-            )
-
-    def _observe(self, time: float, trace: Trace, row: int) -> SnakeState:
-        bend, rate, g = trace.bend[row], trace.bend_rate[row], self.spec.geometry
-        x, y, heading, vx, vy, _ = self._state
-        c, s = np.cos(heading), np.sin(heading)
-        turn = np.array([[c, s], [-s, c]])  # row vectors: body → world
-        body = np.empty((g.connectors, 6))
-        kernels.pose_body(bend, rate, self._mass, g.segment_length, g.rigid_gap, body)
-        force, total, slope = np.empty((g.connectors, 2)), np.empty(3), np.empty((3, 3))
-        floor = self._constants()[3:]
-        kernels.floor_forces(  # type: ignore[call-arg]  # numba's stub knows no signatures
-            body, self._mass, self._velocity, *floor, force, total, slope
-        )
-        com = np.array([x, y])
+    def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
+        """Return the history of these moments."""
+        count, n = len(time), self.spec.geometry.connectors
+        position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))
+        energy = np.empty(count)
+        observation.observe(
+            motion.states, motion.velocities, motion.bend, motion.bend_rate, self._body.solid, self._floor,
+            position, theta, force, energy,
+        )  # fmt: skip
         return SnakeState(
             time=time,
-            com=com,
-            com_velocity=np.array([vx, vy]),
-            heading=float(heading),
-            position=com + body[:, 2:4] @ turn,
-            theta=heading + body[:, 0],
-            bend=bend,
-            bend_rate=rate,
-            pressure=trace.pressure[row],
-            valves=trace.valves[row],
-            sensed=bend.copy(),
-            contact_force=force @ turn,
-            qpos=np.empty(0),
+            com=motion.states[:, kernels.X : kernels.Y + 1],
+            com_velocity=motion.states[:, kernels.VX : kernels.VY + 1],
+            heading=motion.states[:, kernels.HEADING],
+            position=position,
+            theta=theta,
+            bend=motion.bend,
+            bend_rate=motion.bend_rate,
+            pressure=trace.pressure,
+            valves=trace.valves,
+            sensed=motion.bend.copy(),
+            contact_force=force,
+            torque=motion.torque,
+            work=energy + motion.states[:, kernels.SPENT],
+            air=trace.air,
+            qpos=np.empty((count, 0)),
         )

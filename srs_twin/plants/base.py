@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.pneumatics.schedule import Schedule
 from srs_twin.spec import RobotSpec
 
 Pose = tuple[float, float, float]
@@ -17,6 +19,8 @@ Pose = tuple[float, float, float]
 @dataclass(frozen=True)
 class SnakeState:
     """One moment of a snake, SI, world frame (z up, yaw counter-clockwise), connectors head first.
+
+    With a leading axis of samples on every field it is a history; `at` picks a moment of it.
 
     Attributes:
         time: s.
@@ -32,13 +36,17 @@ class SnakeState:
         sensed: what the curvature sensors say of `bend`, shape (segments,), rad.
         contact_force: horizontal floor force on each connector, shape (N, 2), N; momentary in the
             analytical model, the twin's is the mean since the last sample (contacts ripple).
+        torque: net moment of each segment on the connectors it joins (air, spring and damper together),
+            shape (segments,), N·m.
+        work: what the segments have done on the body since the start, J.
+        air: work drawn from the air supply since the start, J, see `Pneumatics.air`.
         qpos: the twin's generalised positions, else empty.
     """
 
-    time: float
+    time: float | np.ndarray
     com: np.ndarray
     com_velocity: np.ndarray
-    heading: float
+    heading: float | np.ndarray
     position: np.ndarray
     theta: np.ndarray
     bend: np.ndarray
@@ -47,7 +55,24 @@ class SnakeState:
     valves: np.ndarray
     sensed: np.ndarray
     contact_force: np.ndarray
+    torque: np.ndarray
+    work: float | np.ndarray
+    air: float | np.ndarray
     qpos: np.ndarray
+
+    def at(self, k: int) -> SnakeState:
+        """Return moment k of a history."""
+        return SnakeState(**{f.name: getattr(self, f.name)[k] for f in fields(self)})
+
+    @staticmethod
+    def history(parts: Sequence[SnakeState]) -> SnakeState:
+        """Return the history of these histories, one after the other; a moment counts as one sample."""
+        whole = [part if np.ndim(part.time) else part._sample() for part in parts]
+        names = [f.name for f in fields(SnakeState)]
+        return SnakeState(**{n: np.concatenate([getattr(part, n) for part in whole]) for n in names})
+
+    def _sample(self) -> SnakeState:
+        return SnakeState(**{f.name: np.asarray(getattr(self, f.name))[None] for f in fields(self)})
 
 
 class Plant(ABC):
@@ -57,11 +82,13 @@ class Plant(ABC):
         name: "analytical" or "twin".
         spec: the robot.
         tick: control tick, s; a multiple of the plant's time step.
+        stretch: how much of a script it likes to follow at a time, s.
     """
 
     name: str
     spec: RobotSpec
     tick: float
+    stretch: float = 1.0
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
@@ -108,6 +135,22 @@ class Plant(ABC):
                 f"record_hz {1 / self.tick:g} or less would do"
             )
         return [self.step(valves)]
+
+    def play(self, schedule: Schedule, samples: int) -> SnakeState | None:
+        """Follow a schedule that no feedback changes; None from a plant that knows only ticks.
+
+        Args:
+            schedule: valve states over a whole number of ticks.
+            samples: how many equally spaced samples to return, the last at its end.
+
+        Returns:
+            Their history.
+
+        Raises:
+            InputError: states that the valves cannot take.
+            DivergedError: as in `advance`; its `history` holds the samples before.
+        """
+        return None
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened since `reset`, shape (segments, 2)."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from srs_twin.plants import compliant_kernels, kernels
 from srs_twin.plants.base import Pose
-from srs_twin.plants.given import Body
+from srs_twin.plants.floor import Floor
+from srs_twin.plants.given import Body, Motion
+from srs_twin.plants.kinematics import Solid
 from srs_twin.pneumatics import Trace
 from srs_twin.spec import RobotSpec
 
@@ -20,28 +20,44 @@ class YieldingBends(Body):
     that a massless free one obeys Eq. 14; masses and floor bend it further.
     """
 
-    def __init__(self, spec: RobotSpec, constants: tuple[Any, ...]) -> None:
-        mass, length, gap, *floor = constants
+    yields = True
+
+    def __init__(self, spec: RobotSpec, solid: Solid, floor: Floor) -> None:
+        super().__init__(solid, floor)
         bending = spec.bending
-        self._solid = mass, np.zeros_like(mass), length, gap, bending.stiffness, bending.damping
-        self._floor = tuple(floor)
+        self._spring = bending.stiffness, bending.damping
         self._moment_per_pascal = bending.stiffness * spec.actuator.gain
         self._segments = spec.segments
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
-        self._full = np.zeros(compliant_kernels.BENDS + 2 * self._segments)
-        self._full[:3] = pose
-        self._rates = np.zeros(3 + self._segments)
-        self.state, self.velocity = self._full[: kernels.MOMENT + 1], self._rates[:3]
+        self.state = np.zeros(compliant_kernels.BENDS + 2 * self._segments)
+        self.state[:3] = pose
+        self.velocity = np.zeros(3 + self._segments)
 
-    def move(self, steps: np.ndarray, trace: Trace, stages: slice) -> int:
+    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
         """See `Body.move`."""
-        pressure = trace.pressure[stages]
-        moments = self._moment_per_pascal * (pressure[..., 0] - pressure[..., 1])
-        failed: int = compliant_kernels.advance(
-            self._full, steps, moments.reshape(len(steps), 2, -1), self._solid, self._floor, self._rates
-        )
-        bends = self._full[compliant_kernels.BENDS :][: self._segments]
-        trace.bend[stages.stop - 1], trace.bend_rate[stages.stop - 1] = bends, self._rates[3:]
-        return failed
+        states = np.empty((len(marks), len(self.state)))
+        velocities = np.empty((len(marks), len(self.velocity)))
+        done: int = compliant_kernels.advance(
+            self.state, steps, self._moments(trace).reshape(len(steps), 2, -1), marks, self.solid,
+            self._spring, self.floor, self.velocity, states, velocities,
+        )  # fmt: skip
+        reached, at = self.seen(done, marks)
+        return done, self.look(states[:reached], velocities[:reached], trace.at(at))
+
+    def bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Body.bends`."""
+        return self.state[compliant_kernels.BENDS :][: self._segments], self.velocity[3:]
+
+    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.look`."""
+        bend, rate = states[:, compliant_kernels.BENDS :][:, : self._segments], velocities[:, 3:]
+        stiffness, damping = self._spring
+        torque = self._moments(trace) - stiffness * bend - damping * rate
+        return Motion(states[:, : kernels.STATES], velocities, bend, rate, torque)
+
+    def _moments(self, trace: Trace) -> np.ndarray:
+        """Return what the chambers exert on each segment, N·m."""
+        moments: np.ndarray = self._moment_per_pascal * (trace.pressure[..., 0] - trace.pressure[..., 1])
+        return moments

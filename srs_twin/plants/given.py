@@ -1,62 +1,127 @@
-"""What moves an analytical snake: `Body`, and the `complete` model's, whose bends are given."""
+"""What moves an analytical snake: `Body`, and the models' whose bends are given."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from srs_twin.plants import kernels
+from srs_twin.plants import kernels, observation
 from srs_twin.plants.base import Pose
+from srs_twin.plants.floor import Floor
+from srs_twin.plants.kinematics import Solid
 from srs_twin.pneumatics import Trace
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a body did at some moments.
+
+    Attributes:
+        states: by the indices in `kernels`, shape (samples, STATES or more).
+        velocities: of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, where they
+            are not given, bend rates, shape (samples, 3 or more).
+        bend: shape (samples, segments), rad.
+        bend_rate: same shape, rad/s.
+        torque: net moment of each segment, same shape, N·m.
+    """
+
+    states: np.ndarray
+    velocities: np.ndarray
+    bend: np.ndarray
+    bend_rate: np.ndarray
+    torque: np.ndarray
+
+    @staticmethod
+    def joined(parts: Sequence[Motion]) -> Motion:
+        """Return several motions, one after the other, as one."""
+        return Motion(
+            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Motion))
+        )
 
 
 class Body(ABC):
     """The mechanics of an analytical model, driven by what the chambers do.
 
     Attributes:
-        state: pose, velocity and moment of momentum by the indices in `kernels`, shape (6,).
-        velocity: of the centre of mass in the mean-heading frame (m/s) and yaw rate (rad/s), shape (3,).
+        state: pose, velocity, moment of momentum and more by the indices in `kernels`.
+        velocity: what `Motion.velocities` holds, now.
+        solid: for the kernels.
+        floor: for the kernels.
     """
 
     state: np.ndarray
     velocity: np.ndarray
+
+    yields = False
+    """Whether the bends are the body's own, not the free ones that the chambers would give."""
+
+    def __init__(self, solid: Solid, floor: Floor) -> None:
+        self.solid, self.floor = solid, floor
+
+    def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+        """Return the bends (rad) and their rates (rad/s) now; None from a body that has none of its own."""
+        return None, None
 
     @abstractmethod
     def reset(self, pose: Pose) -> None:
         """Lie straight, at rest, with the centre of mass at x, y (m) and that heading (rad)."""
 
     @abstractmethod
-    def move(self, steps: np.ndarray, trace: Trace, stages: slice) -> int:
+    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
         """Advance by some steps.
 
         Args:
             steps: step lengths, shape (steps,), s.
-            trace: what the chambers do; a body whose bends are not the free ones writes its own over them
-                in the row of the last stage.
-            stages: rows of the trace, two for each step.
+            trace: what the chambers do at each step's two stages, 2 · steps rows.
+            marks: numbers of steps after which to look, ascending, shape (samples,).
 
         Returns:
-            The number of steps that found no solution.
+            How many steps were made, fewer than asked if one failed, and what happened at the marks that
+            were reached.
         """
+
+    @abstractmethod
+    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """Return the motion at moments for which the trace has one row each."""
+
+    def seen(self, done: int, marks: np.ndarray) -> tuple[int, np.ndarray]:
+        """Return how many marks were reached in `done` steps, and the rows of the trace that belong there."""
+        reached = int(np.searchsorted(marks, done, side="right"))
+        return reached, 2 * marks[:reached] - 1
 
 
 class GivenBends(Body):
-    """The `complete` model: the bends are the free ones of Eq. 14, whatever the load."""
+    """`complete` and `simplified`: the bends are the free ones of Eq. 14, whatever the load."""
 
-    def __init__(self, constants: tuple[Any, ...]) -> None:
-        self._constants = constants
+    def __init__(self, solid: Solid, floor: Floor, *, turning: bool) -> None:
+        super().__init__(solid, floor)
+        self._turning = turning
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
-        self.state = np.array([*pose, 0.0, 0.0, 0.0])
+        self.state = np.zeros(kernels.STATES)
+        self.state[:3] = pose
         self.velocity = np.zeros(3)
 
-    def move(self, steps: np.ndarray, trace: Trace, stages: slice) -> int:
+    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
         """See `Body.move`."""
-        bends, rates = (values[stages].reshape(len(steps), 2, -1) for values in (trace.bend, trace.bend_rate))
-        failed: int = kernels.advance(  # type: ignore[call-arg]  # numba's stub knows no signatures
-            self.state, steps, bends, rates, *self._constants, self.velocity
-        )
-        return failed
+        bends, rates = (values.reshape(len(steps), 2, -1) for values in (trace.bend, trace.bend_rate))
+        states, velocities = np.empty((len(marks), kernels.STATES)), np.empty((len(marks), 3))
+        done: int = kernels.advance(
+            self.state, steps, bends, rates, marks, self.solid, self.floor, self._turning, self.velocity,
+            states, velocities,
+        )  # fmt: skip
+        reached, at = self.seen(done, marks)
+        return done, self.look(states[:reached], velocities[:reached], trace.at(at))
+
+    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.look`."""
+        torque = np.empty_like(trace.bend)
+        observation.inverse_dynamics(
+            velocities, trace.bend, trace.bend_rate, trace.bend_acceleration, self.solid, self.floor,
+            self._turning, torque,
+        )  # fmt: skip
+        return Motion(states, velocities, trace.bend, trace.bend_rate, torque)

@@ -1,155 +1,34 @@
-"""TwinSnake: the snake in MuJoCo, in three dimensions, with compliant bends and real wheels."""
+"""TwinSnake: the snake in MuJoCo, in three dimensions, with compliant bends, on real wheels or on skids."""
 
 from __future__ import annotations
 
-import os
-from collections import deque
+import math
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
 from srs_twin.plants.base import Plant, Pose, SnakeState
-from srs_twin.pneumatics import LagPneumatics
-from srs_twin.spec import GRAVITY, RobotSpec
+from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
+from srs_twin.pneumatics import FELT_S, Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.spec import RobotSpec
 
-# Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
-os.environ.setdefault("MUJOCO_GL", "disabled")
-
-import mujoco  # noqa: E402
-from dm_control import mujoco as dm  # noqa: E402
-from dm_control.rl.control import PhysicsError  # noqa: E402
-
-from srs_twin.mjcf import Numerics, preload_force, scene_mjcf  # noqa: E402
-
-WHEELS = ("rolling",)
-_HEARD: deque[str] = deque(maxlen=4)
-# MuJoCo's warnings are part of a DivergedError's message; unheard they go to a log file or to stderr.
-mujoco.set_mju_user_warning(_HEARD.append)
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
-
-
-class SnakePhysics(dm.Physics):
-    """dm_control physics of a snake; `step` advances the chambers, then the bodies.
-
-    The control is a valve command, held in equal slots over the next `step`.
-    """
-
-    @classmethod
-    def build(
-        cls, spec: RobotSpec, numerics: Numerics, pneumatics: LagPneumatics, *, supply_pa: float
-    ) -> SnakePhysics:
-        """Compile the scene of a robot.
-
-        Args:
-            spec: the robot.
-            numerics: time step, discretisation, contact.
-            pneumatics: its chambers.
-            supply_pa: largest pressure that can occur, Pa.
-        """
-        model = scene_mjcf(spec, numerics, supply_pa=supply_pa).compile()
-        physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
-        physics._attach(spec, numerics, pneumatics)
-        return physics
-
-    def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: LagPneumatics) -> None:
-        raw = self.model.ptr
-        self._pneumatics = pneumatics
-        self._preload = preload_force(spec, numerics)
-        self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
-        self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
-        self._valves = np.full((1, spec.segments, 2), -1, dtype=np.int8)
-        self._floor_force = np.zeros((*self._preload.shape, 3))
-
-    def lay_down(self, pose: Pose) -> None:
-        """Reset to a straight snake at rest with its centre of mass at x, y (m) and heading (rad)."""
-        x, y, heading = pose
-        with self.reset_context():
-            offset = self.named.data.xpos["connector_1", "x"] - self.data.subtree_com[0][0]
-            self.data.qpos[:2] = x + offset * np.cos(heading), y + offset * np.sin(heading)
-            self.data.qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
-        self._pneumatics.reset()
-        # At rest every wheel carries its share of the weight, and its preload.
-        self._floor_force = np.zeros((*self._preload.shape, 3))
-        self._floor_force[..., 2] = self._preload + self._rest_load
-
-    def set_control(self, control: np.ndarray) -> None:
-        """Command the valves for the next `step`: (segments, 2) or (slots, segments, 2)."""
-        self._valves = self._pneumatics.slots(control)
-
-    def step(self, nstep: int = 1) -> None:
-        """Advance chambers and bodies by `nstep` time steps.
-
-        Pressures are those of each step's beginning: with the springs at its end, a ramp then lags by
-        exactly τ₂.
-        """
-        model, data = self.model.ptr, self.data.ptr
-        span = nstep * model.opt.timestep
-        times = span * np.arange(nstep) / nstep
-        controls = self._pneumatics.advance(self._valves, span, times).pressure.reshape(nstep, -1)
-        force = np.zeros(model.nsensordata)
-        chambers, floor = data.ctrl[: controls.shape[1]], data.sensordata
-        with self.check_invalid_state():
-            for row in controls:
-                chambers[:] = row
-                mujoco.mj_step(model, data)
-                force += floor
-            # Positions and velocities of the end of the step, not of its beginning.
-            mujoco.mj_step1(model, data)
-        self._floor_force = force.reshape(self._floor_force.shape) / nstep
-
-    def bend_angles(self) -> np.ndarray:
-        """Return the bends q_j, shape (segments,), rad."""
-        return self.data.ten_length.copy()
-
-    def bend_rates(self) -> np.ndarray:
-        """Return the bend rates, shape (segments,), rad/s."""
-        return self.data.ten_velocity.copy()
-
-    def connector_positions(self) -> np.ndarray:
-        """Return the connectors, head first, shape (N, 3), m."""
-        return self.data.xpos[self._connectors].copy()
-
-    def connector_headings(self) -> np.ndarray:
-        """Return the connectors' headings, shape (N,), wrapped to (−π, π], rad."""
-        frame = self.data.xmat[self._connectors]
-        return np.arctan2(frame[:, 3], frame[:, 0])
-
-    def center_of_mass(self) -> np.ndarray:
-        """Return the snake's centre of mass, shape (3,), m."""
-        return self.data.subtree_com[0].copy()
-
-    def center_of_mass_velocity(self) -> np.ndarray:
-        """Return its velocity, shape (3,), m/s."""
-        mujoco.mj_subtreeVel(self.model.ptr, self.data.ptr)
-        return self.data.subtree_linvel[0].copy()
-
-    def floor_forces(self) -> np.ndarray:
-        """Return the floor's force on each wheel less the preload, mean over the last `step`, world frame.
-
-        Shape (N, 2, 3): connector, left and right wheel, x y z, N.
-        """
-        force = self._floor_force.copy()
-        force[..., 2] -= self._preload
-        return force
-
-    def wheel_loads(self) -> np.ndarray:
-        """Return the normal load of each wheel, mean over the last `step`, shape (N, 2), N.
-
-        Below 0: without preload the wheel would lift.
-        """
-        return self.floor_forces()[..., 2]
 
 
 class TwinSnake(Plant):
     """The MuJoCo twin.
 
     Attributes:
+        stretch: how much the engine runs at a time, s: its records of every step stay small.
         physics: the `SnakePhysics`, for what the contract does not show.
         timestep: s.
+        wheels: what it stands on, "rolling" or "skid".
     """
 
     name = "twin"
+    stretch = 1.0
 
     def __init__(
         self,
@@ -161,21 +40,24 @@ class TwinSnake(Plant):
         supply_pa: float | None = None,
         tick: float = 0.02,
         layout: str = "3/2",
+        pneumatics: str | Pneumatics = "lag",
         slip_time: float = Numerics.slip_time,
-        preload: float = Numerics.preload,
+        preload: float | None = None,
     ) -> None:
         """Build and compile the twin.
 
         Args:
             spec: the robot.
-            wheels: "rolling", hinge wheels.
+            wheels: "rolling" (hinge wheels, friction law `wheel`) or "skid" (runners, law `ellipse`).
             hinges_per_segment: bending hinges a segment.
             timestep: s; the tick is a multiple of it.
             supply_pa: supply pressure, Pa; default the robot's nominal one.
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
+            pneumatics: "lag", or chambers of one's own.
             slip_time: time constant with which contact friction stops a slip, s.
-            preload: by how many times its static load each wheel is pressed down besides.
+            preload: by how many times its static load each wheel is pressed down besides; default what
+                suits the wheels, `mjcf_numerics.PRELOAD`.
 
         Raises:
             InputError: an unknown wheel or layout, or a tick that is no multiple of the time step.
@@ -183,42 +65,57 @@ class TwinSnake(Plant):
         if wheels not in WHEELS:
             raise InputError(f"wheels '{wheels}' are unknown; allowed: {', '.join(WHEELS)}")
         whole_steps("tick", tick, "time step", timestep)
-        self.spec, self.tick, self.timestep, self._wheels = spec, tick, timestep, wheels
+        self.spec, self.tick, self.timestep, self.wheels = spec, tick, timestep, wheels
         self._numerics = Numerics(
-            timestep=timestep, hinges_per_segment=hinges_per_segment, slip_time=slip_time, preload=preload
+            timestep=timestep,
+            hinges_per_segment=hinges_per_segment,
+            wheels=wheels,
+            slip_time=slip_time,
+            preload=PRELOAD[wheels] if preload is None else preload,
         )
         supply = spec.supply.nominal if supply_pa is None else supply_pa
-        self.pneumatics = LagPneumatics(spec, supply_pa=supply, layout=layout)
-        self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, supply_pa=supply)
+        self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
+        largest = supply * self.pneumatics.overshoot
+        self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, supply_pa=largest)
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
         """Lay the snake straight, at rest, chambers empty. Nothing is random here: `seed` is unused."""
-        self.physics.lay_down(pose)
+        physics = self.physics
+        physics.lay_down(pose)
         self._ticks = 0
+        self._spent = 0.0
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
-        return self._observe(0.0)
+        self._last_push = np.zeros((self.spec.geometry.connectors, 2, 2))
+        state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
+        force = np.zeros((1, *self._last_push.shape))
+        trace = self.pneumatics.resting()
+        return self._observe(np.zeros(1), state, trace, force, np.zeros(1)).at(0)
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance one tick; see `Plant.advance`."""
-        commands = self.pneumatics.slots(valves)
-        steps = whole_steps("sample interval", self.tick / samples, "time step", self.timestep)
-        begun = self._ticks * self.tick
-        states = []
-        for k, part in enumerate(_parts(commands, samples), start=1):
-            now = begun + self.tick * k / samples
-            self.physics.set_control(part)
-            before = self.physics.data.qpos.copy(), self.physics.data.qvel.copy()
-            _HEARD.clear()
+        history = self.play(self.pneumatics.schedule(valves, self.tick), samples)
+        return [history.at(k) for k in range(samples)]
+
+    def play(self, schedule: Schedule, samples: int) -> SnakeState:
+        """Follow a schedule; see `Plant.play`."""
+        self.pneumatics.check(schedule.states)
+        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        interval = schedule.span / samples
+        steps = whole_steps("sample interval", interval, "time step", self.timestep)
+        block = max(1, math.floor(self.stretch / interval))
+        begun, parts = self._ticks * self.tick, []
+        for first in range(0, samples, block):
+            count = min(block, samples - first)
+            part = schedule.part(first * interval, (first + count) * interval)
             try:
-                self.physics.step(steps)
-            except PhysicsError as error:
-                raise self._diverged(now, before) from error
-            if not self._plausible():
-                raise self._diverged(now, before)
-            states.append(self._observe(now))
-        self._ticks += 1
-        return states
+                parts.append(self._block(part, begun + first * interval, count, steps))
+            except DivergedError as error:
+                kept = [*parts, *([error.history] if error.history is not None else [])]
+                error.history = SnakeState.history(kept) if kept else None
+                raise
+        self._ticks += ticks
+        return SnakeState.history(parts)
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""
@@ -227,58 +124,108 @@ class TwinSnake(Plant):
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
         return super().describe() | {
-            "wheels": self._wheels,
+            "wheels": self.wheels,
+            "pneumatics": self.pneumatics.describe(),
             "timestep_s": self.timestep,
             "hinges_per_segment": self._numerics.hinges_per_segment,
             "slip_time_s": self._numerics.slip_time,
             "preload": self._numerics.preload,
         }
 
-    def _plausible(self) -> bool:
-        data = self.physics.data
-        return bool(np.abs(data.qvel).max() < _SPEED_LIMIT) and bool(np.isfinite(data.qpos).all())
+    def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
+        """Follow a schedule for some samples of so many steps each."""
+        HEARD.clear()
+        before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
+        trace, stretch = self._drive(schedule, samples * steps)
+        interval = schedule.span / samples
+        times = begun + interval * np.arange(1, samples + 1)
+        good = self._plausible_steps(stretch.states)
+        whole = good // steps
+        history = self._history(times[:whole], trace, stretch, steps)
+        if good < len(stretch.states):
+            last = stretch.states[good - 1] if good else before
+            raise self._diverged(begun + (good + 1) * self.timestep, last, history if whole else None)
+        return history
 
-    def _diverged(self, time: float, before: tuple[np.ndarray, np.ndarray]) -> DivergedError:
+    def _drive(self, schedule: Schedule, steps: int) -> tuple[Trace, Stretch]:
+        """Advance chambers and bodies; return what the chambers did at the steps' ends, and the bodies."""
+        most = max(1, math.floor(FELT_S / self.timestep)) if self.pneumatics.feels_bend else steps
+        traces, stretches = [], []
+        for first in range(0, steps, most):
+            last = min(first + most, steps)
+            trace = self.physics.fill(
+                schedule.part(first * self.timestep, last * self.timestep), last - first
+            )
+            stretches.append(self.physics.run(trace.pressure[:-1]))
+            traces.append(trace.at(slice(1, None)))
+        return Trace.joined(traces), Stretch.joined(stretches)
+
+    def _history(self, times: np.ndarray, trace: Trace, stretch: Stretch, steps: int) -> SnakeState:
+        """Return what was to be seen at these times, each at the end of so many steps."""
+        count, used = len(times), len(times) * steps
+        ends = np.arange(1, count + 1) * steps - 1
+        push, velocity = stretch.floor_force[:used, ..., :2], stretch.foot_velocity[:used, ..., :2]
+        # The floor's force acts with the velocity that it leads to, at the end of its step.
+        earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push
+        spent = self._spent - self.timestep * np.cumsum((earlier * velocity).sum(axis=(1, 2, 3)))
+        if used:
+            self._spent, self._last_push = float(spent[-1]), push[-1]
+        work = stretch.energy[ends] + spent[ends]
+        force = push.reshape(count, steps, *push.shape[1:]).mean(axis=1)
+        return self._observe(times, stretch.states[ends], trace.at(ends), force, work)
+
+    def _observe(
+        self, times: np.ndarray, states: np.ndarray, trace: Trace, force: np.ndarray, work: np.ndarray
+    ) -> SnakeState:
+        """Return the history of these states."""
+        seen = self.physics.look(states)
+        # Unwrap against the last sample: a connector turns by far less than π in between.
+        theta = np.unwrap(np.concatenate([self._theta[None], seen.headings]), axis=0)[1:]
+        if len(theta):
+            self._theta = theta[-1]
+        bending = self.spec.bending
+        air = bending.stiffness * self.spec.actuator.gain * (trace.pressure[..., 0] - trace.pressure[..., 1])
+        return SnakeState(
+            time=times,
+            com=seen.com[:, :2],
+            com_velocity=seen.com_velocity[:, :2],
+            heading=theta.mean(axis=1),
+            position=seen.positions[..., :2],
+            theta=theta,
+            bend=seen.bends,
+            bend_rate=seen.bend_rates,
+            pressure=trace.pressure,
+            valves=trace.valves,
+            sensed=seen.bends.copy(),
+            contact_force=force.sum(axis=2),
+            torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
+            work=work,
+            air=trace.air,
+            qpos=seen.qpos,
+        )
+
+    def _plausible_steps(self, states: np.ndarray) -> int:
+        """Return how many steps, from the first, led to finite and plausible states."""
+        moved = np.diff(states[:, 0], prepend=-1.0) > 0  # after a divergence the engine's time stands still
+        speeds = states[:, 1 + self.physics.model.nq :]
+        fine = moved & np.isfinite(states).all(axis=1) & (np.abs(speeds) < _SPEED_LIMIT).all(axis=1)
+        return int(np.argmin(fine)) if not fine.all() else len(fine)
+
+    def _diverged(self, time: float, before: np.ndarray, history: SnakeState | None) -> DivergedError:
         """Go back to the state before and say what it was and what MuJoCo said."""
-        said = " ".join(" ".join(dict.fromkeys(_HEARD)).split()) or "speeds beyond the plausible"
+        said = " ".join(" ".join(dict.fromkeys(HEARD)).split()) or "speeds beyond the plausible"
         physics = self.physics
-        physics.data.qpos[:], physics.data.qvel[:] = before
-        mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
+        count = physics.model.nq
+        physics.data.qpos[:], physics.data.qvel[:] = before[1 : 1 + count], before[1 + count :]
+        physics.refresh()
         x, y, z = physics.center_of_mass()
         bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
+        heading = float(self._theta.mean())
+        fastest = np.abs(before[1 + count :]).max()
         return DivergedError(
             self.name,
             time,
             f"{said}; before: centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading "
-            f"{self._theta.mean():.3g} rad, bends {bends} rad, largest speed {np.abs(before[1]).max():.3g} "
-            "m/s or rad/s",
+            f"{heading:.3g} rad, bends {bends} rad, largest speed {fastest:.3g} m/s or rad/s",
+            history=history,
         )
-
-    def _observe(self, time: float) -> SnakeState:
-        physics = self.physics
-        # Unwrap against the last sample: a connector turns by far less than π in between.
-        wrapped = physics.connector_headings()
-        self._theta = self._theta + np.remainder(wrapped - self._theta + np.pi, 2 * np.pi) - np.pi
-        bend = physics.bend_angles()
-        return SnakeState(
-            time=time,
-            com=physics.center_of_mass()[:2],
-            com_velocity=physics.center_of_mass_velocity()[:2],
-            heading=float(self._theta.mean()),
-            position=physics.connector_positions()[:, :2],
-            theta=self._theta,
-            bend=bend,
-            bend_rate=physics.bend_rates(),
-            pressure=self.pneumatics.pressure,
-            valves=self.pneumatics.valves,
-            sensed=bend.copy(),
-            contact_force=physics.floor_forces()[..., :2].sum(axis=1),
-            qpos=physics.data.qpos.copy(),
-        )
-
-
-def _parts(commands: np.ndarray, samples: int) -> list[np.ndarray]:
-    """Split the slots of a tick evenly over its samples."""
-    if len(commands) % samples:
-        commands = np.repeat(commands, samples, axis=0)
-    return np.split(commands, samples)

@@ -25,6 +25,8 @@ def section(text: str, default: Any = ...) -> Any:
     return Field(default, title=text.partition(";")[0].rstrip("."), description=text)
 
 
+ORIFICE_ONLY = ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml")
+
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 
 
@@ -47,6 +49,41 @@ class SupplyFile(Strict):
         "Supply pressure, gauge (default: the robot's nominal one)", "kPa", 0.1, 2000.0, None
     )
     allow_overpressure: bool = section("The same as allow_overpressure of the scenario.", False)
+
+
+class PneumaticsFile(Strict):
+    """Valves and chambers."""
+
+    kind: Literal["lag", "orifice"] = section(
+        "How chambers fill; lag: exponentially, with tau_1; orifice: compressible flow (ISO 6358) into "
+        "chambers that grow as they bend, from one supply.",
+        "lag",
+    )
+    leak_per_s: float = quantity(
+        "Share of its pressure that a held chamber loses a second", "1/s", 0.0, 100.0, 0.0
+    )
+    valve_delay_s: float = quantity(
+        "How much later than commanded a valve switches, besides tau_2", "s", 0.0, 1.0, 0.0
+    )
+    critical_ratio: float | None = quantity(
+        "Critical pressure ratio of the valves (orifice; default 0.3)", "", 0.0, 0.8, None
+    )
+    flow_limit_l_per_min: float | None = quantity(
+        "Most that the supply delivers, measured at ambient pressure (orifice; default: no limit)",
+        "L/min", 0.01, 10_000.0, None,
+    )  # fmt: skip
+    line_volume_ml: float | None = quantity(
+        "Volume between a limited supply and the inlets (orifice; default 50)", "ml", 1.0, 1e6, None
+    )
+
+    @model_validator(mode="after")
+    def _what_belongs_together(self) -> PneumaticsFile:
+        given = [name for name in ORIFICE_ONLY if getattr(self, name) is not None]
+        if given and self.kind != "orifice":
+            raise ValueError(f"{given[0]} belongs to kind: orifice; set that, or take {given[0]} out")
+        if self.line_volume_ml is not None and self.flow_limit_l_per_min is None:
+            raise ValueError("line_volume_ml is felt only with flow_limit_l_per_min; give that too")
+        return self
 
 
 class StartFile(Strict):
@@ -103,41 +140,68 @@ class _PlantFile(Strict):
     timestep_s: float = quantity("Time step of the integrator", "s", 1e-5, 0.02, 0.001)
     tick_s: float = Field(
         default=0.02, ge=1e-5, le=1.0, title="Control tick", validate_default=True,
-        description="Control tick in s, 1e-5 to 1; a multiple of timestep_s and, above 0.1 ms, of 0.1 ms.",
+        description="Control tick in s, 1e-5 to 1; above 0.1 ms a multiple of it, the twin's of timestep_s.",
     )  # fmt: skip
 
     @field_validator("tick_s")
     @classmethod
-    def _whole_steps(cls, tick: float, info: ValidationInfo) -> float:
-        try:
-            # Without a valid time step there is nothing to compare with: its own message is enough.
-            whole_steps("tick", tick, "time step", info.data.get("timestep_s", tick))
-            whole_steps("tick", tick, "valve slot", min(SLOT_S, tick))
-        except TimeStepError as error:
-            raise ValueError(str(error)) from error
-        return tick
+    def _whole_slots(cls, tick: float) -> float:
+        return _whole(tick, "valve slot", min(SLOT_S, tick))
+
+
+def _whole(tick: float, step_name: str, step: float) -> float:
+    try:
+        whole_steps("tick", tick, step_name, step)
+    except TimeStepError as error:
+        raise ValueError(str(error)) from error
+    return tick
 
 
 class AnalyticalFile(_PlantFile):
     """The dissertation's planar model."""
 
-    model: Literal["complete", "compliant"] = section(
-        "complete: bends as the actuators give them; compliant: bends that load and inertia deflect.",
+    timestep_s: float = quantity("Longest step of the integrator", "s", 1e-5, 0.02, 0.002)
+    model: Literal["complete", "simplified", "compliant"] = section(
+        "complete: bends as the actuators give them; simplified: chords frozen at their straight length "
+        "besides; compliant: bends that load and inertia deflect.",
         "complete",
     )
-    friction: Literal["axis", "wheel", "viscous"] = section(
+    friction_torque: bool = section(
+        "Whether friction's moment about the centre of mass acts; only simplified goes without.", True
+    )
+    inertia: Literal["point", "connector", "lumped"] = section(
+        "Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: "
+        "the dissertation's, which counts the segments twice.",
+        "point",
+    )
+    friction: Literal["axis", "wheel", "viscous", "ellipse"] = section(
         "Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, "
-        "viscous: a law for tests.",
+        "ellipse: two skids at the track, viscous: a law for tests.",
         "axis",
     )
-    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", "m/s", 1e-6, 0.1, 0.0005)
+    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", "m/s", 1e-6, 0.1, 0.00025)
+
+    @model_validator(mode="after")
+    def _torque_is_there(self) -> AnalyticalFile:
+        if not self.friction_torque and self.model != "simplified":
+            raise ValueError(f"model {self.model} has a friction torque; only simplified goes without")
+        return self
 
 
 class TwinFile(_PlantFile):
     """The MuJoCo twin."""
 
-    wheels: Literal["rolling"] = section("Kind of wheels; rolling: hinge wheels.", "rolling")
-    hinges_per_segment: int = quantity("Bending hinges a segment", "", 1, 32, 4)
+    @field_validator("tick_s")
+    @classmethod
+    def _whole_steps(cls, tick: float, info: ValidationInfo) -> float:
+        # Without a valid time step there is nothing to compare with: its own message is enough.
+        return _whole(tick, "time step", info.data.get("timestep_s", tick))
+
+    wheels: Literal["rolling", "skid"] = section(
+        "What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse).",
+        "rolling",
+    )
+    hinges_per_segment: int = quantity("Bending hinges a segment", "", 1, 32, 2)
 
 
 class PlantsFile(Strict):
@@ -204,6 +268,16 @@ class ExpectationFile(Strict):
         return self
 
 
+class ComparisonFile(Strict):
+    """How the plants are compared."""
+
+    gap_factor: bool = section(
+        "Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid "
+        "gaps (Section 3.4.2); the analytical plant must have gaps: false.",
+        False,
+    )
+
+
 ROBOT_TEXT = (
     "The snake: a shipped name (gen1 to gen4), the path of a robot file, {base: a name or path} with fields "
     "to change, or a whole robot."
@@ -231,6 +305,7 @@ class ScenarioFile(Strict):
     seed: int = quantity("Seed of whatever is random", "", 0, 2**32 - 1, 0)
     record_hz: float = quantity("Recorded samples a second", "Hz", 0.1, 10_000.0, 100.0)
     supply: SupplyFile = section("Compressed air.", SupplyFile())
+    pneumatics: PneumaticsFile = section("Valves and chambers.", PneumaticsFile())
     allow_overpressure: bool = section(
         "Let a supply pressure above the robot's limit run, with a warning.", False
     )
@@ -240,4 +315,5 @@ class ScenarioFile(Strict):
     plants: PlantsFile = section(
         "Which plants run (default: both).", PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
     )
+    comparison: ComparisonFile = section("How the plants are compared.", ComparisonFile())
     expect: Annotated[list[ExpectationFile], Field(max_length=200)] = section("What must come out.", [])

@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from srs_twin.documents import Document, load_yaml
@@ -14,16 +15,21 @@ from srs_twin.files import find
 from srs_twin.robot_file import PA_PER_KPA, RobotFile
 from srs_twin.robots import resolve_robot
 from srs_twin.scenario.expectation import COMPARISON, Expectation
-from srs_twin.scenario.file import PLANTS, ExpectationFile, ScenarioFile, WorldFile
+from srs_twin.scenario.file import PLANTS, ExpectationFile, PneumaticsFile, ScenarioFile, TwinFile, WorldFile
 from srs_twin.scenario.scenario import (
     AnalyticalSettings,
     GaitSettings,
     PlantSettings,
+    PneumaticsSettings,
     Scenario,
     TwinSettings,
 )
 from srs_twin.validation import validate
 from srs_twin.world import Bounds, Circle, Goal, World
+
+L_PER_MIN = 60_000.0
+ML = 1e6
+"""Litres a minute in a cubic metre a second, millilitres in a cubic metre."""
 
 
 def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
@@ -57,6 +63,7 @@ def _scenario(document: Document, name: str) -> Scenario:
         if robot:
             _check_damping(document, file, robot)
         _check_expectations(document, file)
+        _check_gap_factor(document, file)
     document.finish(foreign)
     assert file is not None and robot is not None, "no problem was reported"
     if file.world != WorldFile():
@@ -107,7 +114,8 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
                 whole_steps("recording interval", interval, f"the {kind} plant's tick", plant.tick_s)
             else:
                 whole_steps(f"the {kind} plant's tick", plant.tick_s, "recording interval", interval)
-                whole_steps("recording interval", interval, f"the {kind} plant's time step", plant.timestep_s)
+                if isinstance(plant, TwinFile):
+                    whole_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
         except TimeStepError as error:
             document.report((key,), str(error))
 
@@ -134,17 +142,35 @@ def _check_expectations(document: Document, file: ScenarioFile) -> None:
             document.report(("expect", i, "of"), "a comparison needs both plants; add the other to plants")
 
 
+def _check_gap_factor(document: Document, file: ScenarioFile) -> None:
+    """The dissertation's factor stands for gaps that the model does not have."""
+    analytical, twin = file.plants.analytical, file.plants.twin
+    if not file.comparison.gap_factor:
+        return
+    if analytical is None or twin is None:
+        document.report(
+            ("comparison", "gap_factor"), "a comparison needs both plants; add the other to plants"
+        )
+    elif analytical.gaps:
+        document.report(
+            ("comparison", "gap_factor"),
+            "the analytical plant has the gaps in its geometry already; set plants.analytical.gaps: false",
+        )
+
+
 def _build(file: ScenarioFile, robot: RobotFile, name: str, warnings: tuple[str, ...]) -> Scenario:
     pressure_kpa = file.supply.pressure_kpa
     if pressure_kpa is None:
         pressure_kpa = robot.supply.nominal_kpa.value
     gait, start, title = file.controller, file.start, file.title or name
     allow_overpressure = file.allow_overpressure or file.supply.allow_overpressure
+    pneumatics, pneumatics_document = _pneumatics(file.pneumatics)
     document = file.model_dump(mode="json", exclude_none=True) | {
         "name": name,
         "title": title,
         "robot": robot.model_dump(mode="json"),
         "supply": {"pressure_kpa": pressure_kpa},
+        "pneumatics": pneumatics_document,
         "allow_overpressure": allow_overpressure,
     }
     return Scenario(
@@ -155,15 +181,34 @@ def _build(file: ScenarioFile, robot: RobotFile, name: str, warnings: tuple[str,
         seed=file.seed,
         record_hz=file.record_hz,
         supply_pa=pressure_kpa * PA_PER_KPA,
+        pneumatics=pneumatics,
         allow_overpressure=allow_overpressure,
         controller=GaitSettings(gait.frequency_hz, gait.offset, gait.phase_rad, gait.phase_step_rad),
         pose=(start.x_m, start.y_m, start.heading_rad),
         world=_world(file.world),
         plants=_plants(file),
+        gap_factor=file.comparison.gap_factor,
         expect=tuple(_expectation(each) for each in file.expect),
         document=document,
         warnings=warnings,
     )
+
+
+def _pneumatics(file: PneumaticsFile) -> tuple[PneumaticsSettings, dict[str, Any]]:
+    """Return the chambers' settings, and what a file with all defaults written out says of them."""
+    settings = PneumaticsSettings(file.kind, file.leak_per_s, file.valve_delay_s)
+    document = file.model_dump(exclude_none=True)
+    if file.critical_ratio is not None:
+        settings = replace(settings, critical_ratio=file.critical_ratio)
+    elif file.kind == "orifice":
+        document["critical_ratio"] = settings.critical_ratio
+    if file.flow_limit_l_per_min is not None:
+        settings = replace(settings, flow_limit=file.flow_limit_l_per_min / L_PER_MIN)
+        if file.line_volume_ml is None:
+            document["line_volume_ml"] = round(settings.line_volume * ML, 6)
+        else:
+            settings = replace(settings, line_volume=file.line_volume_ml / ML)
+    return settings, document
 
 
 def _plants(file: ScenarioFile) -> dict[str, PlantSettings]:
@@ -176,6 +221,8 @@ def _plants(file: ScenarioFile) -> dict[str, PlantSettings]:
             model=model.model,
             friction=model.friction,
             slip_speed=model.slip_speed_m_s,
+            friction_torque=model.friction_torque,
+            inertia=model.inertia,
         )
     if twin := file.plants.twin:
         plants["twin"] = TwinSettings(

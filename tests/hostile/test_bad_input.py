@@ -96,10 +96,14 @@ def test_a_frequency_that_is_none(refused, written, given):
         ),
         (
             "friction: axis",
-            "tick_s: 0.0205",
-            "8:41: plants.analytical.tick_s: tick 0.0205 s is no multiple of",
+            "tick_s: 0.02005",
+            "8:41: plants.analytical.tick_s: tick 0.02005 s is no multiple of",
         ),
-        ("wheels: rolling", "wheels: skid", "9:18: plants.twin.wheels: must be rolling, not text 'skid'"),
+        (
+            "wheels: rolling",
+            "wheels: ski",
+            "9:18: plants.twin.wheels: must be one of rolling, skid, not text 'ski'; did you mean sk",
+        ),
         (
             "gen2\n",
             "{base: gen2, mass: {wheel_kg: -1}}\n",

@@ -33,11 +33,40 @@ def test_matched_plants_turn_alike(f):
     assert twin_yaw == pytest.approx(yaw, rel=0.1)
 
 
-def both(gap: float, f: float, kilopascals: float, offset: float, duration: float) -> list[Trajectory]:
+@pytest.mark.parametrize(
+    ("gap", "f", "kilopascals", "offset"),
+    [
+        (0.0, 1.0, 41, 0.0),
+        (0.0, 2.0, 55, 0.0),
+        (0.018, 1.5, 41, 0.0),
+        (0.018, 2.0, 48, 0.2),
+        (0.018, 1.0, 55, 0.2),
+    ],
+)
+def test_matched_plants_on_skids_crawl_alike(gap, f, kilopascals, offset):
+    reference, candidate = both(gap, f, kilopascals, offset, 4.0, friction="ellipse", wheels="skid")
+    metrics = compare(reference, candidate).metrics
+    assert abs(metrics["com_speed_rel"]) < 0.025
+    assert metrics["bend_rms_rel"] < 0.01
+    assert metrics["shape_rms_body"] < 0.01
+    yaw, twin_yaw = (plant_metrics(run)["yaw_rate_rad_s"] for run in (reference, candidate))
+    assert twin_yaw == pytest.approx(yaw, rel=0.03, abs=0.002)
+    assert (abs(yaw) > 0.5) == (offset > 0)
+
+
+def both(
+    gap: float,
+    f: float,
+    kilopascals: float,
+    offset: float,
+    duration: float,
+    friction: str = "wheel",
+    wheels: str = "rolling",
+) -> list[Trajectory]:
     """Run both plants under one gait: the analytical model, then the twin."""
     spec = replace(STIFF, geometry=replace(STIFF.geometry, rigid_gap=gap))
     plants = (
-        AnalyticalSnake(spec, friction="wheel", supply_pa=1e3 * kilopascals),
-        TwinSnake(spec, supply_pa=1e3 * kilopascals),
+        AnalyticalSnake(spec, friction=friction, supply_pa=1e3 * kilopascals),
+        TwinSnake(spec, wheels=wheels, supply_pa=1e3 * kilopascals),
     )
     return [rollout(plant, Gait(f, offset), duration) for plant in plants]

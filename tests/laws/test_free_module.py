@@ -35,7 +35,7 @@ def module(name: str, stiffness: float) -> RobotSpec:
 def test_chambers_give_the_identified_step_response():
     pneumatics = LagPneumatics(module("gen4", 1.0), supply_pa=SUPPLY)
     time = np.linspace(0, 0.6, 301)
-    trace = pneumatics.advance(pneumatics.slots(FILL_PLUS), 0.6, time)
+    trace = pneumatics.advance(pneumatics.schedule(FILL_PLUS, 0.6), time)
     # The printed coefficients have four digits.
     assert trace.bend[:, 0] == pytest.approx(step_response(time), abs=2e-4)
 
@@ -45,7 +45,7 @@ def test_step_response_solves_the_identified_equation():
     pneumatics = LagPneumatics(module("gen4", 1.0), supply_pa=SUPPLY)
     step = 1e-5
     time = np.arange(2, 30_000) * step
-    trace = pneumatics.advance(pneumatics.slots(FILL_PLUS), time[-1], time)
+    trace = pneumatics.advance(pneumatics.schedule(FILL_PLUS, time[-1]), time)
     q = trace.bend[:, 0]
     acceleration = (q[2:] - 2 * q[1:-1] + q[:-2]) / step**2
     rate = (q[2:] - q[:-2]) / (2 * step)
@@ -85,7 +85,7 @@ def _distance_from_free_bend(timestep: float) -> float:
     for _ in range(50):
         slots = generator.choice([-1, 1], size=(4, 1, 2)).astype(np.int8)
         twin.append(plant.step(slots).bend[0])
-        chambers.append(free.advance(free.slots(slots), plant.tick, np.array([plant.tick])).bend[0, 0])
+        chambers.append(free.advance(free.schedule(slots, plant.tick), np.array([plant.tick])).bend[0, 0])
     return float(np.sqrt(np.mean(np.subtract(twin, chambers) ** 2)) / np.std(chambers))
 
 

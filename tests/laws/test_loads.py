@@ -7,15 +7,16 @@ import pytest
 from snakes import GRAVITY, robot, vented
 
 from srs_twin import Gait, TwinSnake, rollout
+from srs_twin.mjcf_numerics import WHEELS
 
 SPEC = robot()
 WEIGHT = SPEC.mass.array() * GRAVITY
 
 
-@pytest.fixture(scope="module")
-def crawling_loads() -> np.ndarray:
+@pytest.fixture(scope="module", params=WHEELS)
+def crawling_loads(request) -> np.ndarray:
     """Load of each connector of gen2, straight at 2 Hz, after two periods, shape (ticks, N), N."""
-    plant, loads = TwinSnake(SPEC), []
+    plant, loads = TwinSnake(SPEC, wheels=request.param), []
     rollout(plant, Gait(2.0), 5.0, observers=[lambda _: loads.append(plant.physics.wheel_loads())])
     return np.array(loads)[50:].sum(axis=2)
 
@@ -34,9 +35,10 @@ def test_loads_of_a_crawling_snake_do_not_swing_by_their_mean(crawling_loads):
 
 
 # gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it a little.
+@pytest.mark.parametrize("wheels", WHEELS)
 @pytest.mark.parametrize(("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)])
-def test_loads_at_rest(name, share):
-    plant = TwinSnake(robot(name))
+def test_loads_at_rest(name, share, wheels):
+    plant = TwinSnake(robot(name), wheels=wheels)
     for _ in range(100):
         plant.step(vented(plant.spec))
     loads, weight = plant.physics.wheel_loads(), plant.spec.mass.array() * GRAVITY

@@ -19,8 +19,8 @@ SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 
 
 @cache
-def twin() -> TwinSnake:
-    return TwinSnake(SPEC)
+def twin(wheels: str = "rolling") -> TwinSnake:
+    return TwinSnake(SPEC, wheels=wheels)
 
 
 def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -> np.ndarray:
@@ -54,7 +54,7 @@ def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarra
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
-@pytest.mark.parametrize("law", ["axis", "wheel"])
+@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
 def test_analytical_stops_along_and_across(law, heading):
     plant = AnalyticalSnake(SPEC, friction=law)
     along = stopped(plant, (0.5, 0.0), heading)
@@ -90,6 +90,36 @@ def test_twin_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     way, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
     assert way[0] == pytest.approx(expected[0], rel=0.02)
     assert way[1] == pytest.approx(expected[1], rel=0.03)
+
+
+def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
+    """Integrate a unit mass on skids under sharp friction of maximum dissipation; return its way, m."""
+    step, v, place = 1e-4, np.array(velocity), np.zeros(2)
+    mu = np.array([MU_T, MU_N])
+    while np.hypot(*v) > 1e-3:
+        after = v - step * GRAVITY * mu**2 * v / np.hypot(*(mu * v))
+        place += step * (v + after) / 2
+        v = after
+    return place
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_skids_stop_along_and_across(speed, heading):
+    """No wheel has to stop spinning: the plain formula."""
+    along = stopped(twin("skid"), (speed, 0.0), heading)
+    assert along == pytest.approx([speed**2 / (2 * MU_T * GRAVITY), 0], rel=0.002, abs=1e-5)
+    across = stopped(twin("skid"), (0.0, speed), heading)
+    assert across == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.02, abs=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [10, 30, 60, 80])
+def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
+    velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+    expected = sliding_skid(velocity)
+    model = stopped(AnalyticalSnake(SPEC, friction="ellipse", slip_speed=1e-4), velocity)
+    assert model == pytest.approx(expected, rel=0.005, abs=1e-4)
+    assert stopped(twin("skid"), velocity, 0.3) == pytest.approx(expected, rel=0.01, abs=5e-4)
 
 
 def test_axis_law_stops_each_direction_by_itself():

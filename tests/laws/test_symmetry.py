@@ -13,7 +13,9 @@ from srs_twin import AnalyticalSnake, Gait, Plant, Trajectory, TwinSnake, rollou
 PLANTS = {
     "axis": lambda: AnalyticalSnake(robot(), friction="axis"),
     "wheel": lambda: AnalyticalSnake(robot(), friction="wheel"),
+    "ellipse": lambda: AnalyticalSnake(robot(), friction="ellipse"),
     "twin": lambda: TwinSnake(robot()),
+    "skids": lambda: TwinSnake(robot(), wheels="skid"),
 }
 OFFSET = 0.2
 

@@ -1,0 +1,41 @@
+"""compiled: numba's njit with a cache that knows every source that a kernel may have inlined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+# The order of sums may change, never what becomes of infinities and NaN.
+_ARITHMETIC = {"contract", "reassoc", "arcp", "nsz"}
+_INLINED = ("spec.py", "shape.py", "friction.py", "compiled.py", "pneumatics", "plants")
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function on its first call, free of the interpreter's lock, and keep the machine code.
+
+    numba keeps one file of machine code a function and drops it when the function's own source file has
+    changed. What the function inlined from other files it does not look at: a corrected friction law would
+    go on unused in the kernels. So the stamp that decides is that of all sources kernels are made of.
+    """
+    options: Any = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True}
+    dispatcher: Any = njit(fastmath=_ARITHMETIC, **options)(function)
+    dispatcher._cache._cache_file._source_stamp = _STAMP
+    kernel: Callable[..., Any] = dispatcher
+    return kernel
+
+
+def _stamp() -> tuple[tuple[str, int, int], ...]:
+    """Return name, time of change and size of all sources that kernels are made of."""
+    root = Path(__file__).parent
+    sources = sorted(path for name in _INLINED for path in _python(root / name))
+    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in sources)
+
+
+def _python(path: Path) -> list[Path]:
+    return list(path.glob("*.py")) if path.is_dir() else [path] if path.is_file() else []
+
+
+_STAMP = _stamp()

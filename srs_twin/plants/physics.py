@@ -1,0 +1,254 @@
+"""SnakePhysics: the twin's bodies in MuJoCo, driven by its chambers, and what can be read off them."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from srs_twin.plants.base import Pose
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace
+from srs_twin.spec import GRAVITY, RobotSpec
+
+# Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
+os.environ.setdefault("MUJOCO_GL", "disabled")
+
+import mujoco  # noqa: E402
+from dm_control import mujoco as dm  # noqa: E402
+from mujoco import rollout as mujoco_rollout  # noqa: E402
+
+from srs_twin.mjcf import scene_mjcf  # noqa: E402
+from srs_twin.mjcf_numerics import Numerics  # noqa: E402
+from srs_twin.mjcf_wheels import preload_force, treads  # noqa: E402
+
+HEARD: deque[str] = deque(maxlen=4)
+"""MuJoCo's last warnings: part of a DivergedError's message; unheard they go to a log file or to stderr."""
+
+mujoco.set_mju_user_warning(HEARD.append)
+_ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What the engine did over some steps.
+
+    Attributes:
+        states: at the end of each step: time, qpos, qvel; shape (steps, 1 + nq + nv).
+        floor_force: of the floor on each wheel during each step, shape (steps, N, 2, 3), N, world.
+        foot_velocity: of the points of the connectors above the contacts, at each step's beginning, same
+            shape, m/s.
+        energy: kinetic energy at each step's beginning, shape (steps,), J.
+    """
+
+    states: np.ndarray
+    floor_force: np.ndarray
+    foot_velocity: np.ndarray
+    energy: np.ndarray
+
+    @staticmethod
+    def joined(parts: Sequence[Stretch]) -> Stretch:
+        """Return several stretches as one."""
+        return Stretch(
+            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Stretch))
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """What can be seen of the bodies at some moments, the samples first, connectors head first, world frame.
+
+    Attributes:
+        qpos: generalised positions, shape (samples, nq).
+        com: centre of mass, shape (samples, 3), m.
+        com_velocity: same shape, m/s.
+        positions: connectors, shape (samples, N, 3), m.
+        headings: theirs, shape (samples, N), wrapped to (−π, π], rad.
+        bends: shape (samples, segments), rad.
+        bend_rates: same shape, rad/s.
+    """
+
+    qpos: np.ndarray
+    com: np.ndarray
+    com_velocity: np.ndarray
+    positions: np.ndarray
+    headings: np.ndarray
+    bends: np.ndarray
+    bend_rates: np.ndarray
+
+
+class SnakePhysics(dm.Physics):
+    """dm_control physics of a snake; `step` advances the chambers, then the bodies.
+
+    The control is a valve command, held in equal slots over the next `step`.
+    """
+
+    @classmethod
+    def build(
+        cls, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics, *, supply_pa: float
+    ) -> SnakePhysics:
+        """Compile the scene of a robot.
+
+        Args:
+            spec: the robot.
+            numerics: time step, discretisation, contact.
+            pneumatics: its chambers.
+            supply_pa: largest pressure that can occur, Pa.
+        """
+        model = scene_mjcf(spec, numerics, supply_pa=supply_pa).compile()
+        physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
+        physics._attach(spec, numerics, pneumatics)
+        return physics
+
+    def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
+        raw = self.model.ptr
+        self._pneumatics = pneumatics
+        self._preload = preload_force(spec, numerics)
+        self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+        self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
+        self._probe = mujoco.MjData(raw)
+        self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
+        feet = treads(spec)
+        self._force_columns = self._sensor_columns([f"floor_force_{foot}" for foot in feet])
+        self._foot_columns = self._sensor_columns([foot.replace("tread", "velocity_foot") for foot in feet])
+        self._energy_column = raw.sensor("kinetic_energy").adr[0]
+        # Bends are sums of hinge angles.
+        self._angles, self._rates = np.zeros((spec.segments, raw.nq)), np.zeros((spec.segments, raw.nv))
+        for j in range(spec.segments):
+            for k in range(numerics.hinges_per_segment):
+                hinge = raw.joint(f"hinge_{j + 1}_{k + 1}")
+                self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
+        self._floor_force = np.zeros((*self._preload.shape, 3))
+
+    def _sensor_columns(self, names: list[str]) -> np.ndarray:
+        """Return where the three numbers of each wheel's sensor stand, shape (N, 2, 3)."""
+        first = np.array([self.model.ptr.sensor(name).adr[0] for name in names])
+        columns: np.ndarray = (first[:, None] + np.arange(3)).reshape(-1, 2, 3)
+        return columns
+
+    def lay_down(self, pose: Pose) -> None:
+        """Reset to a straight snake at rest with its centre of mass at x, y (m) and heading (rad)."""
+        x, y, heading = pose
+        with self.reset_context():
+            offset = self.data.qpos[0] - self.data.subtree_com[0][0]
+            self.data.qpos[:2] = x + offset * np.cos(heading), y + offset * np.sin(heading)
+            self.data.qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
+        self.refresh()
+        self._pneumatics.reset()
+        self._schedule = self._pneumatics.schedule(self._pneumatics.valves, 1.0)
+        # At rest every wheel carries its share of the weight, and its preload.
+        self._floor_force = np.zeros((*self._preload.shape, 3))
+        self._floor_force[..., 2] = self._preload + self._rest_load
+
+    def set_control(self, control: np.ndarray) -> None:
+        """Command the valves for the next `step`: (segments, 2) or (slots, segments, 2)."""
+        self._schedule = self._pneumatics.schedule(control, 1.0)
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance chambers and bodies by `nstep` time steps."""
+        span = nstep * self.timestep()
+        with self.check_invalid_state():
+            self.run(self.fill(self._schedule.stretched(span), nstep).pressure[:-1])
+
+    def fill(self, schedule: Schedule, steps: int) -> Trace:
+        """Advance the chambers over a schedule; return what they do at each step's beginning and at the end.
+
+        Pressures that drive a step are those of its beginning: with the springs at its end, a ramp then lags
+        by exactly τ₂.
+        """
+        times = schedule.span * np.arange(steps + 1) / steps
+        return self._pneumatics.advance(schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates())
+
+    def run(self, pressure: np.ndarray) -> Stretch:
+        """Advance the bodies under given pressures, a row a time step; the engine makes all steps in one.
+
+        Args:
+            pressure: of each chamber, shape (steps, segments, 2), Pa.
+        """
+        model, data = self.model.ptr, self.data.ptr
+        steps = len(pressure)
+        controls = np.zeros((1, steps, model.nu))
+        controls[0, :, : pressure[0].size] = pressure.reshape(steps, -1)
+        states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
+        mujoco.mj_getState(model, data, self._start[0], _STATE)
+        _ENGINE.rollout(
+            [model], [data], self._start, controls, nstep=steps, skip_checks=True,
+            initial_warmstart=data.qacc_warmstart[None].copy(), state=states, sensordata=sensed,
+        )  # fmt: skip
+        self.refresh()
+        stretch = Stretch(
+            states[0], sensed[0][:, self._force_columns], sensed[0][:, self._foot_columns],
+            sensed[0][:, self._energy_column],
+        )  # fmt: skip
+        self._floor_force = stretch.floor_force.mean(axis=0)
+        return stretch
+
+    def refresh(self) -> None:
+        """Bring places and velocities to the state's; contacts stay those of the last step's beginning."""
+        self._place(self.data.ptr)
+
+    def look(self, states: np.ndarray) -> View:
+        """Return what is to be seen in given states (`Stretch.states`), without touching the present one."""
+        count, n, nq = len(states), len(self._connectors), self.model.nq
+        qpos, qvel = states[:, 1 : 1 + nq], states[:, 1 + nq :]
+        com, velocity = np.empty((count, 3)), np.empty((count, 3))
+        places, frames = np.empty((count, n, 3)), np.empty((count, n, 9))
+        probe = self._probe
+        for k in range(count):
+            probe.qpos[:], probe.qvel[:] = qpos[k], qvel[k]
+            self._place(probe)
+            com[k], velocity[k] = probe.subtree_com[0], probe.subtree_linvel[0]
+            places[k], frames[k] = probe.xpos[self._connectors], probe.xmat[self._connectors]
+        headings = np.arctan2(frames[..., 3], frames[..., 0])
+        return View(qpos, com, velocity, places, headings, qpos @ self._angles.T, qvel @ self._rates.T)
+
+    def _place(self, data: mujoco.MjData) -> None:
+        model = self.model.ptr
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_subtreeVel(model, data)
+
+    def bend_angles(self) -> np.ndarray:
+        """Return the bends q_j, shape (segments,), rad."""
+        return self._angles @ self.data.qpos
+
+    def bend_rates(self) -> np.ndarray:
+        """Return the bend rates, shape (segments,), rad/s."""
+        return self._rates @ self.data.qvel
+
+    def connector_positions(self) -> np.ndarray:
+        """Return the connectors, head first, shape (N, 3), m."""
+        return self.data.xpos[self._connectors].copy()
+
+    def connector_headings(self) -> np.ndarray:
+        """Return the connectors' headings, shape (N,), wrapped to (−π, π], rad."""
+        frame = self.data.xmat[self._connectors]
+        return np.arctan2(frame[:, 3], frame[:, 0])
+
+    def center_of_mass(self) -> np.ndarray:
+        """Return the snake's centre of mass, shape (3,), m."""
+        return self.data.subtree_com[0].copy()
+
+    def center_of_mass_velocity(self) -> np.ndarray:
+        """Return its velocity, shape (3,), m/s."""
+        return self.data.subtree_linvel[0].copy()
+
+    def floor_forces(self) -> np.ndarray:
+        """Return the floor's force on each wheel less the preload, mean over the last `step`, world frame.
+
+        Shape (N, 2, 3): connector, left and right wheel, x y z, N.
+        """
+        force = self._floor_force.copy()
+        force[..., 2] -= self._preload
+        return force
+
+    def wheel_loads(self) -> np.ndarray:
+        """Return the normal load of each wheel, mean over the last `step`, shape (N, 2), N.
+
+        Below 0: without preload the wheel would lift.
+        """
+        return self.floor_forces()[..., 2]

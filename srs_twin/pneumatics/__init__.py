@@ -1,0 +1,47 @@
+"""Valves, chambers and the free bend they give: one law for both plants, in two fidelities."""
+
+from __future__ import annotations
+
+from srs_twin.errors import UnknownNameError
+from srs_twin.pneumatics.base import FELT_S, Pneumatics, Trace
+from srs_twin.pneumatics.lag import LagPneumatics
+from srs_twin.pneumatics.orifice import OrificePneumatics
+from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
+from srs_twin.spec import RobotSpec
+
+KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
+
+__all__ = [
+    "FELT_S",
+    "KINDS",
+    "LAYOUTS",
+    "LagPneumatics",
+    "OrificePneumatics",
+    "Pneumatics",
+    "Schedule",
+    "Trace",
+    "make_pneumatics",
+]
+
+
+def make_pneumatics(
+    kind: str | Pneumatics, spec: RobotSpec, *, supply_pa: float, layout: str, **options: float | None
+) -> Pneumatics:
+    """Return chambers for a robot.
+
+    Args:
+        kind: a name in `KINDS`, or chambers made beforehand, which are returned as they are.
+        spec: the robot.
+        supply_pa: supply pressure, Pa.
+        layout: valve layout, one of `LAYOUTS`.
+        **options: further arguments of that kind.
+
+    Raises:
+        UnknownNameError: another name.
+        InputError: as the kind raises it.
+    """
+    if isinstance(kind, Pneumatics):
+        return kind
+    if kind not in KINDS:
+        raise UnknownNameError("pneumatics", kind, KINDS)
+    return KINDS[kind](spec, supply_pa=supply_pa, layout=layout, **options)

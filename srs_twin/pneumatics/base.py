@@ -1,0 +1,203 @@
+"""Pneumatics: what turns valve commands into pressures. Trace: what the chambers did."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
+from srs_twin.spec import RobotSpec
+
+FELT_S = 0.001
+"""s: how long chambers that feel the bends may take these to go on as they do. A closed chamber is a stiff
+spring: with gen 2, 1 ms moves the speed by less than 0.5 %, 2 ms diverges."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What the chambers did at given times.
+
+    Attributes:
+        pressure: gauge, shape (times, segments, 2), Pa.
+        bend: free bend, shape (times, segments), rad.
+        bend_rate: its rate, shape (times, segments), rad/s.
+        bend_acceleration: its acceleration, shape (times, segments), rad/s².
+        valves: valve states that led there, shape (times, segments, 2).
+        air: work drawn from the supply since `reset`, shape (times,), J.
+    """
+
+    pressure: np.ndarray
+    bend: np.ndarray
+    bend_rate: np.ndarray
+    bend_acceleration: np.ndarray
+    valves: np.ndarray
+    air: np.ndarray
+
+    @classmethod
+    def empty(cls, times: int, segments: int) -> Trace:
+        """Return a trace to be filled."""
+        return cls(
+            np.empty((times, segments, 2)),
+            np.empty((times, segments)),
+            np.empty((times, segments)),
+            np.empty((times, segments)),
+            np.empty((times, segments, 2), dtype=np.int8),
+            np.empty(times),
+        )
+
+    def at(self, rows: np.ndarray | slice) -> Trace:
+        """Return some of the times."""
+        return Trace(*(getattr(self, each.name)[rows] for each in fields(Trace)))
+
+    @staticmethod
+    def joined(parts: Sequence[Trace]) -> Trace:
+        """Return several traces, one after the other, as one."""
+        return Trace(
+            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Trace))
+        )
+
+
+class Pneumatics(ABC):
+    """Valves and chambers of a robot, and the bend that they would give a segment without load.
+
+    A subclass says in `_follow` what the chambers do; commands reach it the valve delay later.
+
+    Attributes:
+        kind: short name.
+        feels_bend: whether pressures depend on the actual bend, so that a plant whose bends are not the
+            free ones must tell them to `advance`.
+        overshoot: how many times the supply's pressure a chamber may reach.
+        pressure: gauge pressures now, shape (segments, 2), Pa.
+        bend: free bends now, shape (segments,), rad.
+        air: work drawn from the supply since `reset`, J: the supply's gauge pressure times the volume of
+            air drawn from it, measured at the supply's pressure. Venting gives nothing back.
+        openings: how often each chamber's inlet has opened, shape (segments, 2).
+        valves: last valve states, shape (segments, 2).
+    """
+
+    kind = "own"
+    feels_bend = False
+    overshoot = 1.0
+
+    def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
+        if layout not in LAYOUTS:
+            raise InputError(f"valve layout '{layout}' is unknown; allowed: {', '.join(LAYOUTS)}")
+        not_negative(valve_delay_s=valve_delay_s)
+        self._layout, self._delay = layout, valve_delay_s
+        self._segments = spec.segments
+        self.reset()
+
+    def reset(self) -> None:
+        """Empty all chambers and close all inlets."""
+        shape = (self._segments, 2)
+        self.pressure = np.zeros(shape)
+        self.bend = np.zeros(self._segments)
+        self.air = 0.0
+        self.openings = np.zeros(shape, dtype=int)
+        self.valves = np.full(shape, -1, dtype=np.int8)
+        self._coming = Schedule(self._delay, np.zeros(1), self.valves[None])
+
+    def resting(self) -> Trace:
+        """Return a trace of one moment, now, taken to be at rest."""
+        trace = Trace.empty(1, self._segments)
+        trace.pressure[0], trace.bend[0], trace.valves[0] = self.pressure, self.bend, self.valves
+        trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
+        trace.air[:] = self.air
+        return trace
+
+    def schedule(self, valves: np.ndarray, span: float) -> Schedule:
+        """Return checked commands as a schedule.
+
+        Args:
+            valves: (segments, 2), or (slots, segments, 2), equal parts of the stretch.
+            span: its length, s.
+
+        Raises:
+            InputError: a wrong shape, or a state that the valve layout does not have.
+        """
+        commands = np.asarray(valves)
+        if commands.ndim == 2:
+            commands = commands[None]
+        if commands.ndim != 3 or commands.shape[1:] != (self._segments, 2):
+            raise InputError(
+                f"valves have shape {np.shape(valves)}; allowed: ({self._segments}, 2) or "
+                f"(slots, {self._segments}, 2)"
+            )
+        self.check(commands)
+        return Schedule.of_slots(commands.astype(np.int8), span)
+
+    def check(self, states: np.ndarray) -> None:
+        """Refuse states that the valve layout does not have.
+
+        Raises:
+            InputError: there is one.
+        """
+        known = LAYOUTS[self._layout]
+        possible = states == known[0]
+        for state in known[1:]:
+            possible |= states == state
+        if not possible.all():
+            raise InputError(
+                f"valve state {states[~possible][0]} is not possible with layout {self._layout}; "
+                f"allowed: {known}"
+            )
+
+    def effective(self, schedule: Schedule) -> Schedule:
+        """Return what the valves will really do while these commands are given: the same, delayed."""
+        if self._delay == 0.0:
+            return schedule
+        return self._coming.then(schedule).part(0.0, schedule.span)
+
+    def advance(
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        *,
+        bend: np.ndarray | None = None,
+        bend_rate: np.ndarray | None = None,
+    ) -> Trace:
+        """Advance by a schedule's span and return what happened at `times`.
+
+        Args:
+            schedule: checked valve states, as commanded.
+            times: ascending, within [0, span], s from its start.
+            bend: the segments' actual bends at the start, shape (segments,), rad; only chambers that
+                feel them take notice. None: the free ones, throughout.
+            bend_rate: their rates, shape (segments,), rad/s; over the stretch they are taken to go on.
+        """
+        happening = self.effective(schedule)
+        if self._delay:
+            whole = self._coming.then(schedule)
+            self._coming = whole.part(schedule.span, whole.span)
+        trace = self._follow(happening, times, bend, bend_rate)
+        before = np.concatenate([self.valves[None], happening.states[:-1]])
+        self.openings = self.openings + ((happening.states == 1) & (before != 1)).sum(axis=0)
+        self.valves = happening.states[-1]
+        return trace
+
+    @abstractmethod
+    def _follow(
+        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
+    ) -> Trace:
+        """Do what `advance` says, with the valve states as they are; set pressure, bend and air."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings worth recording (JSON values)."""
+        return {"kind": self.kind, "valve_delay_s": self._delay}
+
+
+def not_negative(**values: float) -> None:
+    """Refuse numbers that are below 0 or not finite.
+
+    Raises:
+        InputError: the first of them, by its name.
+    """
+    for name, value in values.items():
+        if not (math.isfinite(value) and value >= 0):
+            raise InputError(f"{name} {value!r} is not allowed; it must be finite and 0 or more")

@@ -1,0 +1,195 @@
+r"""LagPneumatics: chambers that fill and vent with a first-order lag, in closed form.
+
+A valve state +1 fills its chamber from the supply, −1 vents it, 0 holds it. Between valve events each
+chamber relaxes exponentially, p(t) = P + (p₀ − P) e^{−at}, with a = 1/τ₁ plus the leak. The bend of a
+module without load follows the chambers' difference with the lag τ₂,
+
+$$ \tau_2\,\dot q + q = G\,(p^+ - p^-), $$
+
+so that for τ_fill = τ_vent = τ₁ it obeys Eq. 14–15 as corrected by E1 and E2:
+q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). Everything is evaluated in closed form, at any time.
+A valve's 3 ms of switching are part of τ₂; a delay besides is 0 unless asked for.
+
+Air drawn: while a chamber fills, its content n = P V(q) grows by what comes in less what leaks, so a fill
+draws Δn + λ ∫ p V dt. Δn is exact, with V from the free bend; the leak's integral is taken by Simpson's
+rule between the times asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
+from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
+from srs_twin.pneumatics.schedule import Schedule
+from srs_twin.spec import RobotSpec
+
+
+class LagPneumatics(Pneumatics):
+    """Chambers with a first-order lag each (module docstring)."""
+
+    kind = "lag"
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        *,
+        supply_pa: float,
+        layout: str = "3/2",
+        leak_per_s: float = 0.0,
+        valve_delay_s: float = 0.0,
+    ) -> None:
+        """Make the chambers.
+
+        Args:
+            spec: the robot.
+            supply_pa: supply pressure, gauge, Pa.
+            layout: valve layout, one of `LAYOUTS`.
+            leak_per_s: λ, rate at which a held pressure falls, as a share of itself, 1/s.
+            valve_delay_s: how much later than commanded a valve switches, s.
+
+        Raises:
+            InputError: an unknown layout, or a leak or delay below 0.
+        """
+        not_negative(leak_per_s=leak_per_s)
+        actuator, chamber = spec.actuator, spec.chamber
+        self._leak = leak_per_s
+        # Relaxation rate a and asymptote P, indexed by valve state + 1.
+        self._rate = np.array([1 / actuator.tau_vent, 0.0, 1 / actuator.tau_fill]) + leak_per_s
+        self._asymptote = np.array([0.0, 0.0, supply_pa / actuator.tau_fill / self._rate[2]])
+        self._tau, self._gain = actuator.tau_mode, actuator.gain
+        self._space = chamber.dead_volume, chamber.displacement
+        self._worth = supply_pa / (supply_pa + AMBIENT_PA)
+        super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
+
+    def describe(self) -> dict[str, Any]:
+        """See `Pneumatics.describe`."""
+        return super().describe() | {"leak_per_s": self._leak}
+
+    def _follow(
+        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
+    ) -> Trace:
+        trace = Trace.empty(len(times), self._segments)
+        pressure, free = self.pressure.copy(), self.bend.copy()
+        drawn = _relax(
+            pressure, free, schedule.span, schedule.starts, schedule.states, times,
+            self._rate, self._asymptote, self._tau, self._gain, self._leak, self._space,
+            trace.pressure, trace.bend, trace.bend_rate, trace.bend_acceleration, trace.valves, trace.air,
+        )  # fmt: skip
+        np.multiply(trace.air, self._worth, out=trace.air)
+        np.add(trace.air, self.air, out=trace.air)
+        self.pressure, self.bend, self.air = pressure, free, self.air + self._worth * drawn
+        return trace
+
+
+@compiled
+def _relax(  # type: ignore[no-untyped-def]  # noqa: D417
+    pressure, bend, span, starts, states, times, rates, asymptotes, tau, gain, leak, space,
+    p, q, dq, ddq, valves, air,
+):  # fmt: skip
+    """Fill the columns of a trace at `times`, advance to the end of the span, return the air drawn (J).
+
+    Args:
+        pressure: at the start, in place, shape (segments, 2), Pa.
+        bend: at the start, in place, shape (segments,), rad.
+        span: s.
+        starts: of the valve states, shape (runs,), s.
+        states: shape (runs, segments, 2).
+        times: ascending, shape (times,), s.
+        rates: relaxation rates by valve state + 1, 1/s.
+        asymptotes: where the pressure relaxes to, Pa.
+        tau: τ₂, s.
+        gain: G, rad/Pa.
+        leak: λ, 1/s.
+        space: V₀ (m³) and A (m³/rad) of a chamber.
+        p, q, dq, ddq, valves, air: out, the columns of a `Trace`; air as amount drawn since the start, J.
+    """
+    decay, lag = np.empty(3), np.empty(3)
+    row, drawn = 0, 0.0
+    for run in range(starts.shape[0]):
+        state, start = states[run], starts[run]
+        stop = starts[run + 1] if run + 1 < starts.shape[0] else span
+        held, leaked, last = 0.0, 0.0, 0.0
+        for j in range(bend.shape[0]):
+            held += _filling(state[j], pressure[j, 0], pressure[j, 1], bend[j], space, AMBIENT_PA)
+        while True:
+            # Rows up to and at the end of the run, then the end itself, from which the next run starts.
+            within = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
+            t = (times[row] if within else stop) - start
+            if leak > 0.0:
+                for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
+                    mode = _fade(at, rates, tau, decay, lag)
+                    for j in range(bend.shape[0]):
+                        plus, minus, turned = _segment(
+                            state[j], pressure[j], bend[j], asymptotes, gain, decay, lag, mode
+                        )
+                        inside = _filling(state[j], plus, minus, turned, space, 0.0)
+                        leaked += leak * (t - last) * weight * inside
+                last = t
+            mode = _fade(t, rates, tau, decay, lag)
+            content = 0.0
+            for j in range(bend.shape[0]):
+                plus, minus, turned = _segment(
+                    state[j], pressure[j], bend[j], asymptotes, gain, decay, lag, mode
+                )
+                content += _filling(state[j], plus, minus, turned, space, AMBIENT_PA)
+                if not within:
+                    pressure[j, 0], pressure[j, 1], bend[j] = plus, minus, turned
+                    continue
+                up, down = state[j, 0] + 1, state[j, 1] + 1
+                rise = rates[up] * (asymptotes[up] - plus) - rates[down] * (asymptotes[down] - minus)
+                speed = (gain * (plus - minus) - turned) / tau
+                p[row, j, 0], p[row, j, 1] = plus, minus
+                q[row, j], dq[row, j], ddq[row, j] = turned, speed, (gain * rise - speed) / tau
+                valves[row, j, 0], valves[row, j, 1] = state[j, 0], state[j, 1]
+            amount = drawn + leaked + content - held
+            if not within:
+                drawn = amount
+                break
+            air[row] = amount
+            row += 1
+    return drawn
+
+
+@compiled
+def _fade(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
+    """Fill what is left of a pressure's swing after t by valve state + 1, and of its lag; return τ₂'s."""
+    mode = math.exp(-t / tau)
+    for s in range(3):
+        decay[s] = math.exp(-rates[s] * t)
+        lag[s] = _lag_of_exponential(rates[s], tau, t, decay[s], mode)
+    return mode
+
+
+@compiled
+def _segment(state, pressure, bend, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]
+    """Return both pressures and the bend of a segment from those of the run's start."""
+    up, down = state[0] + 1, state[1] + 1
+    high, low = pressure[0] - asymptotes[up], pressure[1] - asymptotes[down]
+    lagged = (asymptotes[up] - asymptotes[down]) * (1 - mode) + high * lag[up] - low * lag[down]
+    turned = bend * mode + gain * lagged
+    return asymptotes[up] + high * decay[up], asymptotes[down] + low * decay[down], turned
+
+
+@compiled
+def _filling(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyped-def]
+    """Return the sum of (p + ambient) V over the chambers of a segment that fill, J."""
+    total = 0.0
+    if state[0] == 1:
+        total += (plus + ambient) * volume(space[0], space[1], bend, 0)[0]
+    if state[1] == 1:
+        total += (minus + ambient) * volume(space[0], space[1], bend, 1)[0]
+    return total
+
+
+@compiled
+def _lag_of_exponential(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
+    """Return the response of τ ẏ + y = e^{−at} from y = 0: (e^{−at} − e^{−t/τ})/(1 − aτ)."""
+    gap = 1 - rate * tau
+    if abs(gap) < 1e-6:
+        return t / tau * mode
+    return (decay - mode) / gap

@@ -1,0 +1,173 @@
+r"""OrificePneumatics: valves as orifices (ISO 6358), isothermal chambers that grow as they bend, one supply.
+
+Unknown are the amounts of air n = P V of every chamber, the free bends, and the line before the inlets:
+
+$$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
+\tau_2\,\dot q_f + q_f = G\,(p^+ - p^-). $$
+
+V(q) is the law of `chamber.py`, the flows are those of `flow.py`. Conductances follow from the robot's τ₁
+(`flow.conductances`); Λ is such that a held chamber at the working point loses its pressure at the rate
+`leak_per_s`. Without a flow limit the line holds the supply's pressure. With one, a compressor with a
+regulator feeds the line's volume: at most the limit, measured at ambient, and less within the last
+hundredth of its pressure; all inlets share the line, so all segments starve together.
+
+Integration: SDIRK2 (two stages, second order, L-stable) with Newton's method over all chambers, in sub-steps
+of its own that end on valve events; in between, cubics through values and slopes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
+from srs_twin.pneumatics.chamber import AMBIENT_PA
+from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
+from srs_twin.pneumatics.orifice_kernels import Plumbing, follow
+from srs_twin.pneumatics.schedule import Schedule
+from srs_twin.spec import RobotSpec
+
+CRITICAL_RATIO = 0.3
+"""b of a small solenoid valve, estimated; such valves have 0.2 to 0.5."""
+
+MOST_CRITICAL = 0.8
+"""Above it the flow at a working point might be choked, and τ₁ would not determine C."""
+
+LINE_VOLUME = 50e-6
+"""m³ between a limited supply and the inlets, estimated: a compressor's outlet, tubes and manifold."""
+
+REGULATED = 0.01
+"""Share of the supply's gauge pressure over which its regulator closes."""
+
+
+class OrificePneumatics(Pneumatics):
+    """Chambers behind orifices (module docstring).
+
+    Attributes:
+        line_pressure: between supply and inlets now, gauge, Pa.
+        drawn: amount of air drawn from the supply since `reset`, P V, J.
+        lost: amount vented and leaked since `reset`, P V, J.
+    """
+
+    kind = "orifice"
+    feels_bend = True
+    # A full chamber that its opposite squeezes: 1.6 times was seen in gen 3.
+    overshoot = 4.0
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        *,
+        supply_pa: float,
+        layout: str = "3/2",
+        critical_ratio: float = CRITICAL_RATIO,
+        flow_limit: float | None = None,
+        line_volume: float = LINE_VOLUME,
+        leak_per_s: float = 0.0,
+        valve_delay_s: float = 0.0,
+        substep: float = 5e-4,
+    ) -> None:
+        """Make the chambers.
+
+        Args:
+            spec: the robot.
+            supply_pa: supply pressure, gauge, Pa.
+            layout: valve layout, one of `LAYOUTS`.
+            critical_ratio: b of all valves.
+            flow_limit: most that the supply delivers, measured at ambient pressure, m³/s; None: no limit.
+            line_volume: of the line between supply and inlets, m³; felt with a flow limit only.
+            leak_per_s: rate at which a held pressure falls, as a share of itself, 1/s.
+            valve_delay_s: how much later than commanded a valve switches, s.
+            substep: longest step of the integrator, s.
+
+        Raises:
+            InputError: an unknown layout, or a number out of range.
+        """
+        not_negative(leak_per_s=leak_per_s)
+        limited = flow_limit is not None
+        most = 1.0 if flow_limit is None else flow_limit
+        given = {"flow_limit": most, "line_volume": line_volume, "substep": substep}
+        for name, value in given.items():
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} {value!r} is not allowed; it must be finite and above 0")
+        if not 0 <= critical_ratio <= MOST_CRITICAL:
+            raise InputError(
+                f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to {MOST_CRITICAL}"
+            )
+        fill, vent, capacity = conductances(spec, critical_ratio)
+        self.conductances = fill, vent
+        self._plumbing = Plumbing(
+            dead=spec.chamber.dead_volume,
+            displacement=spec.chamber.displacement,
+            gain=spec.actuator.gain,
+            tau=spec.actuator.tau_mode,
+            critical=critical_ratio,
+            fill=REFERENCE_PA * fill,
+            vent=REFERENCE_PA * vent,
+            leak=leak_per_s * capacity,
+            supply=supply_pa + AMBIENT_PA,
+            most=AMBIENT_PA * most,
+            band=REGULATED * supply_pa,
+            line=line_volume,
+            limited=limited,
+        )
+        self._substep, self._worth = substep, supply_pa / (supply_pa + AMBIENT_PA)
+        self._settings = {
+            "critical_ratio": critical_ratio,
+            "flow_limit_l_per_min": None if flow_limit is None else flow_limit * 60_000,
+            "line_volume_ml": line_volume * 1e6 if limited else None,
+            "leak_per_s": leak_per_s,
+            "conductance_fill_m3_per_s_pa": fill,
+            "conductance_vent_m3_per_s_pa": vent,
+        }
+        super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
+
+    def reset(self) -> None:
+        """Empty all chambers, close all inlets, fill the line."""
+        super().reset()
+        air = self._plumbing
+        self._state = np.zeros((self._segments, 3))
+        self._state[:, :2] = AMBIENT_PA * air.dead
+        # Amount in the line, drawn, lost.
+        self._books = np.array([air.supply * air.line, 0.0, 0.0])
+
+    @property
+    def line_pressure(self) -> float:
+        """Gauge pressure between supply and inlets now, Pa."""
+        return float(self._books[0]) / self._plumbing.line - AMBIENT_PA
+
+    @property
+    def drawn(self) -> float:
+        """Amount of air drawn from the supply since `reset`, P V, J."""
+        return float(self._books[1])
+
+    @property
+    def lost(self) -> float:
+        """Amount of air vented and leaked since `reset`, P V, J."""
+        return float(self._books[2])
+
+    def describe(self) -> dict[str, Any]:
+        """See `Pneumatics.describe`."""
+        return super().describe() | self._settings
+
+    def _follow(
+        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
+    ) -> Trace:
+        trace = Trace.empty(len(times), self._segments)
+        state, books = self._state.copy(), self._books.copy()
+        actual = np.zeros((2, self._segments))
+        if bend is not None:
+            actual[0] = bend
+            actual[1] = 0.0 if bend_rate is None else bend_rate
+        pressure = np.empty((self._segments, 2))
+        follow(
+            state, books, schedule.span, schedule.starts, schedule.states, times, self._substep,
+            bend is not None, actual, self._plumbing, pressure,
+            trace.pressure, trace.bend, trace.bend_rate, trace.bend_acceleration, trace.valves, trace.air,
+        )  # fmt: skip
+        np.multiply(trace.air, self._worth, out=trace.air)
+        self._state, self._books = state, books
+        self.pressure, self.bend, self.air = pressure, state[:, 2].copy(), self._worth * books[1]
+        return trace

@@ -1,0 +1,306 @@
+"""The orifice chambers' equations and their integration, compiled; see `orifice.py`.
+
+A segment's state y is (n⁺, n⁻, q_f): amounts of air (J) and free bend (rad). The books are (n_line, drawn,
+lost), J. `given` tells that the volumes follow actual bends, `actual` = (bend, bend rate) of the stretch's
+start, and not the free ones.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
+from srs_twin.pneumatics.flow import flow
+
+GAMMA = 1 - math.sqrt(0.5)
+"""Of SDIRK2: stages at γ and 1."""
+
+_NEWTON = 40
+_CLOSE = 1e-12  # J and rad: where Newton's method stops
+
+
+class Plumbing(NamedTuple):
+    """What the equations need.
+
+    Attributes:
+        dead: V₀, m³.
+        displacement: A, m³/rad.
+        gain: G, rad/Pa.
+        tau: τ₂, s.
+        critical: b.
+        fill: P₀ C of an inlet, m³/s.
+        vent: P₀ C of an outlet, m³/s.
+        leak: Λ, J/(s Pa).
+        supply: absolute, Pa.
+        most: largest flow of the supply, J/s.
+        band: pressure over which its regulator closes, Pa.
+        line: volume of the line, m³.
+        limited: whether supply and line are as above; else the line has the supply's pressure.
+    """
+
+    dead: float
+    displacement: float
+    gain: float
+    tau: float
+    critical: float
+    fill: float
+    vent: float
+    leak: float
+    supply: float
+    most: float
+    band: float
+    line: float
+    limited: bool
+
+
+@compiled
+def chamber(n, bend, side, state, line, air):  # type: ignore[no-untyped-def]
+    """Return what one chamber does.
+
+    Args:
+        n: amount of air, J.
+        bend: that its volume follows, rad.
+        side: 0 for +, 1 for −.
+        state: of its valve.
+        line: absolute pressure before the inlets, Pa.
+        air: the plumbing.
+
+    Returns:
+        Absolute pressure P (Pa), 1/V, −∂P/∂q, flow in from the line (J/s) with its derivatives by P and by
+        the line's pressure, flow out (J/s) with its derivative by P.
+    """
+    size, growth = volume(air.dead, air.displacement, bend, side)
+    pressure = n / size
+    come, come_here, come_line = 0.0, 0.0, 0.0
+    gone, gone_here = air.leak * (pressure - AMBIENT_PA), air.leak
+    if state != 0:
+        value, by_source, by_here = flow(line if state == 1 else AMBIENT_PA, pressure, air.critical)
+        if state == 1:
+            come, come_line, come_here = air.fill * value, air.fill * by_source, air.fill * by_here
+        else:
+            gone, gone_here = gone - air.vent * value, gone_here - air.vent * by_here
+    return pressure, 1.0 / size, pressure * growth / size, come, come_here, come_line, gone, gone_here
+
+
+@compiled
+def supplied(line, air):  # type: ignore[no-untyped-def]
+    """Return what the supply delivers into a line at a pressure (J/s) and the derivative by that."""
+    open_by = (air.supply - line) / air.band
+    if open_by <= 0.0:
+        return 0.0, 0.0
+    if open_by >= 1.0:
+        return air.most, 0.0
+    return air.most * open_by, -air.most / air.band
+
+
+@compiled
+def _newton(y, books, base, line_base, weight, state, given, bend, air, linear, met):  # type: ignore[no-untyped-def]
+    """Improve y and the line in place by one Newton iteration of y = base + weight · ẏ; return its size.
+
+    Chambers depend on each other through their segment's bend and through the line only, so each segment is
+    eliminated for itself, as a linear function of the line's pressure: `linear` (segments, 3, 2) holds the
+    corrections without it and their slopes over it, `met` (segments, 2, 5) what the chambers said.
+    """
+    line = books[0] / air.line if air.limited else air.supply
+    delivered, closing = supplied(line, air)
+    rest = books[0] - line_base - weight * delivered
+    steep = air.line - weight * closing
+    free, pull = 0.0 if given else 1.0, weight * air.gain / air.tau
+    for j in range(y.shape[0]):
+        matrix, by_line = 1.0 + weight / air.tau, 0.0
+        missing = y[j, 2] * matrix - base[j, 2]
+        for side in range(2):
+            p, inverse, squeeze, come, come_here, come_line, gone, gone_here = chamber(
+                y[j, side], bend[j] if given else y[j, 2], side, state[j, side], line, air
+            )
+            squeeze *= free
+            here = weight * (come_here - gone_here)
+            own = 1.0 - here * inverse
+            coupling, signed = here * squeeze / own, pull * (1.0 - 2.0 * side)
+            linear[j, side, 0] = (base[j, side] + weight * (come - gone) - y[j, side]) / own
+            linear[j, side, 1] = weight * come_line / own
+            missing -= signed * (p + inverse * linear[j, side, 0])
+            matrix += signed * (squeeze + inverse * coupling)
+            by_line += signed * inverse * linear[j, side, 1]
+            met[j, side, 0], met[j, side, 1], met[j, side, 2] = coupling, come, come_line
+            met[j, side, 3], met[j, side, 4] = come_here * inverse, come_here * squeeze
+        linear[j, 2, 0], linear[j, 2, 1] = -missing / matrix, by_line / matrix
+        for side in range(2):
+            coupling, come, come_line = met[j, side, 0], met[j, side, 1], met[j, side, 2]
+            by_amount, by_bend = met[j, side, 3], met[j, side, 4]
+            for k in range(2):
+                linear[j, side, k] -= coupling * linear[j, 2, k]
+            rest += weight * (come + by_amount * linear[j, side, 0] - by_bend * linear[j, 2, 0])
+            steep += weight * (come_line + by_amount * linear[j, side, 1] - by_bend * linear[j, 2, 1])
+    return _correct(y, books, linear, -rest / steep if air.limited else 0.0, air)
+
+
+@compiled
+def _correct(y, books, linear, change, air):  # type: ignore[no-untyped-def]
+    """Add the corrections for a change of the line's pressure (Pa) in place; return the largest one."""
+    books[0] += change * air.line
+    largest = abs(change * air.line)
+    for j in range(y.shape[0]):
+        for k in range(3):
+            step = linear[j, k, 0] + linear[j, k, 1] * change
+            # No chamber is ever empty.
+            y[j, k] = y[j, k] + step if k == 2 else max(y[j, k] + step, 0.1 * y[j, k])
+            largest = max(largest, abs(step))
+    return largest
+
+
+@compiled
+def _slopes(y, line_amount, state, given, bend, air, dy):  # type: ignore[no-untyped-def]
+    """Fill dy with ẏ; return the flows from the supply, into all chambers, and out of them, J/s."""
+    line = line_amount / air.line if air.limited else air.supply
+    come_all, gone_all = 0.0, 0.0
+    for j in range(y.shape[0]):
+        pull = -y[j, 2]
+        for side in range(2):
+            p, _, _, come, _, _, gone, _ = chamber(
+                y[j, side], bend[j] if given else y[j, 2], side, state[j, side], line, air
+            )
+            dy[j, side] = come - gone
+            pull += (1.0 - 2.0 * side) * air.gain * p
+            come_all, gone_all = come_all + come, gone_all + gone
+        dy[j, 2] = pull / air.tau
+    return supplied(line, air)[0] if air.limited else come_all, come_all, gone_all
+
+
+@compiled
+def _extrapolate(bend, actual, time):  # type: ignore[no-untyped-def]
+    """Fill the bends at a time from those of the stretch's start and their rates."""
+    for j in range(bend.shape[0]):
+        bend[j] = actual[0, j] + actual[1, j] * time
+
+
+@compiled
+def _step(y, books, h, begun, state, given, actual, air, work):  # type: ignore[no-untyped-def]
+    """Advance y and books in place by one step of SDIRK2 of length h that begins at `begun`.
+
+    Returns:
+        The flows from the supply and into all chambers at the end, J/s; the work space's dy holds ẏ there.
+    """
+    base, dy, bend, linear, met = work
+    for j in range(y.shape[0]):
+        for k in range(3):
+            base[j, k] = y[j, k]
+    line_base, drawn, come = books[0], 0.0, 0.0
+    for stage in range(2):
+        if stage == 1:
+            for j in range(y.shape[0]):
+                for k in range(3):
+                    base[j, k] += (1 - GAMMA) * h * dy[j, k]
+            line_base += (1 - GAMMA) * h * (drawn - come) if air.limited else 0.0
+        _extrapolate(bend, actual, begun + (GAMMA if stage == 0 else 1.0) * h)
+        for _ in range(_NEWTON):
+            size = _newton(y, books, base, line_base, GAMMA * h, state, given, bend, air, linear, met)
+            if size < _CLOSE:
+                break
+        drawn, come, gone = _slopes(y, books[0], state, given, bend, air, dy)
+        share = h * (1 - GAMMA if stage == 0 else GAMMA)
+        books[1] += share * drawn
+        books[2] += share * gone
+    return drawn, come
+
+
+@compiled
+def follow(  # type: ignore[no-untyped-def]  # noqa: D417
+    y, books, span, starts, states, times, substep, given, actual, air, pressure, p, q, dq, ddq, valves, drawn
+):
+    """Advance y and books in place by a span and fill `pressure` (end) and the columns of a trace at `times`.
+
+    Args:
+        y: shape (segments, 3).
+        books: shape (3,).
+        span: s.
+        starts: of the valve states, shape (runs,), s.
+        states: shape (runs, segments, 2).
+        times: ascending, shape (times,), s.
+        substep: longest step, s.
+        given: whether `actual` holds.
+        actual: bends (rad) and their rates (rad/s) at the start, shape (2, segments).
+        air: the plumbing.
+        pressure: out, gauge, at the end, shape (segments, 2), Pa.
+        p, q, dq, ddq, valves, drawn: out, the columns of a `Trace`; air as amount drawn, J.
+    """
+    segments = y.shape[0]
+    work = (
+        np.empty((segments, 3)), np.empty((segments, 3)), np.empty(segments), np.empty((segments, 3, 2)),
+        np.empty((segments, 2, 5)),
+    )  # fmt: skip
+    dy, bend = work[1], work[2]
+    begin, slope, at_begin = np.empty_like(y), np.empty_like(y), np.empty(5)
+    at_end = np.empty(5)
+    row, runs = 0, starts.shape[0]
+    for run in range(runs):
+        stop = starts[run + 1] if run + 1 < runs else span
+        count = max(1, math.ceil((stop - starts[run]) / substep * (1 - 1e-12)))
+        h = (stop - starts[run]) / count
+        _extrapolate(bend, actual, starts[run])
+        at_end[3], at_end[4], _ = _slopes(y, books[0], states[run], given, bend, air, dy)
+        for k in range(count):
+            begun = starts[run] + k * h
+            end = stop if k + 1 == count else begun + h
+            for j in range(segments):
+                for i in range(3):
+                    begin[j, i], slope[j, i] = y[j, i], dy[j, i]
+            for i in range(3):
+                at_begin[i] = books[i]
+            at_begin[3], at_begin[4] = at_end[3], at_end[4]
+            at_end[3], at_end[4] = _step(y, books, h, begun, states[run], given, actual, air, work)
+            for i in range(3):
+                at_end[i] = books[i]
+            until = row
+            while until < times.shape[0] and (times[until] <= end or (k + 1 == count and run + 1 == runs)):
+                until += 1
+            if until > row:
+                _look(
+                    times[row:until], begun, h, begin, slope, at_begin, y, dy, at_end, states[run],
+                    given, actual, air, p[row:until], q[row:until], dq[row:until], ddq[row:until],
+                    valves[row:until], drawn[row:until],
+                )  # fmt: skip
+                row = until
+    for j in range(segments):
+        turned = actual[0, j] + actual[1, j] * span if given else y[j, 2]
+        for side in range(2):
+            size = volume(air.dead, air.displacement, turned, side)[0]
+            pressure[j, side] = y[j, side] / size - AMBIENT_PA
+
+
+@compiled
+def _look(  # type: ignore[no-untyped-def]
+    times, begun, h, y0, dy0, at0, y1, dy1, at1, state, given, actual, air, p, q, dq, ddq, valves, drawn
+):
+    """Fill rows of a trace inside a step from the cubics through values and slopes at its ends.
+
+    at0 and at1 are the books and the flows from the supply and into all chambers.
+    """
+    segments = y0.shape[0]
+    y, dy, bend = np.empty_like(y0), np.empty_like(y0), np.empty(segments)
+    for row in range(times.shape[0]):
+        x = min(1.0, max(0.0, (times[row] - begun) / h))
+        first, second = x * (1 - x) ** 2 * h, -(x * x) * (1 - x) * h
+        part = x * x * (3 - 2 * x)
+        for j in range(segments):
+            for k in range(3):
+                y[j, k] = y0[j, k] + part * (y1[j, k] - y0[j, k]) + first * dy0[j, k] + second * dy1[j, k]
+        line = at0[0] + part * (at1[0] - at0[0])
+        line += first * (at0[3] - at0[4]) + second * (at1[3] - at1[4])
+        drawn[row] = at0[1] + part * (at1[1] - at0[1]) + first * at0[3] + second * at1[3]
+        _extrapolate(bend, actual, begun + x * h)
+        _slopes(y, line, state, given, bend, air, dy)
+        for j in range(segments):
+            turned, rate = (bend[j], actual[1, j]) if given else (y[j, 2], dy[j, 2])
+            rise = 0.0
+            for side in range(2):
+                size, growth = volume(air.dead, air.displacement, turned, side)
+                inside = y[j, side] / size
+                rise += (1.0 - 2.0 * side) * (dy[j, side] - inside * growth * rate) / size
+                p[row, j, side], valves[row, j, side] = inside - AMBIENT_PA, state[j, side]
+            q[row, j], dq[row, j] = y[j, 2], dy[j, 2]
+            ddq[row, j] = (air.gain * rise - dy[j, 2]) / air.tau

@@ -1,0 +1,56 @@
+"""Schedule: which valve stands how, and from when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
+"""Valve layout → states it can take: one 3/2 valve a chamber, or an inlet and an outlet valve."""
+
+_SAME = 1e-9  # s: events closer than this are one
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Valve states over a stretch of time, piecewise constant.
+
+    Attributes:
+        span: length of the stretch, s.
+        starts: when each state begins, ascending from 0, shape (runs,), s from the start of the stretch.
+        states: +1 fill, 0 hold, −1 vent, shape (runs, segments, 2), columns + and − chamber.
+    """
+
+    span: float
+    starts: np.ndarray
+    states: np.ndarray
+
+    @classmethod
+    def of_slots(cls, commands: np.ndarray, span: float) -> Schedule:
+        """Return the schedule of commands that share a stretch equally, shape (slots, segments, 2)."""
+        changes = np.flatnonzero((commands[1:] != commands[:-1]).any(axis=(1, 2))) + 1
+        begins = np.append(0, changes)
+        return cls(span, span * begins / len(commands), np.ascontiguousarray(commands[begins]))
+
+    @property
+    def events(self) -> np.ndarray:
+        """Return the times at which a valve changes, shape (runs − 1,), s."""
+        return self.starts[1:]
+
+    def stretched(self, span: float) -> Schedule:
+        """Return the same order of states over another span (s)."""
+        return Schedule(span, self.starts * (span / self.span), self.states)
+
+    def part(self, begin: float, end: float) -> Schedule:
+        """Return the schedule from `begin` to `end`, its times counted from `begin` (s)."""
+        first = int(np.searchsorted(self.starts, begin + _SAME, side="right")) - 1
+        last = int(np.searchsorted(self.starts, end - _SAME, side="left"))
+        starts = np.maximum(self.starts[first:last] - begin, 0.0)
+        return Schedule(end - begin, starts, self.states[first:last])
+
+    def then(self, other: Schedule) -> Schedule:
+        """Return this schedule and another after it as one."""
+        same = int((self.states[-1] == other.states[0]).all())
+        starts = np.concatenate([self.starts, self.span + other.starts[same:]])
+        return Schedule(self.span + other.span, starts, np.concatenate([self.states, other.states[same:]]))

@@ -1,0 +1,133 @@
+"""The twin on skids: where and how they touch the floor, that they turn with it, and that they stay on it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from snakes import GRAVITY, chain, robot, throw, vented
+
+from srs_twin import Gait, TwinSnake, load_robot, rollout
+from srs_twin.mjcf import scene_mjcf
+from srs_twin.mjcf_numerics import PRELOAD, Numerics
+from srs_twin.mjcf_wheels import contact, preload_force, treads
+
+SPEC = robot(stiffness=20.0)
+SKIDS = Numerics(wheels="skid", preload=PRELOAD["skid"])
+
+
+@cache
+def twin() -> TwinSnake:
+    return TwinSnake(SPEC, wheels="skid")
+
+
+@pytest.fixture(scope="module", params=["gen1", "gen2", "gen3", "gen4"])
+def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
+    """Each robot on skids, straight, pressed a little into the floor so that all contacts are found."""
+    model = scene_mjcf(load_robot(request.param), SKIDS).compile()
+    data = mujoco.MjData(model)
+    data.qpos[2] -= 1e-5
+    mujoco.mj_forward(model, data)
+    return model, data, request.param
+
+
+def test_each_skid_touches_once_at_the_track(scene):
+    _, data, name = scene
+    g = load_robot(name).geometry
+    assert data.ncon == 2 * g.connectors
+    # MuJoCo finds them in the order of its tree of bodies, left before right.
+    places = data.contact.pos.reshape(g.connectors, 2, 3)
+    places = places[np.argsort(-places[:, 0, 0])]
+    stations = g.body_length / 2 - g.pitch * np.arange(g.connectors)
+    assert places[..., 0] == pytest.approx(np.stack([stations, stations], axis=1), abs=1e-9)
+    assert places[..., 1] == pytest.approx(np.tile([g.half_track, -g.half_track], (g.connectors, 1)))
+
+
+def test_masses_and_inertias_are_those_of_the_snake_on_wheels(scene):
+    model, data, name = scene
+    spec = load_robot(name)
+    wheeled = scene_mjcf(spec, Numerics()).compile()
+    assert model.body_mass.sum() == pytest.approx(spec.mass.total, rel=1e-12)
+    g, yaw = spec.geometry, 2
+    for i in range(1, g.connectors + 1):
+        own, axle = model.body(f"connector_{i}"), wheeled.body(f"connector_{i}")
+        assert own.ipos == pytest.approx([0, 0, 0], abs=1e-15)
+        wheels = [wheeled.body(f"wheel_{side}_{i}") for side in ("left", "right")]
+        assert own.mass == pytest.approx(axle.mass + sum(wheel.mass for wheel in wheels))
+        offset = sum(wheel.mass[0] * wheel.pos[1] ** 2 for wheel in wheels)
+        turning = axle.inertia[yaw] + sum(wheel.inertia[yaw] for wheel in wheels) + offset
+        assert own.inertia[yaw] == pytest.approx(turning)
+    assert model.nv == wheeled.nv - 2 * g.connectors == 6 + 4 * spec.segments, "no axles"
+
+
+def test_a_pressed_skid_holds_what_it_would_by_its_own_load(scene):
+    model, _, name = scene
+    spec = load_robot(name)
+    along, across = contact(spec, SKIDS)["friction"][:2]
+    for i, mass in enumerate(spec.mass.connectors):
+        load = mass * GRAVITY / 2
+        pressed = load + preload_force(spec, SKIDS)[i, 0]
+        assert along * pressed == pytest.approx(spec.friction.mu_t * load)
+        assert across * pressed == pytest.approx(spec.friction.mu_n * load)
+    assert model.npair == len(treads(spec)) == 10
+    assert model.pair_friction[:, :2] == pytest.approx(np.tile([along, across], (10, 1)))
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.5, 2.0, -2.5])
+def test_contact_frames_turn_with_the_skids(heading):
+    plant = twin()
+    plant.reset(pose=(0.2, 0.1, heading))
+    plant.step(vented(SPEC))
+    contacts = plant.physics.data.ptr.contact
+    assert len(contacts.frame) == 10
+    for normal, along, across in contacts.frame.reshape(-1, 3, 3):
+        assert normal == pytest.approx([0, 0, 1])
+        assert np.abs(along) == pytest.approx(np.abs([np.cos(heading), np.sin(heading), 0]), abs=1e-6)
+        assert np.cross(normal, along) == pytest.approx(across)
+    assert (contacts.friction[:, 0] < contacts.friction[:, 1]).all()
+
+
+def test_no_skid_touches_with_its_tip_or_leaves_the_floor_in_a_crawl():
+    plant, contacts = TwinSnake(robot(), wheels="skid"), []
+    rollout(plant, Gait(2.0, 0.2), 2.0, observers=[lambda _: contacts.append(plant.physics.data.ncon)])
+    assert set(contacts[1:]) == {10}
+
+
+@pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
+def test_thrown_sideways_it_does_not_roll_over(name):
+    plant = TwinSnake(robot(name, stiffness=20.0), wheels="skid")
+    throw(plant, (-np.sin(0.7), np.cos(0.7)), heading=0.7)
+    upright = []
+    for _ in range(round((1.0 / (plant.spec.friction.mu_n * GRAVITY) + 0.2) / plant.tick)):
+        state = plant.step(vented(plant.spec))
+        upright.append(plant.physics.data.xmat[plant.physics._connectors][:, 8].min())
+    assert np.degrees(np.arccos(min(upright))) < 2
+    assert np.abs(state.com_velocity).max() < 1e-5
+    assert plant.physics.wheel_loads().min() > 0
+
+
+def test_rests_where_it_lies():
+    """No stiction in MuJoCo's contact, and least along the heading: what creeps, creeps by micrometres."""
+    plant = twin()
+    start = plant.reset(pose=(0.0, 0.0, 1.0))
+    for _ in range(100):
+        state = plant.step(vented(SPEC))
+    assert state.position == pytest.approx(start.position, abs=2e-5)
+    assert state.theta == pytest.approx(start.theta, abs=1e-5)
+
+
+def test_says_what_it_stands_on():
+    described = twin().describe()
+    assert (described["wheels"], described["preload"]) == ("skid", PRELOAD["skid"])
+    assert TwinSnake(SPEC).describe()["preload"] == Numerics().preload == PRELOAD["rolling"]
+    assert TwinSnake(SPEC, wheels="skid", preload=7.0).describe()["preload"] == 7.0
+
+
+@pytest.mark.parametrize("connectors", [2, 9])
+def test_snakes_of_any_length_run(connectors):
+    plant = TwinSnake(chain((0.03,) * connectors), wheels="skid")
+    trajectory = rollout(plant, Gait(2.0, phase_step=np.pi / 2), 0.5)
+    assert np.isfinite(trajectory.com).all()
+    assert plant.physics.floor_forces().shape == (connectors, 2, 3)
