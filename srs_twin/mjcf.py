@@ -23,8 +23,6 @@ from srs_twin.mjcf_surroundings import add_surroundings
 from srs_twin.mjcf_wheels import add_contacts, add_feet, add_preload, add_wheels, fixed_inertia
 from srs_twin.spec import GRAVITY, GYRATION, RobotSpec
 
-_LINK_SHARE = 0.02  # of a segment's share of mass; the text lumps all of it at the connectors
-
 
 def hinge_places(hinges: int) -> np.ndarray:
     """Return where the bending hinges stand, as fractions of the segment length, shape (hinges,)."""
@@ -72,6 +70,8 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
             _add_connector(mj, body, spec, i + step, numerics)
     for j in range(1, spec.segments + 1):
         _add_muscles(mj, j, numerics)
+        if numerics.constant_curvature:
+            _bend_alike(mj, j, numerics)
     add_preload(mj, spec, numerics)
     add_feet(mj, spec)
     _add_home(mj)
@@ -131,7 +131,7 @@ def _set_inertia(
 def _link_mass(spec: RobotSpec, numerics: Numerics) -> float:
     """Return the mass of one link between two hinges, kg; taken off the connectors."""
     links = numerics.hinges_per_segment - 1
-    share = _LINK_SHARE * min(spec.mass.connectors)
+    share = numerics.link_share * min(spec.mass.connectors)
     return share / links if links else 0.0
 
 
@@ -206,6 +206,16 @@ def _add_muscles(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
             trntype=mujoco.mjtTrn.mjTRN_TENDON,
         )  # fmt: skip
         actuator.gainprm[0] *= sign
+
+
+def _bend_alike(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
+    """Constrain all hinges of segment j to the angle of the first."""
+    for k in range(2, numerics.hinges_per_segment + 1):
+        arc = mj.add_equality(
+            name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT, name1=f"hinge_{j}_{k}", name2=f"hinge_{j}_1",
+            solref=[2 * numerics.timestep, 1], solimp=[0.999, 0.999, 0.001, 0.5, 2],
+        )  # fmt: skip
+        arc.data[:5] = [0, 1, 0, 0, 0]
 
 
 def _add_home(mj: mujoco.MjSpec) -> None:

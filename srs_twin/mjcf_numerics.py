@@ -27,6 +27,11 @@ class Numerics:
         axle_time: the same for the axles' friction, s.
         preload: κ, by how many times its static load each wheel is pressed down besides; 0: none. What
             suits the wheels stands in `PRELOAD`.
+        link_share: mass between the hinges of a segment, as a share of the lightest connector's; the text
+            lumps all of it at the connectors.
+        wheel_spin: the wheels' inertia about their axles, as a multiple of what they have.
+        constant_curvature: force the hinges of a segment to bend alike, as the analytical model has it; left
+            alone a segment under load takes the shape of an S besides.
     """
 
     timestep: float = 0.001
@@ -36,3 +41,6 @@ class Numerics:
     slip_time: float = 0.0003
     axle_time: float = 0.002
     preload: float = PRELOAD["rolling"]
+    link_share: float = 0.02
+    wheel_spin: float = 1.0
+    constant_curvature: bool = False

@@ -75,7 +75,7 @@ def add_wheels(mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int,
     """Put connector i on its two wheels or skids."""
     for side, sign in _SIDES.items():
         if numerics.wheels == "rolling":
-            _add_wheel(mj, body, spec, i, side, sign)
+            _add_wheel(mj, body, spec, i, side, sign, numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
             z = foot_radius(spec, numerics) - spec.geometry.com_height - _DIP
@@ -86,13 +86,14 @@ def add_wheels(mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int,
 
 
 def _add_wheel(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, side: str, sign: int
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, side: str, sign: int, scale: float
 ) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     spin = spec.mass.wheel * g.wheel_radius**2 / 2
+    inertia = [spin / 2, scale * spin, spin / 2]
     wheel = body.add_body(
         name=f"wheel_{side}_{i}", pos=[0, sign * g.half_track, g.wheel_radius - g.com_height],
-        mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=[spin / 2, spin, spin / 2], explicitinertial=True,
+        mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=inertia, explicitinertial=True,
     )  # fmt: skip
     wheel.add_joint(
         mj.find_default("axle"), name=f"axle_{side}_{i}",

@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from srs_twin.comparison.shares import Attribution
     from srs_twin.scenario import Outcome, Scenario
 
 PLANTS = ("analytical", "twin")
@@ -33,6 +35,7 @@ REPORT, RECORDING = "report.html", "recording.rrd"
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
 
 Progress = Callable[[str, float], None]
+Explain = Callable[..., "Attribution"]
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class PreparedRun:
         """Whether the folder holds a whole run."""
         return (self.folder / METRICS).is_file()
 
-    def execute(self, progress: Progress | None = None) -> RunResult:
+    def execute(self, progress: Progress | None = None, *, explain: Explain | None = None) -> RunResult:
         """Simulate every plant, measure, compare and write the files, metrics.json last.
 
         A plant that diverges leaves what it did up to there, and the others still run; then there is
@@ -83,9 +86,10 @@ class PreparedRun:
 
         Args:
             progress: called with the plant's name and the part that is done, 0 to 1.
+            explain: says why the plants differ (`attribution.explain`); None: nobody asked.
 
         Raises:
-            InputError: a file cannot be written.
+            InputError: a file cannot be written, or the difference cannot be explained.
         """
         trajectories: dict[str, Trajectory] = {}
         walls: dict[str, float] = {}
@@ -98,6 +102,10 @@ class PreparedRun:
                 diverged.append(self._located(kind, error))
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
+        attribution = None
+        if explain is not None and not diverged:
+            told = None if progress is None else partial(progress, "why they differ")
+            attribution = explain(self.scenario, trajectories, progress=told)
         # Only now: an interrupted run leaves what an earlier one wrote.
         self._clear()
         with atomic_write(self.folder / RESOLVED) as path:
@@ -107,7 +115,7 @@ class PreparedRun:
                 trajectory.to_parquet(path)
         if diverged:
             return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-        return self._measure(trajectories, walls)
+        return self._measure(trajectories, walls, attribution)
 
     def _drive(self, kind: str, progress: Progress | None) -> Trajectory:
         plant, controller = self.parts[kind]
@@ -127,7 +135,12 @@ class PreparedRun:
         error.args = (f"{self.scenario.name}: {error}; what it did up to there is in {kept}",)
         return error
 
-    def _measure(self, trajectories: Mapping[str, Trajectory], walls: Mapping[str, float]) -> RunResult:
+    def _measure(
+        self,
+        trajectories: Mapping[str, Trajectory],
+        walls: Mapping[str, float],
+        attribution: Attribution | None,
+    ) -> RunResult:
         # rerun alone takes half a second to import: not before there is something to show.
         from srs_twin.viewing.report import write_report
         from srs_twin.viewing.rerun_log import write_recording
@@ -143,13 +156,15 @@ class PreparedRun:
             "plants": {k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()},
             "comparison": comparison.metrics if comparison else None,
         }
+        if attribution is not None:
+            metrics["attribution"] = attribution.document()
         outcomes = tuple(expectation.check(metrics) for expectation in scenario.expect)
         metrics["expectations"] = [asdict(outcome) for outcome in outcomes]
         metrics["versions"] = versions()
         with atomic_write(self.folder / REPORT) as path:
             write_report(
                 path, scenario_title=scenario.title, spec=spec, trajectories=trajectories,
-                metrics=metrics, comparison=comparison,
+                metrics=metrics, comparison=comparison, attribution=attribution,
             )  # fmt: skip
         with atomic_write(self.folder / RECORDING) as path:
             write_recording(

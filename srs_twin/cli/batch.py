@@ -11,10 +11,10 @@ import typer
 
 from srs_twin.cli import INTERRUPTED
 from srs_twin.cli.progress import Progress
-from srs_twin.errors import InputError
+from srs_twin.errors import DivergedError, InputError
 
 if TYPE_CHECKING:
-    from srs_twin.running import PreparedRun, RunResult
+    from srs_twin.running import Explain, PreparedRun, RunResult
 
 EXPECTATION_FAILED = 1
 RUNS = Path("runs")
@@ -32,7 +32,13 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No table and n
 
 
 def run_all(
-    given: Sequence[str], *, out: str | None, check: bool, quiet: bool, plants: Sequence[str] | None = None
+    given: Sequence[str],
+    *,
+    out: str | None,
+    check: bool,
+    quiet: bool,
+    plants: Sequence[str] | None = None,
+    explain: bool = False,
 ) -> None:
     """Find what is bad in any scenario, then run the good ones; exit with the highest code.
 
@@ -42,6 +48,7 @@ def run_all(
         check: let failed expectations decide the exit code.
         quiet: print errors only.
         plants: which plants; None takes those that each scenario names.
+        explain: also say why the plants differ.
 
     Raises:
         typer.Exit: with the exit code, where it is not 0.
@@ -50,7 +57,7 @@ def run_all(
     finished: list[str] = []
     try:
         for job in jobs:
-            code = max(code, _run(job, check=check, quiet=quiet))
+            code = max(code, _run(job, check=check, quiet=quiet, explain=explain))
             finished += [str(job.folder)] if job.complete else []
     except KeyboardInterrupt:
         kept = ", ".join(finished) or "nothing"
@@ -94,17 +101,23 @@ def _prepare_all(
     return list(jobs.values()), code
 
 
-def _run(job: PreparedRun, *, check: bool, quiet: bool) -> int:
+def _run(job: PreparedRun, *, check: bool, quiet: bool, explain: bool) -> int:
     """Run one scenario and show what it gave; return its exit code."""
     for warning in () if quiet else job.scenario.warnings:
         _say(f"warning: {warning}")
     try:
         with Progress(job.scenario.name, quiet=quiet) as progress:
-            result = job.execute(progress)
-    except InputError as error:
+            result = job.execute(progress, explain=_explainer() if explain else None)
+    except (InputError, DivergedError) as error:
         _say(str(error))
         return error.exit_code
     return _report(result, check=check, quiet=quiet)
+
+
+def _explainer() -> Explain:
+    from srs_twin.attribution import explain
+
+    return explain
 
 
 def _report(result: RunResult, *, check: bool, quiet: bool) -> int:

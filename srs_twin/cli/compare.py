@@ -14,6 +14,10 @@ def compare(
     out: OutOption = None,
     check: CheckOption = False,
     quiet: QuietOption = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Say why the plants differ: the share of each assumption.")
+    ] = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference."""
-    run_all([scenario], out=out, check=check, quiet=quiet, plants=("analytical", "twin"))
+    both = ("analytical", "twin")
+    run_all([scenario], out=out, check=check, quiet=quiet, plants=both, explain=explain)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from srs_twin.comparison.summary import difference, published
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from srs_twin.running import RunResult
 
 # metric of a plant → (heading, unit)
@@ -20,12 +22,21 @@ _PLANT_ROWS = {
     "turning_radius_m": ("turning radius", "m"),
     "path_length_m": ("path length", "m"),
     "mean_bend_amplitude_rad": ("mean bend amplitude", "rad"),
+    "mechanical_power_w": ("mechanical power", "W"),
+    "cost_of_transport": ("cost of transport", "1"),
+    "pneumatic_power_w": ("power of the air", "W"),
     "realtime_factor": ("real-time factor", "1"),
 }
 _COMPARISON_ROWS = {
     "shape_rms_m": ("body shape, RMS", "m"),
     "path_rms_m": ("CoM path, RMS", "m"),
     "bend_rms_rad": ("bends, RMS", "rad"),
+}
+_WHY_HEADINGS = {
+    "com_speed_m_s": ("CoM speed", "m/s"),
+    "yaw_rate_rad_s": ("yaw rate", "rad/s"),
+    "mean_bend_amplitude_rad": ("amplitude", "rad"),
+    "shape_rms_m": ("shape", "m"),
 }
 _NONE = (None, "")
 
@@ -88,9 +99,35 @@ def show(result: RunResult) -> None:
         table.add_row(line.heading, line.unit, *cells)
     console = Console(file=sys.stdout, highlight=False)
     console.print(table)
+    if "attribution" in result.metrics:
+        console.print(_why(result.metrics["attribution"]))
     for text in expectation_lines(result.metrics):
         for part in textwrap.wrap(text, console.width, subsequent_indent=" " * 7, break_long_words=False):
             print(part)
+
+
+def _why(attribution: Mapping[str, Any]) -> Table:
+    """Return the table of what each assumption contributes to the gap."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(
+        title="why they differ: twin − analytical, and the share of each assumption",
+        title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False,
+    )  # fmt: skip
+    table.add_column("assumption", no_wrap=True)
+    for measure in attribution["measures"]:
+        table.add_column("\n".join(_WHY_HEADINGS[measure]), justify="right", no_wrap=True)
+    for share in attribution["shares"]:
+        table.add_row(share["name"], *map(_signed, share["value"]))
+    table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
+    table.add_row("gap", *map(_signed, attribution["gap"]))
+    table.add_row("left with stiff bends", *map(_signed, attribution["matched"]))
+    return table
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2g}" if abs(value) >= 5e-6 else "0"
 
 
 def _number(value: float | None) -> str:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-RELATIVE = {"com_speed_m_s", "turning_radius_m", "path_length_m", "mean_bend_amplitude_rad"}
+RELATIVE = {
+    "com_speed_m_s", "turning_radius_m", "path_length_m", "mean_bend_amplitude_rad", "mechanical_power_w",
+    "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport",
+}  # fmt: skip
 """Metrics whose difference is given over the analytical value; of others in their own unit."""
 
 _TURNING_RAD_S = 0.01  # below it a snake goes straight, and a share of its yaw rate means nothing
+_ROUNDING = 1e-9  # of a value: what two ways of adding up may differ by
 _NOT_COMPARED = {"wall_s", "realtime_factor"}  # how long a computer took tells the plants nothing
 
 
@@ -25,7 +29,7 @@ def difference(plants: Mapping[str, Mapping[str, Any]], metric: str) -> str:
     ours, theirs = (plants.get(plant, {}).get(metric) for plant in ("analytical", "twin"))
     if metric in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
         return ""
-    apart = f"{theirs - ours:+.3g}"
+    apart = "0" if abs(theirs - ours) <= _ROUNDING * abs(ours) else f"{theirs - ours:+.3g}"
     # A share of nothing, or of the other direction, says nothing.
     share = f"{100 * (theirs - ours) / ours:+.1f} %" if ours * theirs > 0 else ""
     if metric in RELATIVE:

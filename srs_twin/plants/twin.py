@@ -42,7 +42,11 @@ class TwinSnake(Plant):
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
         slip_time: float = Numerics.slip_time,
+        axle_time: float = Numerics.axle_time,
         preload: float | None = None,
+        link_share: float = Numerics.link_share,
+        wheel_spin: float = Numerics.wheel_spin,
+        constant_curvature: bool = Numerics.constant_curvature,
     ) -> None:
         """Build and compile the twin.
 
@@ -56,8 +60,12 @@ class TwinSnake(Plant):
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", or chambers of one's own.
             slip_time: time constant with which contact friction stops a slip, s.
+            axle_time: the same for the axles' friction, s.
             preload: by how many times its static load each wheel is pressed down besides; default what
                 suits the wheels, `mjcf_numerics.PRELOAD`.
+            link_share: mass between a segment's hinges over the lightest connector's.
+            wheel_spin: multiple of the wheels' inertia about their axles.
+            constant_curvature: force the hinges of a segment to bend alike.
 
         Raises:
             InputError: an unknown wheel or layout, or a tick that is no multiple of the time step.
@@ -71,7 +79,11 @@ class TwinSnake(Plant):
             hinges_per_segment=hinges_per_segment,
             wheels=wheels,
             slip_time=slip_time,
+            axle_time=axle_time,
             preload=PRELOAD[wheels] if preload is None else preload,
+            link_share=link_share,
+            wheel_spin=wheel_spin,
+            constant_curvature=constant_curvature,
         )
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
@@ -129,7 +141,11 @@ class TwinSnake(Plant):
             "timestep_s": self.timestep,
             "hinges_per_segment": self._numerics.hinges_per_segment,
             "slip_time_s": self._numerics.slip_time,
+            "axle_time_s": self._numerics.axle_time,
             "preload": self._numerics.preload,
+            "link_share": self._numerics.link_share,
+            "wheel_spin": self._numerics.wheel_spin,
+            "constant_curvature": self._numerics.constant_curvature,
         }
 
     def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:

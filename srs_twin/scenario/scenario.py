@@ -156,11 +156,13 @@ class Scenario:
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
 
-    def build_plant(self, kind: str) -> Plant:
+    def build_plant(self, kind: str, *, robot: RobotSpec | None = None, **changes: Any) -> Plant:
         """Return a plant, fresh and at rest; one that the file does not name gets its defaults.
 
         Args:
             kind: "analytical" or "twin".
+            robot: another robot than the scenario's.
+            changes: settings or arguments of the plant other than the scenario's.
 
         Raises:
             UnknownNameError: another kind.
@@ -168,8 +170,9 @@ class Scenario:
         settings = self.plants.get(kind) or _DEFAULTS.get(kind)
         if settings is None:
             raise UnknownNameError("plant", kind, _DEFAULTS)
-        arguments = asdict(settings)
-        robot = self.robot if arguments.pop("gaps") else _without_gaps(self.robot)
+        arguments = asdict(settings) | changes
+        robot = robot or self.robot
+        robot = robot if arguments.pop("gaps") else _without_gaps(robot)
         arguments["pneumatics"] = self.pneumatics.make(robot, self.supply_pa)
         if kind == "analytical":
             from srs_twin.plants.analytical import AnalyticalSnake

@@ -16,13 +16,15 @@ from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.html import Markup, element, page, picture, table
 from srs_twin.viewing.plan_view import plan_view
 from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
+from srs_twin.viewing.why import why_section
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison
+    from srs_twin.comparison.shares import Attribution
 
 # How the names of metrics end, longest first, and what is said instead.
 _ENDINGS = {
-    "_rad_s": "", "_m_s": "", "_rad": "", "_m": "", "_s": "",
+    "_rad_s": "", "_m_s": "", "_rad": "", "_nm": "", "_m": "", "_s": "", "_w": "",
     "_rel": ", relative", "_abs": ", size of difference", "_body": " over body length",
 }  # fmt: skip
 
@@ -49,6 +51,7 @@ def write_report(
     trajectories: Mapping[str, Trajectory],
     metrics: Mapping[str, Any],
     comparison: Comparison | None = None,
+    attribution: Attribution | None = None,
 ) -> None:
     """Write the report of one run; it needs nothing from outside itself.
 
@@ -59,6 +62,7 @@ def write_report(
         trajectories: plant → what it did.
         metrics: what stands in metrics.json.
         comparison: adds the plot of differences over time.
+        attribution: adds why the plants differ.
 
     Raises:
         InputError: there is no trajectory, or one of them is empty.
@@ -72,6 +76,7 @@ def write_report(
         element("h2", "Results"),
         result_table(metrics),
         *_expectations(metrics.get("expectations") or ()),
+        *(why_section(attribution) if attribution is not None else []),
         element("h2", "Plots"),
         *_pictures(trajectories, spec, comparison),
         element("h2", "How to read this"),

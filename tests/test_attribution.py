@@ -1,0 +1,149 @@
+"""Why the plants differ: Shapley's axioms, the ladder of switches, and what compare --explain shows."""
+
+from __future__ import annotations
+
+import json
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin import rollout
+from srs_twin.attribution import explain
+from srs_twin.attribution.shapley import contributions, subsets
+from srs_twin.attribution.switches import Ladder
+from srs_twin.comparison.shares import MEASURES
+from srs_twin.errors import InputError
+from srs_twin.scenario import parse_scenario
+
+NAMES = ["a", "b", "c", "d"]
+
+
+def game(seed: int) -> dict[frozenset[str], np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return {some: generator.normal(size=3) for some in subsets(NAMES)}
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000))
+def test_shares_are_the_mean_over_all_orders_and_add_up(seed):
+    seen = game(seed)
+    found = contributions(NAMES, seen)
+    by_order = {name: [] for name in NAMES}
+    for order in permutations(NAMES):
+        for k, name in enumerate(order):
+            by_order[name].append(seen[frozenset(order[: k + 1])] - seen[frozenset(order[:k])])
+    for name, steps in by_order.items():
+        assert found[name].value == pytest.approx(np.mean(steps, axis=0))
+        assert found[name].low == pytest.approx(np.min(steps, axis=0))
+        assert found[name].high == pytest.approx(np.max(steps, axis=0))
+    whole = seen[frozenset(NAMES)] - seen[frozenset()]
+    assert sum(each.value for each in found.values()) == pytest.approx(whole)
+
+
+def test_what_changes_nothing_has_no_share_and_twins_share_alike():
+    def worth(some: frozenset[str]) -> np.ndarray:
+        return np.array([3.0 * ("a" in some) * ("b" in some) + 2.0 * ("c" in some)])
+
+    found = contributions(NAMES, {some: worth(some) for some in subsets(NAMES)})
+    assert [found[name].value[0] for name in NAMES] == pytest.approx([1.5, 1.5, 2.0, 0.0])
+    assert (found["a"].low[0], found["a"].high[0]) == (0.0, 3.0)
+
+
+def scenario(**changes):
+    data = {
+        "robot": "gen2", "duration_s": 2.0, "supply": {"pressure_kpa": 48.3},
+        "controller": {"kind": "gait", "frequency_hz": 2.0, "offset": 0.2},
+    }  # fmt: skip
+    return parse_scenario(data | changes, name="short")
+
+
+def both(s):
+    return {k: rollout(s.build_plant(k), s.build_controller(), s.duration) for k in ("analytical", "twin")}
+
+
+@pytest.fixture(scope="module")
+def found():
+    s = scenario()
+    told: list[float] = []
+    return explain(s, both(s), progress=told.append), told
+
+
+def test_shares_and_remainder_are_the_gap(found):
+    attribution, told = found
+    parts = np.sum([share.value for share in attribution.shares], axis=0) + attribution.remainder
+    assert parts == pytest.approx(attribution.gap, abs=1e-12)
+    assert told == sorted(told) and told[-1] == 1.0
+    assert attribution.same == ("rigid gaps", "frozen chords", "damping")
+
+
+def test_compliance_is_most_of_it_and_the_matched_plants_agree(found):
+    attribution, _ = found
+    shares = {share.name: np.array(share.value) for share in attribution.shares}
+    speed, yaw, _, shape = np.array(attribution.gap)
+    assert shares["compliance"][3] > 0.5 * shape
+    assert abs(attribution.matched[0]) < 0.04 * attribution.reference[0]
+    assert abs(attribution.matched[3]) < 0.1 * shape
+    assert abs(attribution.remainder[3]) < 0.25 * shape
+    for name in ("out-of-plane motion", "link mass", "contact softness"):
+        assert abs(shares[name][0]) < 0.02 * attribution.reference[0], name
+
+
+def test_a_document_is_plain_and_names_its_measures(found):
+    document = json.loads(json.dumps(found[0].document()))
+    assert document["measures"] == list(MEASURES)
+    assert len(document["shares"][0]["value"]) == len(MEASURES)
+
+
+def test_only_what_differs_is_switched():
+    alike = {"model": "compliant", "friction": "wheel", "inertia": "connector"}
+    assert Ladder(scenario(plants={"analytical": alike, "twin": {}})).switches == []
+    other = {"model": "simplified", "friction_torque": False, "gaps": False}
+    ladder = Ladder(scenario(plants={"analytical": other, "twin": {"wheels": "skid"}}))
+    names = ["friction law", "wheel track", "rigid gaps", "frozen chords", "compliance", "connector inertia"]
+    assert [switch.name for switch in ladder.switches] == names
+    assert "wheel inertia" not in [each.name for each in ladder.refinements]
+    bending = {"base": "gen2", "bending": {"damping_time_s": 0.01}}
+    assert "damping" in [switch.name for switch in Ladder(scenario(robot=bending)).switches]
+
+
+def test_every_switch_reaches_the_plant():
+    ladder = Ladder(scenario(plants={"analytical": {"model": "simplified"}, "twin": {}}))
+    plain, all_on = (
+        ladder.analytical(frozenset(on)).describe() for on in ((), [s.name for s in ladder.switches])
+    )
+    assert (plain["model"], plain["friction"], plain["track_m"], plain["inertia"]) == (
+        "simplified", "axis", 0.0, "point",
+    )  # fmt: skip
+    assert (all_on["model"], all_on["friction"], all_on["track_m"], all_on["inertia"]) == (
+        "compliant", "wheel", 0.015, "connector",
+    )  # fmt: skip
+    for each in ladder.refinements:
+        if each.plant == "twin" and each.options:
+            about = ladder.twin(each.change, **each.options).describe()
+            usual = ladder.twin().describe()
+            assert about != usual, each.name
+
+
+def test_what_cannot_be_explained_is_refused():
+    s = scenario(duration_s=1.0)
+    runs = both(s)
+    with pytest.raises(InputError, match="a difference needs two plants to be explained; run both"):
+        explain(s, {"twin": runs["twin"]})
+    with pytest.raises(InputError, match=r"short: .*; three or more periods of a gait are needed"):
+        explain(s, runs)
+
+
+def test_the_command_shows_and_keeps_it(srs_twin, tmp_path):
+    text = "robot: gen2\nduration_s: 1.6\ncontroller: {kind: gait, frequency_hz: 2.0}\n"
+    (tmp_path / "brief.yaml").write_text(text)
+    done = srs_twin("compare", "brief.yaml", "--explain", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "why they differ" in done.stdout and "not explained" in done.stdout
+    assert "curvature not constant" in done.stdout
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
+    assert metrics["attribution"]["shares"][0]["name"] == "friction law"
+    report = (tmp_path / "out/report.html").read_text("utf-8")
+    assert "Why the plants differ" in report and "springs that load and inertia deflect" in report
