@@ -1,9 +1,10 @@
 """How far twin and analytical model agree, over the whole published grid of generation 2.
 
-    uv run python benchmarks/agreement.py [--default] [--quick]
+    uv run python benchmarks/agreement.py [--default | --skid] [--quick]
 
 Matched physics: `wheel` law and the same track on both sides, bends stiff enough to follow their free
-value. Without `--default` that is what is shown; with it, the shipped robot and the default friction.
+value. Without `--default` that is what is shown; with it, the shipped robot and the default friction. With
+`--skid`, matched physics on skids: the `ellipse` law.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ def main() -> None:
     """Print one table for each of straight and turning, with and without gaps."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--default", action="store_true", help="default settings instead of matched ones")
+    arguments.add_argument("--skid", action="store_true", help="skids and the ellipse law")
     arguments.add_argument("--quick", action="store_true", help="the corner and middle points only")
     given = arguments.parse_args()
     common = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
-    law = "axis" if given.default else "wheel"
+    law = "axis" if given.default else "ellipse" if given.skid else "wheel"
+    wheels = {"wheels": "skid"} if given.skid else {}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if given.quick:
         points = points[::4]
@@ -36,7 +39,7 @@ def main() -> None:
         runs = [
             Run(plant, frequency=f, supply_pa=p * 1e3, offset=offset, gaps=gaps, options=options, **common)
             for f, p in points
-            for plant, options in (("analytical", {"friction": law}), ("twin", {}))
+            for plant, options in (("analytical", {"friction": law}), ("twin", wheels))
         ]
         done = run_all(runs)
         print(f"\n{'with' if gaps else 'without'} gaps, offset {offset}\n")

@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, load_robot, rollout
+from srs_twin import AnalyticalSnake, Gait, Plant, RobotSpec, Trajectory, TwinSnake, load_robot, rollout
 
 PLANTS: dict[str, Callable[..., Any]] = {"analytical": AnalyticalSnake, "twin": TwinSnake}
 
@@ -36,10 +36,14 @@ class Run:
             spec = replace(spec, geometry=replace(spec.geometry, rigid_gap=0.0))
         return spec
 
-    def trajectory(self) -> Trajectory:
-        """Roll out."""
-        plant = PLANTS[self.plant](self.spec(), supply_pa=self.supply_pa, **self.options)
-        return rollout(plant, Gait(self.frequency, self.offset), self.duration)
+    def build(self) -> Plant:
+        """Return the plant."""
+        plant: Plant = PLANTS[self.plant](self.spec(), supply_pa=self.supply_pa, **self.options)
+        return plant
+
+    def trajectory(self, plant: Plant | None = None) -> Trajectory:
+        """Roll out, on a plant of its own where none is given."""
+        return rollout(plant or self.build(), Gait(self.frequency, self.offset), self.duration)
 
 
 def run_all(runs: Sequence[Run]) -> list[Trajectory]:

@@ -22,26 +22,26 @@ BASE = Numerics()
 
 CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
     "analytical": [
-        ("default: 1 ms, ε 0.5 mm/s", {}),
-        ("time step 2 ms", {"timestep": 0.002}),
-        ("time step halved", {"timestep": 0.0005}),
-        ("ε halved", {"slip_speed": 0.00025}),
-        ("time step and ε quartered", {"timestep": 0.00025, "slip_speed": 0.000125}),
+        ("default: 2 ms, ε 0.25 mm/s", {}),
+        ("time step halved", {"timestep": 0.001}),
+        ("time step quartered", {"timestep": 0.0005}),
+        ("ε halved", {"slip_speed": 0.000125}),
+        ("time step an eighth, ε quartered", {"timestep": 0.00025, "slip_speed": 0.0000625}),
     ],
     "twin": [
         (f"default: {1e3 * BASE.timestep:g} ms, {BASE.hinges_per_segment} hinges", {}),
         ("time step 2 ms", {"timestep": 0.002}),
         ("time step halved", {"timestep": 0.0005}),
-        ("hinges halved", {"hinges_per_segment": 2}),
-        ("hinges doubled", {"hinges_per_segment": 8}),
+        ("time step quartered", {"timestep": 0.00025}),
+        ("hinges doubled", {"hinges_per_segment": 2 * BASE.hinges_per_segment}),
         ("slip time halved", {"slip_time": BASE.slip_time / 2}),
         ("preload doubled", {"preload": 2 * BASE.preload}),
         ("no preload", {"preload": 0.0}),
         (
             "all refined",
             {
-                "timestep": 0.0005,
-                "hinges_per_segment": 8,
+                "timestep": 0.00025,
+                "hinges_per_segment": 2 * BASE.hinges_per_segment,
                 "slip_time": BASE.slip_time / 2,
                 "preload": 2 * BASE.preload,
             },

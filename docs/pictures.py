@@ -2,7 +2,7 @@
 
     uv run python docs/pictures.py
 
-`plan.png` needs nothing; `hero.png` is a screenshot of Rerun's viewer and needs a Vulkan driver (on a machine
+`plan.png` and `why.png` need nothing; `hero.png` is a screenshot of Rerun's viewer and needs a Vulkan driver (on a machine
 without a graphics card Debian's mesa-vulkan-drivers).
 """
 
@@ -12,17 +12,23 @@ import tempfile
 from pathlib import Path
 
 from srs_twin import load_scenario
+from srs_twin.attribution import explain
 from srs_twin.running import run_scenario
 from srs_twin.viewing.plan_view import hero_figure
 from srs_twin.viewing.screenshot import screenshots
+from srs_twin.viewing.waterfall import waterfall
 
 IMAGES = Path(__file__).parent / "images"
 MOMENT_S = 6.3
 
 
 def main() -> None:
-    """Run gen2_straight and write both pictures."""
+    """Run gen2_straight and gen2_turn and write the pictures."""
     IMAGES.mkdir(exist_ok=True)
+    turn = load_scenario("gen2_turn")
+    with tempfile.TemporaryDirectory() as folder:
+        runs = run_scenario(turn, Path(folder)).trajectories
+        waterfall(explain(turn, runs)).savefig(IMAGES / "why.png", dpi=110)
     scenario = load_scenario("gen2_straight")
     with tempfile.TemporaryDirectory() as folder:
         result = run_scenario(scenario, Path(folder))

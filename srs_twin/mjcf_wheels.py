@@ -14,7 +14,7 @@ Preload: MuJoCo's contact is convex, which lifts off the floor what slides on it
 wheels are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``,
 which take no control, push every connector down with κ times its static load, and the pairs' coefficients
 are those of the robot over 1 + κ: the friction of the static load, as in the analytical models, from a
-contact that stays closed. Floor forces less the preload are the true loads, at rest within 6 %.
+contact that stays closed. Floor forces less the preload are the true loads, at rest within 2 %.
 docs/models.md says what it costs.
 """
 

@@ -169,7 +169,7 @@ def test_time_integration_is_of_second_order(law, mu_t, mu_n):
     exact = by_kernel(swim, 0.8, 2e-5)
     errors = [np.linalg.norm((by_kernel(swim, 0.8, h) - exact)[:3]) for h in steps]
     order = np.diff(np.log(errors)) / np.diff(np.log(steps))
-    assert order == pytest.approx([2, 2], abs=0.3)
+    assert order == pytest.approx([2, 2], abs=0.2)
 
 
 def test_regularisation_does_not_decide_the_result():

@@ -37,7 +37,7 @@ SPEED_LIMIT = 100.0
 """m/s: beyond it a state is not plausible."""
 
 _NEWTON_STEPS = 100
-_NEWTON_TOLERANCE = 1e-8
+_NEWTON_TOLERANCE = 1e-6  # of the last step: Newton's next one would be its square over ε, 1e-9 m/s
 _OVERSHOT = 0.1  # rise after a Newton step, over the fall before it, from which it was too long
 
 
@@ -66,6 +66,17 @@ def _solve3(a, b, x):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _turned(c, s, angle):  # type: ignore[no-untyped-def]
+    """Return cosine and sine of an angle that grows by a little, by their series: sines are dear."""
+    if abs(angle) > 0.02:  # rad: there the next term is 3e-16
+        turned = math.atan2(s, c) + angle
+        return math.cos(turned), math.sin(turned)
+    p = angle * angle
+    dc, ds = 1 - p / 2 * (1 - p / 12 * (1 - p / 30)), angle * (1 - p / 6 * (1 - p / 20))
+    return c * dc - s * ds, s * dc + c * ds
+
+
+@compiled
 def _stage(known, a, q, rate, weight, solid, floor, turning, u, k, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success."""
     body, total, matrix, residual, step = work
@@ -74,10 +85,9 @@ def _stage(known, a, q, rate, weight, solid, floor, turning, u, k, work):  # typ
     fall = 0.0  # of the potential along that step, at its start
     step[:] = 0.0
     converged = False
-    power = c = s = 0.0
+    power = 0.0
+    c, s = math.cos(known[HEADING] + a * u[2]), math.sin(known[HEADING] + a * u[2])
     for _ in range(_NEWTON_STEPS):
-        heading = known[HEADING] + a * u[2]
-        c, s = math.cos(heading), math.sin(heading)
         bx, by = known[VX] * c + known[VY] * s, known[VY] * c - known[VX] * s
         power = floor_forces(body, solid.mass, u, floor, total, matrix)
         if not turning:
@@ -93,6 +103,7 @@ def _stage(known, a, q, rate, weight, solid, floor, turning, u, k, work):  # typ
             back = share * min(max(fall / (fall - falls), 0.1), 0.7)
             for j in range(3):
                 u[j] += (share - back) * step[j]
+            c, s = _turned(c, s, a * (share - back) * step[2])
             share = back
             continue
         for j in range(3):
@@ -108,6 +119,7 @@ def _stage(known, a, q, rate, weight, solid, floor, turning, u, k, work):  # typ
         for j in range(3):
             u[j] -= step[j]
             fall += residual[j] * step[j]
+        c, s = _turned(c, s, -a * step[2])
         if abs(step[0]) + abs(step[1]) + 0.1 * abs(step[2]) < _NEWTON_TOLERANCE:
             converged = True
             break

@@ -1,0 +1,102 @@
+"""Accuracy against cost: which numerical settings are worth what they cost.
+
+    uv run python benchmarks/front.py
+
+Every setting runs the same gaits of generation 2 (1, 1.5, 2 Hz, offset 0 and 0.2; for the twin at the shipped
+stiffness and at 20 N·m/rad). Its error is the largest difference of the mean speed from that of a much finer
+one, its cost the processor time of one run over that of the default's, the settings timed in turns.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from itertools import product
+from typing import Any
+
+import numpy as np
+from agreement import MATCHED_STIFFNESS
+from grid import Run, run_all, table
+from timing import ROUNDS
+
+from srs_twin.comparison.metrics import plant_metrics
+
+GAITS = list(product((1.0, 1.5, 2.0), (0.0, 0.2)))
+STIFFNESSES = {"analytical": (None,), "twin": (None, MATCHED_STIFFNESS)}
+FINEST: dict[str, dict[str, Any]] = {
+    "analytical": {"timestep": 0.0001, "slip_speed": 0.00005},
+    "twin": {"timestep": 0.000125, "slip_time": 0.00015},
+}
+SETTINGS: dict[str, list[tuple[str, dict[str, Any]]]] = {
+    "analytical": [
+        ("2 ms, ε 0.25 mm/s (default)", {}),
+        *(
+            (f"{1e3 * step:g} ms, ε {1e3 * slip:g} mm/s", {"timestep": step, "slip_speed": slip})
+            for step, slip in product((0.0005, 0.001, 0.0025, 0.004), (0.00025, 0.001))
+        ),
+    ],
+    "twin": [
+        ("1 ms, 2 hinges (default)", {}),
+        ("0.5 ms", {"timestep": 0.0005}),
+        ("1.25 ms", {"timestep": 0.00125, "tick": 0.02}),
+        ("2 ms", {"timestep": 0.002}),
+        ("1 hinge", {"hinges_per_segment": 1}),
+        ("4 hinges", {"hinges_per_segment": 4}),
+        ("slip time 1 ms", {"slip_time": 0.001}),
+        ("preload 9", {"preload": 9.0}),
+        ("no preload", {"preload": 0.0}),
+    ],
+}
+
+
+def main() -> None:
+    """Print one table a plant."""
+    for plant, settings in SETTINGS.items():
+        fine = _speeds(run_all(_runs(plant, FINEST[plant])))
+        costs = _costs({name: _runs(plant, options)[-1] for name, options in settings})
+        rows = []
+        for name, options in settings:
+            errors = 100 * (_speeds(run_all(_runs(plant, options))) / fine - 1)
+            cost = costs[name] / costs[settings[0][0]]
+            worst, rms = np.abs(errors).max(), np.sqrt((errors**2).mean())
+            rows.append([name, f"{cost:.2f}", f"{worst:.2f}", f"{rms:.2f}"])
+        print(f"\n{plant}\n")
+        print(table(["setting", "cost", "largest error, %", "RMS error, %"], rows), flush=True)
+
+
+def _runs(plant: str, options: dict[str, Any]) -> list[Run]:
+    friction = {"friction": "wheel"} if plant == "analytical" else {}
+    return [
+        Run(
+            plant,
+            frequency=f,
+            offset=o,
+            supply_pa=48.3e3,
+            stiffness=k,
+            duration=8.0,
+            options=friction | options,
+        )
+        for k in STIFFNESSES[plant]
+        for f, o in GAITS
+    ]
+
+
+def _costs(runs: dict[str, Run]) -> dict[str, float]:
+    """Return the processor time of each run, s: the median of rounds in which they take turns."""
+    taken: dict[str, list[float]] = {name: [] for name in runs}
+    plants = {name: run.build() for name, run in runs.items()}
+    for k in range(ROUNDS + 1):
+        for name, run in runs.items():
+            begun = time.process_time()
+            run.trajectory(plants[name])
+            if k:  # the first round compiles and loads
+                taken[name].append(time.process_time() - begun)
+    return {name: statistics.median(times) for name, times in taken.items()}
+
+
+def _speeds(trajectories: list[Any]) -> np.ndarray:
+    return np.array([plant_metrics(each)["com_speed_m_s"] for each in trajectories])
+
+
+if __name__ == "__main__":
+    main()
