@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from functools import partial
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 from numba import njit
-from timing import Ratio, Result, Task, interleaved, once, three_figures
+from timing import Ratio, Result, Task, Timing, interleaved, once, three_figures
 
-from srs_twin import AnalyticalSnake, DivergedError, Gait, Plant, RobotSpec, TwinSnake, load_robot, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    DivergedError,
+    Gait,
+    Job,
+    Plant,
+    RobotSpec,
+    SnakeState,
+    TwinBatch,
+    TwinSnake,
+    load_robot,
+    rollout,
+    run_batch,
+    run_many,
+)
+from srs_twin.threads import Workers
 
 SEGMENTS = (2, 4, 8, 16, 32, 64)
 PLANTS: dict[str, Callable[[RobotSpec], Plant]] = {
@@ -23,7 +40,10 @@ AIM = 0.3  # s of wall time a round, as far as 0.02 to 4 simulated seconds allow
 TOO_SLOW = 3.0  # s of wall time for the probe alone, beyond which it stands for all rounds
 THREADS = 2
 RUNS = 8
-ALONE = 1.0  # s of wall time that one thread should need
+MANY = 12  # rounds: other programs disturb two threads more than one, so that the best of many counts
+ALONE = 0.4  # s of wall time that one thread should need
+ARITHMETIC = "nothing but arithmetic"
+Work = Callable[[int], object]
 
 
 def chain(segments: int) -> RobotSpec:
@@ -90,34 +110,94 @@ def by_threads(quick: bool) -> Result:
     """Time many runs on one thread and on two.
 
     Args:
-        quick: a third of the time.
+        quick: a third of the rounds.
     """
-    aim = ALONE / 3 if quick else ALONE
     kinds = {
-        "analytical": many(AnalyticalSnake, aim),
-        "twin": many(TwinSnake, aim),
-        "nothing but arithmetic": _arithmetic(aim),
+        ARITHMETIC: _arithmetic(ALONE),
+        "analytical": many(AnalyticalSnake, ALONE),
+        "twin": many(TwinSnake, ALONE),
+        "twin, commanded every tick": steered(ALONE),
     }
-    rows, values = [], {}
-    for name, work in kinds.items():
-        work(THREADS)
-        tasks = {str(n): Task(partial(work, n)) for n in (1, THREADS)}
-        times = interleaved(tasks)
-        speedup = Ratio.of(times["1"], times[str(THREADS)])
-        efficiency = speedup.value / THREADS
-        rows.append([name, str(speedup), f"{efficiency:.2f}"])
-        values[name] = {"speedup": speedup.json(), "efficiency": efficiency}
-        values[name]["times"] = {n: timing.json() for n, timing in times.items()}
+    costs = _turns(kinds, MANY // 3 if quick else MANY)
+    machine = costs[ARITHMETIC].efficiency
+    rows = [
+        [
+            name,
+            str(cost.speedup),
+            f"{cost.efficiency:.2f}",
+            f"{cost.efficiency / machine:.2f}",
+            f"{cost.overhead:.2f}",
+        ]
+        for name, cost in costs.items()
+    ]
     return Result(
         f"(e) {RUNS} runs on {THREADS} threads against one",
-        ["what", "speed-up", "efficiency"],
+        ["what", "speed-up", "efficiency", "over the machine's", "processor time"],
         rows,
-        values,
-        ["The last row needs no memory and no lock: what this machine's second processor is worth just now."],
+        {name: cost.json() for name, cost in costs.items()},
+        [
+            "Speed-up: of medians. Efficiency: best round on one thread over twice the best on two.",
+            "The first row needs no memory and no lock: what this machine's second processor is worth now.",
+            "Processor time: of two threads over that of one, best rounds; other programs do not touch it.",
+        ],
     )
 
 
-def many(make: Callable[[RobotSpec], Plant], aim: float) -> Callable[[int], None]:
+@dataclass(frozen=True)
+class ThreadCost:
+    """What runs cost on one thread and on more, by number of threads.
+
+    Attributes:
+        wall: wall times.
+        processor: processor times of all threads together.
+    """
+
+    wall: dict[int, Timing]
+    processor: dict[int, Timing]
+
+    @property
+    def speedup(self) -> Ratio:
+        """Of more threads over one."""
+        return Ratio.of(self.wall[1], self.wall[THREADS])
+
+    @property
+    def efficiency(self) -> float:
+        """Share of the threads' time that was put to use, in the best round of each."""
+        return min(self.wall[1].seconds) / min(self.wall[THREADS].seconds) / THREADS
+
+    @property
+    def overhead(self) -> float:
+        """Processor time on more threads over that on one, in the best round of each."""
+        return min(self.processor[THREADS].seconds) / min(self.processor[1].seconds)
+
+    def json(self) -> dict[str, Any]:
+        """Return JSON values."""
+        values = {"speedup": self.speedup.json(), "efficiency": self.efficiency, "overhead": self.overhead}
+        for name, times in (("wall", self.wall), ("processor", self.processor)):
+            values[name] = {n: timing.json() for n, timing in times.items()}
+        return values
+
+
+def _turns(kinds: Mapping[str, Work], rounds: int) -> dict[str, ThreadCost]:
+    """Let all kinds of work take turns on one thread and on two."""
+    found: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
+    for work in kinds.values():
+        work(THREADS)
+    for k in range(rounds):
+        for name, work in kinds.items():
+            for threads in (1, THREADS) if k % 2 else (THREADS, 1):
+                begun = time.perf_counter(), time.process_time()
+                work(threads)
+                found[name, threads].append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
+    return {
+        name: ThreadCost(*(
+            {n: Timing(tuple(each[part] for each in found[name, n])) for n in (1, THREADS)} for part in (0, 1)
+        ))
+        for name in kinds
+    }  # fmt: skip
+
+
+def many(make: Callable[[RobotSpec], Plant], aim: float) -> Work:
     """Return what runs one robot under gaits of different offsets over so many threads.
 
     Args:
@@ -126,27 +206,52 @@ def many(make: Callable[[RobotSpec], Plant], aim: float) -> Callable[[int], None
     """
     spec = load_robot("gen2")
     plants = [make(spec) for _ in range(RUNS)]
-    gaits = [Gait(2.0, 0.4 * k / RUNS) for k in range(RUNS)]
-    rollout(plants[0], gaits[0], 0.2)  # compiles
-    slow = once(_task(plants[0], 0.2))
-    duration = 0.2 * max(1, round(aim / RUNS / slow / 0.2))
+    duration = _duration(lambda probe: rollout(plants[0], Gait(2.0), probe), aim)
 
     def work(threads: int) -> None:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda plant, gait: rollout(plant, gait, duration), plants, gaits))
+        run_many(
+            [Job(plant, gait, duration) for plant, gait in zip(plants, _gaits(), strict=True)],
+            threads=threads,
+        )
 
     return work
 
 
-def _arithmetic(aim: float) -> Callable[[int], None]:
+def steered(aim: float) -> Work:
+    """Return what runs a batch of twins whose valves are set every tick.
+
+    Args:
+        aim: as in `many`.
+    """
+    batches = {n: TwinBatch([load_robot("gen2")] * RUNS, threads=n) for n in (1, THREADS)}
+
+    def policy(state: SnakeState) -> np.ndarray:
+        signs = np.where(state.sensed > 0, -1, 1).astype(np.int8)  # a segment turns back as soon as it may
+        return np.stack([signs, -signs], axis=-1)
+
+    duration = _duration(lambda probe: run_batch(batches[1], policy, probe), aim * RUNS)
+    return lambda threads: run_batch(batches[threads], policy, duration)
+
+
+def _gaits() -> list[Gait]:
+    return [Gait(2.0, 0.4 * k / RUNS) for k in range(RUNS)]
+
+
+def _duration(run: Callable[[float], object], aim: float) -> float:
+    """Return how long, in whole stretches of 0.2 s, a run must be for RUNS of them to need the aim."""
+    run(PROBE)  # compiles
+    slow = once(Task(lambda: run(0.2), 0.2))
+    return 0.2 * max(1, round(aim / RUNS / slow / 0.2))
+
+
+def _arithmetic(aim: float) -> Work:
     """Return what spins for as long, by compiled code that holds no lock."""
     probe = 1_000_000
     _spin(1)  # compiles
     steps = round(aim / RUNS / once(Task(lambda: _spin(probe))) * probe)
 
     def work(threads: int) -> None:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda _: _spin(steps), range(RUNS)))
+        Workers(threads).each(RUNS, lambda k, stopped: _spin(steps))
 
     return work
 

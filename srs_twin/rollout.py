@@ -53,10 +53,10 @@ def rollout(
         DivergedError: the plant diverged; its `trajectory` holds what was recorded until then.
     """
     ticks = whole_steps("duration", duration, "tick", plant.tick)
-    samples, stride = _sampling(plant.tick, record_hz)
+    samples, stride = sampling(plant.tick, record_hz)
     state = plant.reset(pose=pose, seed=seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
-    recorder = _Recorder(plant, controller, record_hz, duration)
+    recorder = Recorder(plant, controller, record_hz, duration)
     recorder.add(state)
     watchers = tuple(observers)
     script = None if until is not None or watchers else controller.script(ticks * plant.tick)
@@ -77,7 +77,7 @@ def _follow(
     ticks: int,
     samples: int,
     stride: int,
-    recorder: _Recorder,
+    recorder: Recorder,
     progress: Progress | None,
 ) -> bool:
     """Let a plant follow a script; return whether it can.
@@ -107,7 +107,7 @@ def _meet(
     ticks: int,
     samples: int,
     stride: int,
-    recorder: _Recorder,
+    recorder: Recorder,
     state: SnakeState,
     until: Callable[[SnakeState], bool] | None,
     watchers: tuple[Observer, ...],
@@ -132,7 +132,7 @@ def _meet(
             break
 
 
-def _sampling(tick: float, record_hz: float) -> tuple[int, int]:
+def sampling(tick: float, record_hz: float) -> tuple[int, int]:
     """Return samples a tick and ticks a recorded tick; one of them is 1."""
     per_tick = tick * record_hz
     samples, stride = max(1, round(per_tick)), max(1, round(1 / per_tick))
@@ -144,7 +144,7 @@ def _sampling(tick: float, record_hz: float) -> tuple[int, int]:
     return samples, stride
 
 
-class _Recorder:
+class Recorder:
     """Collects states and signals, and turns them into columns."""
 
     def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
@@ -160,6 +160,7 @@ class _Recorder:
         self._signals.append((np.size(state.time), _numbered(self._controller.signals())))
 
     def trajectory(self) -> Trajectory:
+        """Return what was added."""
         self._states = SnakeState.history(self._parts)
         columns = {"time": self._column("time")}
         columns |= _spread("com_", self._column("com"), "xy")

@@ -12,6 +12,7 @@ from snakes import chain, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
 from srs_twin.plants import kernels
+from srs_twin.pneumatics import Schedule
 
 SPEC = robot()
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
@@ -194,3 +195,22 @@ def test_unknown_models_and_laws_are_refused_with_what_there_is():
         AnalyticalSnake(SPEC, friction="glue")
     with pytest.raises(InputError, match="valve layout '5/2' is unknown"):
         AnalyticalSnake(SPEC, layout="5/2")
+
+
+@settings(max_examples=100)
+@given(
+    st.lists(st.tuples(st.integers(1, 39), st.sampled_from([0.0, 1e-15, -1e-15, 3e-4, 7e-4])), max_size=8),
+    st.sampled_from([1, 2, 5, 10]),
+    st.sampled_from([0.002, 0.001, 0.0007]),
+)
+def test_steps_end_on_events_and_samples_and_never_twice(places, samples, timestep):
+    """Events a rounding error before or after the even grid must neither add a step nor lose a sample."""
+    plant = AnalyticalSnake(SPEC, timestep=timestep)
+    starts = np.unique([0.0, *(0.001 * k * (1 + off) + (off if abs(off) > 1e-9 else 0) for k, off in places)])
+    starts = starts[starts < 0.04 - 1e-6]
+    states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(np.int8)
+    ends, marks = plant._step_ends(Schedule(0.04, starts, states), samples)
+    assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(0.04)
+    assert np.diff(np.append(0.0, ends)).max() <= timestep * (1 + 1e-9)
+    assert ends[marks - 1] == pytest.approx(0.04 * np.arange(1, samples + 1) / samples, abs=1e-12)
+    assert all(np.abs(ends - event).min() < 1e-9 for event in starts[1:])

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a module imports only from its own step or from steps to its left.
 ORDER = (
-    ("errors", "compiled"),
+    ("errors", "compiled", "threads"),
     ("files", "documents", "validation"),
     ("spec", "robots", "robot_file", "world"),
     ("trajectory",),
@@ -28,7 +28,7 @@ ORDER = (
         "mjcf_check",
     ),
     ("plants", "control"),
-    ("rollout",),
+    ("rollout", "rollouts"),
     ("comparison",),
     ("identification", "scenario"),
     ("viewing",),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import speed
 from lsoda import CompleteModel, solve, stretches, trajectory
-from scaling import chain
+from scaling import ThreadCost, chain
 from timing import Ratio, Result, Task, Timing, interleaved, machine
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
@@ -74,6 +74,14 @@ def test_tasks_take_turns_and_the_order_turns_as_well():
     times = interleaved(tasks, rounds=3)
     assert "".join(called) == "abccbaabc"
     assert {name: len(timing.seconds) for name, timing in times.items()} == {"a": 3, "b": 3, "c": 3}
+
+
+def test_efficiency_of_threads_is_that_of_the_rounds_nothing_disturbed():
+    wall = {1: Timing((4.0, 9.0, 4.4)), 2: Timing((7.0, 2.5, 8.0))}
+    cost = ThreadCost(wall, processor={1: Timing((4.0, 4.2, 4.1)), 2: Timing((4.6, 4.4, 5.0))})
+    assert (cost.efficiency, cost.overhead) == (0.8, 1.1)
+    assert cost.speedup.value == pytest.approx(4.4 / 7.0)
+    assert json.loads(json.dumps(cost.json()))["wall"]["2"]["median_s"] == 7.0
 
 
 def test_times_are_per_simulated_second():

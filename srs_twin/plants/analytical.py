@@ -212,20 +212,16 @@ class AnalyticalSnake(Plant):
         longest = min(self.timestep, FELT_S) if self._chambers_feel else self.timestep
         per_sample = math.ceil(schedule.span / samples / longest * (1 - 1e-12))
         count = samples * per_sample
-        ends = schedule.span * np.arange(1, count + 1) / count
-        marks = np.arange(per_sample, count + 1, per_sample)
-        if len(schedule.events):
-            even = np.append(np.ones(count, dtype=bool), np.zeros(len(schedule.events), dtype=bool))
-            ends = np.append(ends, schedule.events)
-            order = np.argsort(ends, kind="stable")
-            ends, even = ends[order], even[order]
-            # An event at the end of an even step ends no step of its own.
-            near = np.diff(ends) < 1e-9 * self.tick
-            keep = np.append(True, ~near) & np.append(~near | even[:-1], True)
-            even |= np.append(False, near & even[:-1])
-            ends, even = ends[keep], even[keep]
-            marks = np.flatnonzero(even)[per_sample - 1 :: per_sample] + 1
-        return ends, marks
+        grid = schedule.span / count
+        even = grid * np.arange(1, count + 1)
+        # An event at the end of another step ends none of its own, whichever of them rounding puts first.
+        same = 1e-9 * self.tick
+        steps = schedule.events / grid
+        events = schedule.events[np.abs(steps - np.round(steps)) * grid > same]
+        events = events[np.diff(events, prepend=-1.0) > same]
+        due = np.arange(per_sample, count + 1, per_sample)
+        marks = due + np.searchsorted(events, even[due - 1])
+        return np.sort(np.concatenate([even, events])), marks
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         """Return the history of these moments."""

@@ -37,7 +37,7 @@ SPEED_LIMIT = 100.0
 """m/s: beyond it a state is not plausible."""
 
 _NEWTON_STEPS = 100
-_NEWTON_TOLERANCE = 1e-6  # of the last step: Newton's next one would be its square over ε, 1e-9 m/s
+_NEWTON_TOLERANCE = 1e-8
 _OVERSHOT = 0.1  # rise after a Newton step, over the fall before it, from which it was too long
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,8 +27,28 @@ from srs_twin.mjcf import scene_mjcf  # noqa: E402
 from srs_twin.mjcf_numerics import Numerics  # noqa: E402
 from srs_twin.mjcf_wheels import preload_force, treads  # noqa: E402
 
-HEARD: deque[str] = deque(maxlen=4)
-"""MuJoCo's last warnings: part of a DivergedError's message; unheard they go to a log file or to stderr."""
+
+class Heard(threading.local):
+    """MuJoCo's last warnings on this thread, on which the twin that caused them runs."""
+
+    def __init__(self) -> None:
+        self._said: deque[str] = deque(maxlen=4)
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the warnings, oldest first."""
+        return iter(self._said)
+
+    def append(self, text: str) -> None:
+        """Hear a warning."""
+        self._said.append(text)
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._said.clear()
+
+
+HEARD = Heard()
+"""Part of a DivergedError's message; unheard, warnings go to a log file or to stderr."""
 
 mujoco.set_mju_user_warning(HEARD.append)
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
@@ -98,7 +121,8 @@ class SnakePhysics(dm.Physics):
             pneumatics: its chambers.
             supply_pa: largest pressure that can occur, Pa.
         """
-        model = scene_mjcf(spec, numerics, supply_pa=supply_pa).compile()
+        # A copy: whoever changes a number in the model of one twin must not change the others'.
+        model = copy.copy(_compiled(spec, numerics, supply_pa))
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
         physics._attach(spec, numerics, pneumatics)
         return physics
@@ -252,3 +276,9 @@ class SnakePhysics(dm.Physics):
         Below 0: without preload the wheel would lift.
         """
         return self.floor_forces()[..., 2]
+
+
+@lru_cache(maxsize=8)
+def _compiled(spec: RobotSpec, numerics: Numerics, supply_pa: float) -> mujoco.MjModel:
+    """Return the compiled scene; the same once more costs a tenth of it."""
+    return scene_mjcf(spec, numerics, supply_pa=supply_pa).compile()

@@ -1,0 +1,520 @@
+"""Many runs at once: bit for bit what each alone gives, in order, over any number of threads."""
+
+from __future__ import annotations
+
+import doctest
+import io
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from snakes import robot, vented
+
+from srs_twin import (
+    AnalyticalSnake,
+    Controller,
+    DivergedError,
+    Gait,
+    InputError,
+    Job,
+    Plant,
+    RobotSpec,
+    SnakeState,
+    Trajectory,
+    TwinBatch,
+    TwinSnake,
+    rollout,
+    rollouts,
+    run_batch,
+    run_many,
+)
+from srs_twin.plants import batch as batch_module
+from srs_twin.plants.physics import HEARD
+from srs_twin.pneumatics import make_pneumatics
+from srs_twin.threads import Workers
+
+SPEC = robot()
+POSES = ((0.0, 0.0, 0.0), (0.3, -0.2, 1.1), (-1.0, 2.0, -2.5), (0.1, 0.1, 3.0))
+
+
+def variants() -> list[RobotSpec]:
+    """Return a robot with other friction, other compliance and other masses, and as it is."""
+    heavier = tuple(
+        mass * factor for mass, factor in zip(SPEC.mass.connectors, (1, 1.3, 1, 1.1, 2), strict=True)
+    )
+    return [
+        SPEC,
+        robot(mu_t=0.06, mu_n=0.4),
+        replace(SPEC, bending=replace(SPEC.bending, stiffness=1.5, damping_time=0.004, roll_stiffness=0.2)),
+        replace(SPEC, mass=replace(SPEC.mass, connectors=heavier)),
+    ]
+
+
+def written(run: Trajectory | DivergedError) -> bytes:
+    """Return a trajectory, or that of an error with its words, as the bytes of a file."""
+    said = b""
+    if isinstance(run, DivergedError):
+        run, said = run.trajectory, str(run).encode()
+    assert run is not None
+    file = io.BytesIO()
+    run.to_parquet(file)
+    return said + file.getvalue()
+
+
+def alone(job: Job) -> bytes:
+    """Return what `rollout` gives for a job."""
+    assert isinstance(job.controller, Controller)
+    plant = job.plant if isinstance(job.plant, Plant) else job.plant()
+    try:
+        return written(
+            rollout(
+                plant, job.controller, job.duration, pose=job.pose, seed=job.seed, record_hz=job.record_hz
+            )
+        )  # fmt: skip
+    except DivergedError as error:
+        return written(error)
+
+
+class Reflex(Controller):
+    """Switches a segment's chambers when its sensor says that it has bent far enough."""
+
+    kind = "reflex"
+
+    def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
+        self._sign = np.random.default_rng(seed).choice([-1, 1], spec.segments).astype(np.int8)
+
+    def step(self, state: SnakeState) -> np.ndarray:
+        self._sign[state.sensed > 0.5] = -1
+        self._sign[state.sensed < -0.5] = 1
+        return np.stack([self._sign, -self._sign], axis=-1)
+
+    def signals(self) -> dict[str, Any]:
+        return {"sign": self._sign.copy()}
+
+
+class Fuse(Plant):
+    """A plant that stands still, and diverges, refuses or waits as it is told."""
+
+    name = "fuse"
+    tick = 0.02
+
+    def __init__(self, act: Callable[[float], None] = lambda time: None) -> None:
+        self.spec, self._act = SPEC, act
+
+    def reset(self, *, pose: Any = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
+        self._still = AnalyticalSnake(self.spec).reset(pose=pose)
+        self._ticks = 0
+        return self._still
+
+    def step(self, valves: np.ndarray) -> SnakeState:
+        self._ticks += 1
+        self._act(self._ticks * self.tick)
+        return replace(self._still, time=self._ticks * self.tick)
+
+
+def fused(plant: Fuse, duration: float) -> Job:
+    """Return a job for a plant that knows only whole ticks."""
+    return Job(plant, Gait(2.0), duration, record_hz=50)
+
+
+def diverges(time: float) -> None:
+    if time > 0.1:
+        raise DivergedError("fuse", time, "it was told to")
+
+
+def refuses(time: float) -> None:
+    if time > 0.1:
+        raise InputError(f"not after {time:.2g} s")
+
+
+def breaks(time: float) -> None:
+    raise ZeroDivisionError("a fault of the program")
+
+
+def mixed_jobs() -> list[Job]:
+    """Return jobs on all plants, with scripts and with feedback."""
+    return [
+        Job(partial(AnalyticalSnake, SPEC), Gait(2.0, 0.2), 3.0, POSES[1], 3),
+        Job(AnalyticalSnake(variants()[1], model="compliant"), Reflex(), 0.4, seed=5),
+        Job(TwinSnake(variants()[2]), Gait(1.0, -0.1), 0.3, POSES[2], record_hz=50),
+        Job(partial(TwinSnake, variants()[3], wheels="skid"), Reflex(), 0.2, POSES[3], 7),
+        Job(partial(AnalyticalSnake, SPEC, friction="wheel"), Gait(1.5), 0.2, record_hz=25),
+        Job(partial(AnalyticalSnake, SPEC, pneumatics="orifice"), Gait(2.0, 0.4), 0.5),
+    ]
+
+
+@pytest.mark.parametrize("threads", [1, 2, None])
+def test_each_run_is_bit_for_bit_the_serial_one_and_stands_in_its_place(threads):
+    expected = [alone(job) for job in mixed_jobs()]
+    assert len(set(expected)) == len(expected)
+    assert [written(run) for run in run_many(mixed_jobs(), threads=threads)] == expected
+
+
+@settings(max_examples=15)
+@given(st.permutations(range(6)), st.integers(1, 7), st.integers(1, 6))
+def test_no_split_over_threads_changes_a_byte(order, threads, count):
+    expected = _six()
+    jobs = [_job(k) for k in order[:count]]
+    assert [written(run) for run in run_many(jobs, threads=threads)] == [expected[k] for k in order[:count]]
+
+
+def _job(k: int) -> Job:
+    return Job(_snake, Gait(1.0 + 0.2 * k, 0.1 * k), 0.2 + 0.1 * k, POSES[k % 4], record_hz=(50, 100)[k % 2])
+
+
+def _snake() -> AnalyticalSnake:
+    return AnalyticalSnake(SPEC, friction="wheel")
+
+
+_SIX: list[bytes] = []
+
+
+def _six() -> list[bytes]:
+    if not _SIX:
+        _SIX.extend(alone(_job(k)) for k in range(6))
+    return _SIX
+
+
+def test_jobs_of_one_maker_share_a_plant_and_do_not_notice():
+    made: list[int] = []
+
+    def make() -> TwinSnake:
+        made.append(threading.get_ident())
+        return TwinSnake(SPEC)
+
+    jobs = [Job(make, Gait(2.0, 0.1 * k), 0.2, POSES[k]) for k in range(4)]
+    runs = run_many(jobs, threads=2)
+    assert 1 <= len(made) == len(set(made)) <= 2
+    assert [written(run) for run in runs] == [
+        alone(Job(TwinSnake(SPEC), Gait(2.0, 0.1 * k), 0.2, POSES[k])) for k in range(4)
+    ]
+
+
+def test_controllers_may_be_made_on_the_spot():
+    (run,) = run_many([Job(_snake, partial(Gait, 2.0, 0.3), 0.2)])
+    assert written(run) == alone(Job(_snake, Gait(2.0, 0.3), 0.2))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_run_that_diverges_leaves_its_error_in_its_place_and_the_others_alone(threads):
+    plants = [Fuse(), Fuse(diverges), Fuse()]
+    runs = run_many([fused(plant, 0.4) for plant in plants], threads=threads)
+    first, error, last = runs
+    assert isinstance(error, DivergedError)
+    assert str(error) == "fuse diverged at t = 0.12 s: it was told to"
+    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(0.1)
+    assert isinstance(first, Trajectory) and isinstance(last, Trajectory)
+    assert len(first) == len(last) == 21
+
+
+def wild() -> TwinSnake:
+    """Return a twin that no engine can follow: it is thrown into the floor as soon as it is laid down."""
+
+    class Thrown(TwinSnake):
+        def reset(self, **about: Any) -> SnakeState:
+            state = super().reset(**about)
+            self.physics.data.qvel[2] = -1e9
+            return state
+
+    return Thrown(SPEC)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_twin_that_diverges_says_what_it_says_alone(threads):
+    """Its words hold the engine's warnings, which come from all threads."""
+    expected = alone(Job(wild, Gait(2.0), 0.1))
+    assert b"twin diverged at t = 0.001 s" in expected
+    jobs = [Job(partial(TwinSnake, SPEC) if k % 2 else wild, Gait(2.0), 0.1) for k in range(6)]
+    runs = run_many(jobs, threads=threads)
+    assert [written(run) == expected for run in runs] == [True, False] * 3
+    assert all(isinstance(run, Trajectory) for run in runs[1::2])
+
+
+def test_warnings_are_heard_by_the_thread_that_caused_them_only():
+    HEARD.clear()
+    thread = threading.Thread(target=lambda: HEARD.append("elsewhere"))
+    thread.start()
+    thread.join()
+    assert list(HEARD) == []
+
+
+def test_nothing_to_do():
+    assert run_many([]) == [] == run_many(iter([]), threads=2)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_first_job_that_cannot_run_is_named_whichever_fails_first(threads):
+    def slowly_refuses(time_: float) -> None:
+        time.sleep(0.01)
+        refuses(time_)
+
+    plants = [Fuse(), Fuse(slowly_refuses), Fuse(refuses), Fuse()]
+    with pytest.raises(InputError, match=r"^job 2 of 4: not after 0.12 s$"):
+        run_many([fused(plant, 0.4) for plant in plants], threads=threads)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_faults_of_the_program_are_not_dressed_up(threads):
+    with pytest.raises(ZeroDivisionError, match="a fault of the program"):
+        run_many([fused(Fuse(breaks), 0.4), fused(Fuse(), 0.4)], threads=threads)
+
+
+def test_jobs_after_a_failed_one_end_early():
+    reached: list[float] = []
+
+    def slow(time_: float) -> None:
+        time.sleep(0.01)
+        reached.append(time_)
+
+    with pytest.raises(InputError, match="job 1 of 2"):
+        run_many([fused(Fuse(refuses), 10.0), fused(Fuse(slow), 10.0)], threads=2)
+    assert len(reached) < 400
+
+
+def test_shared_plants_and_controllers_are_refused():
+    gait, snake = Gait(2.0), AnalyticalSnake(SPEC)
+    with pytest.raises(
+        InputError, match="jobs 1 and 3 share one controller, a Gait; give each its own, or what makes one"
+    ):
+        run_many([Job(_snake, gait, 1.0), Job(_snake, Gait(2.0), 1.0), Job(_snake, gait, 1.0)])
+    with pytest.raises(
+        InputError, match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each its own"
+    ):
+        run_many([Job(snake, Gait(2.0), 1.0), Job(snake, Gait(2.0), 1.0)])
+
+
+@pytest.mark.parametrize("threads", [0, -2])
+def test_fewer_than_one_thread_is_refused(threads):
+    with pytest.raises(InputError, match=f"threads: {threads} is not allowed; it must be 1 or more"):
+        run_many([], threads=threads)
+
+
+@pytest.mark.parametrize(
+    ("job", "words"),
+    [
+        (Job(_snake, Gait(2.0), 0.03), "job 2 of 2: duration 0.03 s is no multiple of tick 0.02 s"),
+        (Job(_snake, Gait(2.0), 1.0, record_hz=70), "job 2 of 2: record_hz 70 does not fit the tick 0.02 s"),
+    ],
+)
+def test_what_rollout_refuses_is_refused_with_the_number_of_the_job(job, words):
+    with pytest.raises(InputError, match=f"^{words}"):
+        run_many([Job(_snake, Gait(2.0), 0.1), job], threads=2)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_progress_counts_the_jobs_done_on_the_calling_thread(threads):
+    told: list[tuple[int, int]] = []
+    jobs = [Job(_snake, Gait(2.0), 0.1) for _ in range(5)]
+    run_many(jobs, threads=threads, progress=lambda done: told.append((done, threading.get_ident())))
+    assert told == [(k, threading.get_ident()) for k in range(1, 6)]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_ends_all_runs_soon(threads):
+    lived: list[float] = []
+
+    def naps(time_: float) -> None:
+        time.sleep(0.01)
+        lived.append(time_)
+
+    def interrupt(time_: float) -> None:
+        naps(time_)
+        if 0.1 < time_ < 0.13:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    begun = time.monotonic()
+    jobs = [fused(Fuse(act), 100.0) for act in (naps, interrupt, naps, naps)]
+    if threads == 1:
+        jobs = jobs[1:]
+    with pytest.raises(KeyboardInterrupt):
+        run_many(jobs, threads=threads)
+    assert time.monotonic() - begun < 2.0
+    ticks = len(lived)
+    time.sleep(0.05)
+    assert len(lived) == ticks
+
+
+def test_no_thread_outlives_its_runs():
+    before = threading.active_count()
+    for _ in range(3):
+        run_many([Job(_snake, Gait(2.0), 0.1) for _ in range(4)], threads=3)
+    deadline = time.monotonic() + 2.0
+    while threading.active_count() > before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threading.active_count() <= before
+
+
+def test_the_lowest_of_several_errors_is_raised_and_what_comes_after_is_not_begun():
+    begun: list[int] = []
+
+    def task(k: int, stopped: Callable[[], bool]) -> int:
+        begun.append(k)
+        if k in (3, 5):
+            raise ValueError(f"task {k}")
+        time.sleep(0.01)
+        return k
+
+    with pytest.raises(ValueError, match="task 3"):
+        Workers(2).each(50, task)
+    assert len(begun) < 20
+    assert Workers(2).each(3, lambda k, _: k * k) == [0, 1, 4]
+
+
+# TwinBatch
+
+
+def scripts(batch: TwinBatch, duration: float) -> list[Any]:
+    """Return the script of another gait for each run."""
+    gaits = [Gait(1.0 + 0.5 * k, 0.1 * k) for k in range(len(batch))]
+    for gait, twin in zip(gaits, batch.twins, strict=True):
+        gait.reset(twin.spec, twin.tick)
+    return [gait.script(duration) for gait in gaits]
+
+
+def same(one: SnakeState, other: SnakeState) -> bool:
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in one.__dataclass_fields__)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_runs_of_a_batch_are_those_of_single_twins(threads):
+    supplies = [45e3, 50e3, 41e3, 60e3]
+    batch = TwinBatch(variants(), supply_pa=supplies, threads=threads, tick=0.01)
+    batch.reset(poses=POSES)
+    histories = batch.play(scripts(batch, 0.3), 30)
+    for k, spec in enumerate(variants()):
+        twin = TwinSnake(spec, supply_pa=supplies[k], tick=0.01)
+        twin.reset(pose=POSES[k])
+        history = histories[k]
+        assert history is not None
+        assert same(history, twin.play(scripts(batch, 0.3)[k], 30))
+        assert same(batch.state.at(k), history.at(-1))
+    bends = [history.bend for history in histories if history is not None]
+    assert all(np.abs(bends[0] - other).max() > 0.01 for other in bends[1:])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_trajectories_of_a_batch_are_those_of_single_twins(threads):
+    batch = TwinBatch(variants(), supply_pa=48e3, threads=threads)
+    runs = run_many([Job(twin, Gait(2.0), 0.2) for twin in batch.twins], threads=threads)
+    assert [written(run) for run in runs] == [
+        alone(Job(TwinSnake(spec, supply_pa=48e3), Gait(2.0), 0.2)) for spec in variants()
+    ]
+
+
+def test_a_batch_stays_the_same_after_a_reset():
+    batch = TwinBatch(variants()[:2], threads=1)
+    first = batch.play(scripts(batch, 0.1), 5)
+    batch.reset()
+    again = batch.play(scripts(batch, 0.1), 5)
+    assert all(same(a, b) for a, b in zip(first, again, strict=True) if a is not None and b is not None)
+
+
+def test_changing_one_twins_model_leaves_its_equals_alone():
+    one, other = TwinBatch([SPEC, SPEC], threads=1).twins
+    one.physics.model.ptr.opt.gravity[2] = 0.0
+    assert other.physics.model.ptr.opt.gravity[2] == TwinSnake(SPEC).physics.model.ptr.opt.gravity[2] < -9
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("record_hz", [25, 100])
+def test_a_policy_gives_what_a_controller_on_every_twin_would(threads, record_hz):
+    batch = TwinBatch(variants()[:3], threads=threads)
+    reflexes = [Reflex() for _ in batch.twins]
+    for reflex, twin in zip(reflexes, batch.twins, strict=True):
+        reflex.reset(twin.spec, twin.tick)
+    seen: list[float] = []
+
+    def policy(state: SnakeState) -> np.ndarray:
+        assert state.position.shape == (3, 5, 2)
+        return np.stack([reflex.step(state.at(k)) for k, reflex in enumerate(reflexes)])
+
+    runs = run_batch(batch, policy, 0.2, poses=POSES[:3], record_hz=record_hz, progress=seen.append)
+    assert seen == pytest.approx(0.02 * np.arange(1, 11))
+    for k, run in enumerate(runs):
+        expected = rollout(TwinSnake(variants()[k]), Reflex(), 0.2, pose=POSES[k], record_hz=record_hz)
+        assert isinstance(run, Trajectory)
+        assert run.columns.keys() == {name for name in expected.columns if not name.startswith("sign_")}
+        assert all(np.array_equal(run[name], expected[name]) for name in run.columns)
+        assert run.metadata == {**expected.metadata, "controller": "policy"}
+
+
+def test_a_twin_that_diverges_stops_and_the_others_of_its_batch_go_on():
+    batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
+
+    def policy(state: SnakeState) -> np.ndarray:
+        if np.isclose(state.time.max(), 0.1):
+            batch.twins[1].physics.data.qvel[2] = -1e9
+        return np.stack([vented(SPEC)] * 3)
+
+    first, error, last = run_batch(batch, policy, 0.2)
+    assert isinstance(error, DivergedError) and batch.errors == [None, error, None]
+    assert "twin diverged at t = 0.101 s" in str(error)
+    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(0.1)
+    assert batch.state.time == pytest.approx([0.2, 0.1, 0.2])
+    assert isinstance(first, Trajectory) and isinstance(last, Trajectory)
+    assert written(first) == written(last)
+    assert len(first) == 21
+    batch.reset()
+    assert batch.errors == [None] * 3
+
+
+def test_a_batch_of_which_all_have_diverged_ends():
+    batch = TwinBatch([SPEC], threads=1)
+    asked: list[float] = []
+
+    def policy(state: SnakeState) -> np.ndarray:
+        asked.extend(state.time)
+        batch.twins[0].physics.data.qvel[2] = -1e9
+        return vented(SPEC)[None]
+
+    (error,) = run_batch(batch, policy, 10.0)
+    assert isinstance(error, DivergedError)
+    assert asked == [0.0]
+
+
+def test_what_a_batch_refuses():
+    longer = replace(
+        SPEC,
+        geometry=replace(SPEC.geometry, connectors=3),
+        mass=replace(SPEC.mass, connectors=SPEC.mass.connectors[:3]),
+    )
+    for specs, words in (([], "no robot at all"), ([SPEC, longer], "3, 5")):
+        with pytest.raises(InputError, match=f"robots with one number of connectors; found {words}$"):
+            TwinBatch(specs)
+    with pytest.raises(InputError, match=r"supply_pa: 3 were given for 2 runs; give one, or one a run"):
+        TwinBatch([SPEC, SPEC], supply_pa=[1e4, 2e4, 3e4])
+    own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
+    with pytest.raises(InputError, match="one object cannot be the chambers of every twin; give its kind"):
+        TwinBatch([SPEC, SPEC], pneumatics=own)
+    with pytest.raises(InputError, match="wheels 'square' are unknown; allowed: rolling, skid"):
+        TwinBatch([SPEC, SPEC], wheels="square", threads=2)
+
+
+def test_what_a_batch_in_hand_refuses():
+    batch = TwinBatch([SPEC, SPEC], threads=1)
+    with pytest.raises(InputError, match="poses: 1 were given for 2 runs; give one a run"):
+        batch.reset(poses=POSES[:1])
+    with pytest.raises(InputError, match="valves: 3 were given for 2 runs; give one array a run"):
+        batch.step(np.stack([vented(SPEC)] * 3))
+    with pytest.raises(InputError, match="schedules: 0 were given for 2 runs; give one a run"):
+        batch.play([], 1)
+    impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
+    with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):
+        batch.step(impossible)
+    assert batch.twins[0].physics.data.time == 0.0
+    assert np.array_equal(batch.step(np.stack([vented(SPEC)] * 2)).time, [0.02, 0.02])
+
+
+@pytest.mark.parametrize("module", [rollouts, batch_module], ids=lambda module: module.__name__)
+def test_examples_in_the_docstrings_say_what_happens(module):
+    outcome = doctest.testmod(module)
+    assert (outcome.failed, outcome.attempted > 4) == (0, True)
