@@ -21,6 +21,10 @@ class SrsError(Exception):
 
     exit_code = 4
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Come back from another process as it was: `Exception` would call __init__ with its own message."""
+        return _restored, (type(self), self.args, self.__dict__)
+
 
 class InputError(SrsError):
     """Something a person gave cannot be used; nothing was written. Exit code 2."""
@@ -76,6 +80,13 @@ class DivergedError(SrsError):
         self.time = time
         self.history = history
         self.trajectory: Any = None
+
+
+def _restored(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str, Any]) -> SrsError:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(attributes)
+    return error
 
 
 def _round_part(period_s: float, step_s: float) -> float:

@@ -13,7 +13,6 @@ from srs_twin.trajectory import Trajectory
 
 ENERGY_METRICS = (
     "mechanical_power_w", "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport",
-    "torque_rms_nm",
 )  # fmt: skip
 
 
@@ -24,7 +23,6 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
     - ``cost_of_transport``: that over weight times speed.
     - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that pressure.
     - ``pneumatic_cost_of_transport``: likewise.
-    - ``torque_rms_nm``: root mean square of each segment's net moment, head first.
 
     Each is None where the run did not record what it needs.
 
@@ -43,10 +41,6 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
             metrics[power] = _mean_rate(trajectory, window, source)
             if mass is not None and speed != 0:
                 metrics[cost] = metrics[power] / (mass * GRAVITY * abs(speed))
-    if trajectory.has("torque"):
-        square = trajectory.stack("torque") ** 2
-        inside = (trajectory.time >= window.start) & (trajectory.time <= window.end)
-        metrics["torque_rms_nm"] = np.sqrt(square[inside].mean(axis=0)).tolist()
     return metrics
 
 

@@ -28,12 +28,7 @@ METRIC_UNITS = {
 }
 
 # Metrics of a plant that are lists, head first.
-LIST_METRIC_UNITS = {
-    "bend_amplitude_rad": "rad",
-    "bend_bias_rad": "rad",
-    "torque_rms_nm": "N·m",
-    "valve_switches": "1",
-}
+LIST_METRIC_UNITS = {"bend_amplitude_rad": "rad", "bend_bias_rad": "rad", "valve_switches": "1"}
 
 # Metrics of `compare`, each one number; they stand here so that naming them needs nothing else.
 COMPARISON_UNITS = {

@@ -1,0 +1,196 @@
+"""Work and power: what the segments give is what the body keeps and the floor takes, on every plant."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_simpson
+from smooth import Wave
+from snakes import robot
+
+from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, rollout
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.plants.base import SnakeState
+
+SUPPLY = 48.3e3
+MODELS = {
+    "complete": {},
+    "lumped": {"inertia": "lumped"},
+    "simplified": {"model": "simplified"},
+    "no torque": {"model": "simplified", "friction_torque": False},
+    "compliant": {"model": "compliant"},
+}
+ALL = pytest.mark.parametrize("options", MODELS.values(), ids=MODELS)
+
+
+def driven(plant: AnalyticalSnake | TwinSnake, duration: float, hz: float) -> SnakeState:
+    """Return a plant's motion in a turn at 2 Hz, from rest."""
+    plant.reset()
+    gait = Gait(2.0, 0.2)
+    gait.reset(plant.spec, plant.tick)
+    return plant.play(gait.script(duration), round(duration * hz))
+
+
+def power(h: SnakeState) -> np.ndarray:
+    """Return Σ T q̇, shape (samples,), W."""
+    return (h.torque * h.bend_rate).sum(axis=1)
+
+
+@ALL
+@pytest.mark.parametrize(
+    ("law", "mu"), [("viscous", {"mu_t": 1.0, "mu_n": 15.0}), ("axis", {}), ("wheel", {})]
+)
+def test_work_is_the_torques_power_added_up(options, law, mu):
+    """To second order in the step: the kernels add up what friction takes, not what segments give."""
+    spec = robot(**mu)
+
+    def missed(step: float) -> float:
+        plant = AnalyticalSnake(
+            spec, friction=law, timestep=step, slip_speed=0.01, pneumatics=Wave(spec, bias=0.1), **options
+        )
+        h = driven(plant, 1.0, 1 / step)
+        added = cumulative_simpson(np.append(0, power(h)), dx=step, initial=0)[1:]
+        return np.abs(h.work - added).max() / h.work[-1]
+
+    coarse, fine = missed(5e-4), missed(2.5e-4)
+    assert fine < 2e-6
+    assert np.log2(coarse / fine) == pytest.approx(2, abs=0.6)  # kinks of the laws scatter it
+
+
+def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
+    """Return the energy of the point masses from their places, shape (samples,), J."""
+    velocity = np.gradient(h.position, step, axis=0)
+    return (spec.mass.array()[:, None] * velocity**2).sum(axis=(1, 2)) / 2
+
+
+@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
+@pytest.mark.parametrize("name", ["complete", "simplified", "no torque", "compliant"])
+def test_friction_only_takes(name, law):
+    """Work less kinetic energy never falls."""
+    spec, step = robot(), 2e-4
+    plant = AnalyticalSnake(spec, friction=law, timestep=step, supply_pa=SUPPLY, **MODELS[name])
+    h = driven(plant, 1.0, 1 / step)
+    taken = h.work - kinetic(h, spec, step)
+    # Differences of places do not see where a valve's switch puts a kink into the velocities.
+    keep = np.ones(len(taken), dtype=bool)
+    switches = np.flatnonzero((h.valves[1:] != h.valves[:-1]).any(axis=(1, 2)))
+    for k in [0, len(taken), *switches]:
+        keep[max(k - 4, 0) : k + 5] = False
+    assert np.diff(taken[keep]).min() > 0
+    assert taken[keep][-1] > 0.05
+
+
+@pytest.mark.parametrize("name", ["complete", "simplified", "compliant"])
+def test_mean_power_of_a_gait_is_what_friction_takes(name):
+    """Over whole periods: the metric against floor forces times velocities of places."""
+    plant = AnalyticalSnake(robot(), supply_pa=SUPPLY, timestep=5e-4, **MODELS[name])
+    metrics = plant_metrics(rollout(plant, Gait(2.0, 0.2), 4.0))
+    h, step = driven(plant, 4.0, 2000), 5e-4
+    velocity = np.gradient(h.position, step, axis=0)
+    taken = -(h.contact_force * velocity).sum(axis=(1, 2))[h.time > 1.0].mean()
+    assert metrics["mechanical_power_w"] == pytest.approx(taken, rel=0.005)
+    weight, speed = plant.spec.mass.total * 9.81, metrics["com_speed_m_s"]
+    assert metrics["cost_of_transport"] == pytest.approx(taken / (weight * speed), rel=0.005)
+    # Every connector goes at least as far as the snake, against at least the drag of its wheels.
+    assert metrics["cost_of_transport"] > plant.spec.friction.mu_t
+
+
+def test_power_of_the_turning_body_counts_without_friction_torque_as_well():
+    """The moment that this model leaves out does no work in it: it neither turns nor takes."""
+    spec, step = robot(), 2e-4
+    plant = AnalyticalSnake(
+        spec, timestep=step, slip_speed=0.01, pneumatics=Wave(spec, bias=0.1), **MODELS["no torque"]
+    )
+    h = driven(plant, 1.0, 1 / step)
+    velocity, yaw_rate = np.gradient(h.position, step, axis=0), np.gradient(h.heading, step)
+    arm = h.position - h.com[:, None]
+    moment = (arm[..., 0] * h.contact_force[..., 1] - arm[..., 1] * h.contact_force[..., 0]).sum(axis=1)
+    given = (h.contact_force * velocity).sum(axis=(1, 2)) - moment * yaw_rate
+    change = np.gradient(kinetic(h, spec, step), step)
+    inside = slice(5, -5)
+    assert (power(h) + given)[inside] == pytest.approx(change[inside], abs=2e-3 * np.abs(change).max())
+    assert np.abs(moment * yaw_rate).max() > 0.1 * np.abs(change).max()
+
+
+# The twin
+
+
+def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Step a twin's model by `mj_step` alone; return kinetic energy and what constraints took, J, each step.
+
+    Constraints are the floor, friction and normal force, and the axles' friction.
+    """
+    gait, chambers = Gait(2.0, 0.2), copy.deepcopy(plant.pneumatics)
+    gait.reset(plant.spec, plant.tick)
+    chambers.reset()
+    times = plant.timestep * np.arange(round(duration / plant.timestep))
+    controls = chambers.advance(gait.script(duration), times).pressure.reshape(len(times), -1)
+    plant.reset()
+    model, data, kind = plant.physics.model.ptr, plant.physics.data.ptr, mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, kind)
+    energy, taken, inertia = np.empty(len(times)), np.empty(len(times)), np.empty((model.nv, model.nv))
+    for k, row in enumerate(controls):
+        data.ctrl[: len(row)] = row
+        mujoco.mj_step(model, data)
+        taken[k] = -plant.timestep * data.qfrc_constraint @ data.qvel
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_crb(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+        energy[k] = data.qvel @ inertia @ data.qvel / 2
+    return energy, np.cumsum(taken)
+
+
+@pytest.mark.parametrize(("stiffness", "timestep"), [(None, 0.001), (None, 0.0005), (20.0, 0.001)])
+def test_twins_work_is_what_the_constraints_take(stiffness, timestep):
+    """Feet's velocities times floor forces against qfrc_constraint · qvel, which share only the engine."""
+    plant = TwinSnake(robot(stiffness=stiffness), timestep=timestep, supply_pa=SUPPLY)
+    energy, taken = bare(plant, 1.5)
+    work = driven(plant, 1.5, 1 / timestep).work
+    # After the preload has pressed the wheels into the floor, which is no work of the segments. The energy
+    # that the recorded work goes by is that of its last step's beginning.
+    begin = round(0.25 / timestep)
+    given, expected = work[1 + begin :], (energy + taken)[begin:-1]
+    given, expected = given - given[0], expected - expected[0]
+    assert given[-1] == pytest.approx(expected[-1], rel=0.01)
+    assert np.abs(given - expected).max() < 0.02 * expected[-1]
+    # What the constraints take has no way back, but for what wheels and contacts store.
+    lost = np.maximum.accumulate(taken[begin:]) - taken[begin:]
+    assert lost.max() < 0.002 * expected[-1]
+
+
+def test_twins_power_is_the_compliant_models():
+    """Stiff bends cost what `complete` says; shipped ones ring and cost a third more, as `compliant` says."""
+
+    def cost(plant: AnalyticalSnake | TwinSnake) -> tuple[float, float]:
+        metrics = plant_metrics(rollout(plant, Gait(2.0), 5.0))
+        return metrics["mechanical_power_w"], metrics["cost_of_transport"]
+
+    options = {"supply_pa": SUPPLY, "friction": "wheel"}
+    stiff = cost(TwinSnake(robot(stiffness=20.0), supply_pa=SUPPLY))
+    shipped = cost(TwinSnake(robot(), supply_pa=SUPPLY))
+    complete = cost(AnalyticalSnake(robot(), **options))
+    compliant = cost(AnalyticalSnake(robot(), model="compliant", inertia="connector", **options))
+    assert stiff == pytest.approx(complete, rel=0.05)
+    assert shipped == pytest.approx(compliant, rel=0.10)
+    assert compliant[0] > 1.25 * complete[0]
+
+
+def test_twins_torques_give_its_work():
+    """Where bends are smooth: with kinks or stiff bends recorded torques are of first order in the step."""
+    spec = robot()
+
+    def ratio(timestep: float) -> float:
+        plant = TwinSnake(spec, timestep=timestep, pneumatics=Wave(spec, bias=0.1, rise=0.4))
+        h = driven(plant, 1.5, 1 / timestep)
+        begin = h.time > 0.25
+        return timestep * power(h)[begin].sum() / (h.work[-1] - h.work[begin][0])
+
+    assert ratio(0.001) == pytest.approx(1, abs=0.02)
+    assert ratio(0.00025) == pytest.approx(1, abs=0.02)

@@ -1,0 +1,285 @@
+"""The analytical models against each other and against their own limits; the dissertation's gap factor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from smooth import Wave
+from snakes import chain, robot
+from synthetic import Snake, with_metadata
+
+from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, load_scenario, rollout
+from srs_twin.comparison.compare import compare
+from srs_twin.errors import InputFileError
+from srs_twin.friction import LAWS
+from srs_twin.plants.base import SnakeState
+from srs_twin.running import run_scenario
+from srs_twin.scenario import parse_scenario
+
+MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
+SMOOTH = {"mu_t": 1.0, "mu_n": 15.0}  # for the viscous law
+SUPPLY = 48.3e3
+
+
+def bent(plant: AnalyticalSnake, duration: float = 1.0, hz: float = 500) -> SnakeState:
+    """Return how a plant on smooth chambers moves."""
+    plant.reset()
+    schedule = plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration)
+    return plant.play(schedule, round(duration * hz))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, float]:
+    """Return by how much `simplified` misses `complete`: path and torques, each over its size."""
+    spec = robot(**mu)
+    complete, simplified = (
+        bent(
+            AnalyticalSnake(
+                spec, model=model, friction=law, timestep=5e-4, slip_speed=0.02,
+                pneumatics=Wave(spec, amplitude=amplitude, bias=amplitude / 4),
+            )
+        )
+        for model in ("complete", "simplified")
+    )  # fmt: skip
+    path = np.abs(simplified.com - complete.com).max() / np.abs(complete.com).max()
+    return path, rms(simplified.torque - complete.torque) / rms(complete.torque)
+
+
+def test_simplified_is_complete_to_second_order_in_the_bends():
+    """Chords shorten by q²: halve the bends, and relative differences fall to a quarter."""
+    found = np.array([ladder(a, "viscous", SMOOTH) for a in (0.2, 0.1, 0.05)])
+    order = np.log2(found[:-1] / found[1:])
+    assert order == pytest.approx(np.full((2, 2), 2.0), abs=0.1)
+    assert found[-1, 0] < 1e-4
+    # Bends of a radian are another matter: that is why the dissertation has a complete model.
+    assert ladder(0.8, "viscous", SMOOTH)[0] > 0.02
+
+
+@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
+def test_simplified_torques_are_completes_for_small_bends_under_every_law(law):
+    found = np.array([ladder(a, law, {}) for a in (0.2, 0.05)])
+    assert np.log(found[0, 1] / found[1, 1]) / np.log(4) == pytest.approx(2, abs=0.2)
+
+
+def phase(spec: RobotSpec, wave: Wave, times: np.ndarray, *, frozen: bool, inertia: np.ndarray) -> np.ndarray:
+    """Return the mean heading of a body that bends without any moment on it: θ̇ = −h/I, by scipy.
+
+    Places come of adding chords from the tail, their rates of complex steps in time; nothing of the package.
+    """
+    mass = spec.mass.array()
+
+    def place(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        heading = np.append(np.cumsum(q[::-1])[::-1], 0.0)  # over the tail's
+        heading = heading - heading.mean()
+        chord = spec.geometry.segment_length * np.sin(q / 2) / (q / 2) + spec.geometry.rigid_gap * np.cos(
+            q / 2
+        )
+        if frozen:
+            chord = np.full(len(q), spec.geometry.pitch) + 0 * q
+        mean = (heading[1:] + heading[:-1]) / 2
+        x, y = (np.append(np.cumsum((chord * f(mean))[::-1])[::-1], 0.0) for f in (np.cos, np.sin))
+        return np.array([x - mass @ x / mass.sum(), y - mass @ y / mass.sum()]), heading
+
+    def turning(t: float, _: np.ndarray) -> float:
+        q, dq, _ = (values[0] for values in wave.free(np.array([t])))
+        (x, y), heading = place(q + 1e-20j * dq)
+        h = mass @ (x.real * y.imag - y.real * x.imag) + inertia @ heading.imag
+        return -h / 1e-20 / (mass @ (x.real**2 + y.real**2) + inertia.sum())
+
+    start = 1e-3  # a bend of 1e-10 rad, but none of zero
+    return solve_ivp(turning, (start, times[-1]), [0.0], t_eval=times, rtol=1e-10, atol=1e-12).y[0]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
+    """Whatever the floor does: it moves the centre of mass, and nothing turns the body but its bends."""
+    spec = chain(MASSES)
+    wave = Wave(spec, bias=0.3)
+    plant = AnalyticalSnake(
+        spec, model="simplified", friction_torque=False, friction=law, timestep=5e-4, pneumatics=wave
+    )
+    h = bent(plant, 2.0)
+    expected = phase(spec, wave, h.time, frozen=True, inertia=np.zeros(5))
+    assert h.heading == pytest.approx(expected, abs=2e-6)
+    assert np.abs(h.heading).max() > 0.05
+    # Its moment of momentum, from places, stays zero.
+    arm, velocity = h.position - h.com[:, None], np.gradient(h.position, h.time, axis=0)
+    terms = spec.mass.array() * (arm[..., 0] * velocity[..., 1] - arm[..., 1] * velocity[..., 0])
+    assert np.abs(terms.sum(axis=1)[1:-1]).max() < 2e-3 * np.abs(terms).sum(axis=1).max()
+    turned = AnalyticalSnake(spec, model="simplified", friction=law, timestep=5e-4, pneumatics=wave)
+    assert np.abs(bent(turned, 2.0).heading - h.heading).max() > 0.01
+
+
+@pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
+def test_lumped_inertia_is_the_texts(inertia):
+    """J_i = Σ m_i L²/3 over the segments at connector i (E19), felt by how far a frictionless snake turns."""
+    spec = chain(MASSES, mu_t=0.0, mu_n=0.0)
+    own = {
+        "point": np.zeros(5),
+        # A compact body of 5 mm gyration and two wheels of 1.5 g and 8 mm at ± 15 mm.
+        "connector": (np.array(MASSES) - 0.003) * 0.005**2 + 0.003 * (0.015**2 + 0.008**2 / 4),
+        "lumped": np.array([0.03, 2 * 0.05, 2 * 0.02, 2 * 0.04, 0.1]) * 0.055**2 / 3,
+    }
+    wave = Wave(spec, bias=0.3)
+    h = bent(AnalyticalSnake(spec, inertia=inertia, timestep=5e-4, pneumatics=wave), 2.0)
+    turned = {name: phase(spec, wave, h.time, frozen=False, inertia=j) for name, j in own.items()}
+    assert h.heading == pytest.approx(turned[inertia], abs=2e-6)
+    others = [turned[name] for name in own if name != inertia]
+    assert min(np.abs(other - h.heading).max() for other in others) > 1e-3
+
+
+@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
+@pytest.mark.parametrize(
+    "options", [{}, {"inertia": "lumped"}, {"model": "simplified"},
+                {"model": "simplified", "friction_torque": False}],
+    ids=["complete", "lumped", "simplified", "no torque"],
+)  # fmt: skip
+def test_mass_cancels_where_bends_are_given(options, law):
+    """Seven times the mass: the same way, seven times the moments and the work. No gait tells them apart."""
+    spec = chain(MASSES)
+    heavy = replace(spec, mass=replace(spec.mass, connectors=tuple(7 * m for m in MASSES)))
+    light, loaded = (
+        rollout(AnalyticalSnake(s, friction=law, supply_pa=SUPPLY, **options), Gait(2.0, 0.2), 1.0)
+        for s in (spec, heavy)
+    )
+    assert loaded.position == pytest.approx(light.position, abs=1e-8)
+    assert loaded["heading"] == pytest.approx(light["heading"], abs=1e-7)
+    assert loaded.stack("torque") == pytest.approx(7 * light.stack("torque"), rel=1e-5, abs=1e-6)
+    assert loaded["work"] == pytest.approx(7 * light["work"], rel=1e-6, abs=1e-9)
+
+
+def test_simplified_is_a_model_of_its_own_in_a_gait():
+    """At the bends of a gait the three models differ, and only that without friction torque cannot steer."""
+    spec, gait = robot(), Gait(2.0, 0.2)
+
+    def turned(**options) -> float:
+        run = rollout(AnalyticalSnake(spec, supply_pa=SUPPLY, **options), gait, 4.0)
+        return float(run["heading"][-1] - run["heading"][100]) / 3
+
+    complete, simplified, unturned = (
+        turned(),
+        turned(model="simplified"),
+        turned(model="simplified", friction_torque=False),
+    )
+    assert complete > 0.5 and simplified > 0.5
+    assert abs(unturned) < 0.2 * complete
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("model", ["complete", "compliant"])
+def test_only_simplified_goes_without_friction_torque(model):
+    with pytest.raises(InputError) as error:
+        AnalyticalSnake(robot(), model=model, friction_torque=False)
+    assert str(error.value) == f"model '{model}' has a friction torque; only 'simplified' goes without"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"inertia": "heavy"}, "inertia 'heavy' is unknown; allowed: point, connector, lumped"),
+        ({"model": "simple"}, "model 'simple' is unknown; allowed: complete, simplified, compliant"),
+        (
+            {"friction": "coulomb"},
+            "friction law 'coulomb' is unknown; allowed: axis, wheel, viscous, ellipse",
+        ),
+    ],
+)
+def test_unknown_names_are_refused_with_those_that_are_known(options, words):
+    with pytest.raises(InputError) as error:
+        AnalyticalSnake(robot(), **options)
+    assert str(error.value) == words
+
+
+def test_settings_of_the_ladder_are_described():
+    about = AnalyticalSnake(
+        robot(), model="simplified", friction_torque=False, inertia="lumped", friction="ellipse"
+    ).describe()
+    assert {name: about[name] for name in ("model", "friction_torque", "inertia", "friction", "track_m")} == {
+        "model": "simplified", "friction_torque": False, "inertia": "lumped", "friction": "ellipse",
+        "track_m": 0.015,
+    }  # fmt: skip
+
+
+# The dissertation's factor
+
+
+def gapless(speed: float = 0.15):
+    run = Snake(speed=speed, rigid_gap=0.0, frequency=1.7).trajectory()
+    return with_metadata(run, segment_length_m=0.037, rigid_gap_m=0.0)
+
+
+def gapped(speed: float = 0.2):
+    run = Snake(speed=speed, frequency=1.7).trajectory("twin")
+    return with_metadata(run, segment_length_m=0.037, rigid_gap_m=0.018)
+
+
+def test_gap_factor_multiplies_the_references_speed():
+    plain, factor = compare(gapless(), gapped()), compare(gapless(), gapped(), gap_factor=True)
+    assert plain.metrics["gap_factor"] == 1.0
+    assert factor.metrics["gap_factor"] == pytest.approx((0.037 + 0.018) / 0.037)
+    assert plain.metrics["com_speed_rel"] == pytest.approx(0.2 / 0.15 - 1, rel=1e-5)
+    assert factor.metrics["com_speed_rel"] == pytest.approx(0.2 / (0.15 * 55 / 37) - 1, rel=1e-5)
+    same = plain.metrics.keys() - {"gap_factor", "com_speed_rel"}
+    assert {name: factor.metrics[name] for name in same} == {name: plain.metrics[name] for name in same}
+
+
+def test_gap_factor_is_refused_where_gaps_would_count_twice():
+    with pytest.raises(InputError) as error:
+        compare(gapped(), gapped(), gap_factor=True)
+    assert "has rigid gaps in its geometry, so the factor (l + L_o)/l would count them twice; " in str(
+        error.value
+    )
+    assert str(error.value).endswith("run it without gaps")
+
+
+@pytest.mark.parametrize("lost", ["segment_length_m", "rigid_gap_m"])
+def test_gap_factor_needs_the_candidates_lengths(lost):
+    with pytest.raises(InputError, match="metadata segment_length_m or rigid_gap_m is missing"):
+        compare(gapless(), with_metadata(gapped(), **{lost: None}), gap_factor=True)
+
+
+SCENARIO = {
+    "robot": "gen2", "duration_s": 2, "controller": {"kind": "gait", "frequency_hz": 2.0},
+    "comparison": {"gap_factor": True},
+}  # fmt: skip
+
+
+def refusal(**changes) -> list[str]:
+    with pytest.raises(InputFileError) as error:
+        parse_scenario(SCENARIO | changes)
+    return [line.removeprefix("scenario: ") for line in error.value.lines]
+
+
+def test_scenario_asks_for_the_gap_factor(tmp_path):
+    scenario = parse_scenario(SCENARIO | {"plants": {"analytical": {"gaps": False}, "twin": {}}})
+    assert scenario.gap_factor
+    result = run_scenario(scenario, tmp_path / "run")
+    found = result.metrics["comparison"]
+    assert found["gap_factor"] == pytest.approx(55 / 37)
+    plants = result.metrics["plants"]
+    model, twin = (plants[name]["com_speed_m_s"] for name in ("analytical", "twin"))
+    assert found["com_speed_rel"] == pytest.approx(twin / (model * 55 / 37) - 1)
+
+
+def test_scenario_without_it_compares_as_it_is():
+    assert not load_scenario("gen2_straight").gap_factor
+
+
+def test_scenario_refuses_the_gap_factor_where_it_has_no_meaning():
+    (line,) = refusal()
+    assert line == (
+        "comparison.gap_factor: the analytical plant has the gaps in its geometry already; "
+        "set plants.analytical.gaps: false"
+    )
+    (line,) = refusal(plants={"analytical": {"gaps": False}})
+    assert line == "comparison.gap_factor: a comparison needs both plants; add the other to plants"
+    (line,) = refusal(comparison={"gap_factor": "yes"})
+    assert line.startswith("comparison.gap_factor: ")
