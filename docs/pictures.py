@@ -19,7 +19,7 @@ from srs_twin.viewing.screenshot import screenshots
 from srs_twin.viewing.waterfall import waterfall
 
 IMAGES = Path(__file__).parent / "images"
-MOMENT_S = 6.3
+MOMENT_S = 3.3
 
 
 def main() -> None:
