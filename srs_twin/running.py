@@ -7,11 +7,13 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from srs_twin import __version__
 from srs_twin.comparison.compare import Comparison, compare
@@ -49,6 +51,7 @@ class RunResult:
         metrics: what stands in metrics.json; empty where a plant diverged.
         outcomes: the scenario's expectations, checked; empty where a plant diverged.
         diverged: what stopped a plant, its message naming the file that keeps its trajectory.
+        unexplained: what stopped one of the runs that were to say why the plants differ.
     """
 
     name: str
@@ -57,6 +60,7 @@ class RunResult:
     metrics: Mapping[str, Any] = field(default_factory=dict)
     outcomes: tuple[Outcome, ...] = ()
     diverged: tuple[DivergedError, ...] = ()
+    unexplained: tuple[DivergedError, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,7 @@ class PreparedRun:
         walls: dict[str, float] = {}
         diverged: list[DivergedError] = []
         for kind in self.parts:
+            self._warm_up(kind)
             start = time.perf_counter()
             try:
                 trajectories[kind] = self._drive(kind, progress)
@@ -102,10 +107,13 @@ class PreparedRun:
                 diverged.append(self._located(kind, error))
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
-        attribution = None
+        attribution, unexplained = None, []
         if explain is not None and not diverged:
             told = None if progress is None else partial(progress, "why they differ")
-            attribution = explain(self.scenario, trajectories, progress=told)
+            try:
+                attribution = explain(self.scenario, trajectories, progress=told)
+            except DivergedError as error:
+                unexplained.append(error)
         # Only now: an interrupted run leaves what an earlier one wrote.
         self._clear()
         with atomic_write(self.folder / RESOLVED) as path:
@@ -115,7 +123,13 @@ class PreparedRun:
                 trajectory.to_parquet(path)
         if diverged:
             return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-        return self._measure(trajectories, walls, attribution)
+        measured = self._measure(trajectories, walls, attribution)
+        return replace(measured, unexplained=tuple(unexplained))
+
+    def _warm_up(self, kind: str) -> None:
+        """Let a plant vent for a tick: kernels that are not compiled yet are no part of a run's time."""
+        plant, _ = self.parts[kind]
+        plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
 
     def _drive(self, kind: str, progress: Progress | None) -> Trajectory:
         plant, controller = self.parts[kind]

@@ -14,8 +14,9 @@ from srs_twin import rollout
 from srs_twin.attribution import explain
 from srs_twin.attribution.shapley import contributions, subsets
 from srs_twin.attribution.switches import Ladder
-from srs_twin.comparison.shares import MEASURES
-from srs_twin.errors import InputError
+from srs_twin.comparison.shares import MEASURES, gap_between
+from srs_twin.errors import DivergedError, InputError
+from srs_twin.running import prepare
 from srs_twin.scenario import parse_scenario
 
 NAMES = ["a", "b", "c", "d"]
@@ -102,8 +103,9 @@ def test_only_what_differs_is_switched():
     assert Ladder(scenario(plants={"analytical": alike, "twin": {}})).switches == []
     other = {"model": "simplified", "friction_torque": False, "gaps": False}
     ladder = Ladder(scenario(plants={"analytical": other, "twin": {"wheels": "skid"}}))
-    names = ["friction law", "wheel track", "rigid gaps", "frozen chords", "compliance", "connector inertia"]
+    names = ["friction law", "wheel track", "rigid gaps", "compliance", "connector inertia"]
     assert [switch.name for switch in ladder.switches] == names
+    assert [switch.name for switch in ladder.first] == ["frozen chords"]
     assert "wheel inertia" not in [each.name for each in ladder.refinements]
     bending = {"base": "gen2", "bending": {"damping_time_s": 0.01}}
     assert "damping" in [switch.name for switch in Ladder(scenario(robot=bending)).switches]
@@ -111,9 +113,8 @@ def test_only_what_differs_is_switched():
 
 def test_every_switch_reaches_the_plant():
     ladder = Ladder(scenario(plants={"analytical": {"model": "simplified"}, "twin": {}}))
-    plain, all_on = (
-        ladder.analytical(frozenset(on)).describe() for on in ((), [s.name for s in ladder.switches])
-    )
+    every = [switch.name for switch in (*ladder.first, *ladder.switches)]
+    plain, all_on = (ladder.analytical(frozenset(on)).describe() for on in ((), every))
     assert (plain["model"], plain["friction"], plain["track_m"], plain["inertia"]) == (
         "simplified", "axis", 0.0, "point",
     )  # fmt: skip
@@ -127,11 +128,44 @@ def test_every_switch_reaches_the_plant():
             assert about != usual, each.name
 
 
+def test_what_has_to_come_first_does_and_still_all_adds_up():
+    """Arcs before they yield: averaged with compliance, which brings arcs along, they would share."""
+    s = scenario(plants={"analytical": {"model": "simplified", "friction_torque": False}, "twin": {}})
+    runs = both(s)
+    found = explain(s, runs)
+    assert (found.shares[0].name, found.shares[0].how) == ("frozen chords", "first")
+    parts = np.sum([share.value for share in found.shares], axis=0) + found.remainder
+    assert parts == pytest.approx(found.gap, abs=1e-12)
+    arcs = rollout(
+        s.build_plant("analytical", model="complete", friction_torque=True), s.build_controller(), 2.0
+    )
+    expected = gap_between(runs["analytical"], runs["twin"]) - gap_between(arcs, runs["twin"])
+    assert found.shares[0].value == pytest.approx(expected)
+
+
+def test_a_variant_that_diverges_is_named_and_costs_no_run(tmp_path, monkeypatch):
+    def stuck(self):
+        raise DivergedError("twin", 0.3, "it flew")
+
+    monkeypatch.setattr(Ladder, "stiff_twin", stuck)
+    result = prepare(scenario(), tmp_path).execute(explain=explain)
+    (error,) = result.unexplained
+    assert str(error) == "short: why they differ: stiff twin: twin diverged at t = 0.3 s: it flew"
+    assert result.metrics["plants"]["twin"]["com_speed_m_s"] > 0.1 and "attribution" not in result.metrics
+    assert (tmp_path / "report.html").is_file() and (tmp_path / "twin.parquet").is_file()
+
+
 def test_what_cannot_be_explained_is_refused():
     s = scenario(duration_s=1.0)
     runs = both(s)
     with pytest.raises(InputError, match="a difference needs two plants to be explained; run both"):
         explain(s, {"twin": runs["twin"]})
+    scaled = {"analytical": {"gaps": False}, "twin": {}}
+    with_factor = scenario(plants=scaled, comparison={"gap_factor": True})
+    with pytest.raises(
+        InputError, match="comparison.gap_factor scales a speed and leaves nothing to explain"
+    ):
+        explain(with_factor, both(with_factor))
     with pytest.raises(InputError, match=r"short: .*; three or more periods of a gait are needed"):
         explain(s, runs)
 

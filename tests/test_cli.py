@@ -56,7 +56,12 @@ class Job:
         diverged = (self.outcome,) if isinstance(self.outcome, DivergedError) else ()
         outcomes = (SimpleNamespace(met=self.outcome == "met"),)
         return SimpleNamespace(
-            name=self.name, folder=self.folder, metrics=METRICS, outcomes=outcomes, diverged=diverged
+            name=self.name,
+            folder=self.folder,
+            metrics=METRICS,
+            outcomes=outcomes,
+            diverged=diverged,
+            unexplained=(),
         )
 
 

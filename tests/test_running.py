@@ -148,6 +148,8 @@ def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tm
     sound = plant.play
 
     def unsound(schedule, samples):
+        if schedule.span < 1.0:  # the tick that compiles
+            return sound(schedule, samples)
         first = sound(schedule.part(0.0, 1.0), samples // 2)
         plant._body.state[3] = np.nan
         try:

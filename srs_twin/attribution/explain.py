@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from srs_twin.attribution.shapley import Contribution, contributions, subsets
-from srs_twin.attribution.switches import Ladder
+from srs_twin.attribution.switches import Ladder, Switch
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.comparison.shares import MEASURES, Attribution, Share, gap_between
-from srs_twin.errors import InputError
+from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
-from srs_twin.rollout import rollout
+from srs_twin.rollouts import Job, run_many
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
@@ -49,15 +47,23 @@ def explain(
         gap = gap_between(model, twin)
     except ValueError as error:
         raise InputError(f"{scenario.name}: {error}; three or more periods of a gait are needed") from error
+    if scenario.gap_factor:
+        raise InputError(
+            f"{scenario.name}: comparison.gap_factor scales a speed and leaves nothing to explain it by; "
+            "take it out, rigid gaps are a switch of their own"
+        )
     ladder = Ladder(scenario)
+    first = frozenset(switch.name for switch in ladder.first)
     names = [switch.name for switch in ladder.switches]
-    sets = subsets(names)
+    sets = [first | some for some in subsets(names)]
     runs = _run_all(scenario, _variants(ladder, sets), progress)
     runs |= {_key(frozenset()): model, _key({}): twin}
 
     seen = {some: gap_between(runs[_key(some)], twin) for some in sets}
-    found = contributions(names, seen)
-    shares = [_share(switch.name, switch.title, "averaged", found[switch.name]) for switch in ladder.switches]
+    found = contributions(names, {some - first: value for some, value in seen.items()})
+    shares = [_first_share(switch, seen[first] - gap) for switch in ladder.first]
+    for switch in ladder.switches:
+        shares.append(_share(switch.name, switch.title, "averaged", found[switch.name]))
     alike = runs[_key(sets[-1])]
     for each in ladder.refinements:
         if each.plant == "twin":
@@ -81,7 +87,7 @@ def explain(
 def _variants(ladder: Ladder, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:
     """Return what has to run besides the two plants themselves, by name."""
     plants: dict[str, Callable[[], Plant]] = {"stiff twin": ladder.stiff_twin, "matched": ladder.matched}
-    for some in sets[1:]:
+    for some in (some for some in sets if some):
         plants[_key(some)] = partial(ladder.analytical, some)
     for each in ladder.refinements:
         if each.plant == "analytical":
@@ -103,25 +109,25 @@ def _run_all(
     scenario: Scenario, plants: Mapping[str, Callable[[], Plant]], progress: Progress | None
 ) -> dict[str, Trajectory]:
     """Roll every plant out under the scenario's gait, on all processors."""
-
-    def run(build: Callable[[], Plant]) -> Trajectory:
-        return rollout(
-            build(), scenario.build_controller(), scenario.duration, pose=scenario.pose, seed=scenario.seed,
-            record_hz=scenario.record_hz,
-        )  # fmt: skip
-
+    jobs = [
+        Job(
+            build, scenario.build_controller, scenario.duration, scenario.pose, scenario.seed,
+            scenario.record_hz,
+        )
+        for build in plants.values()
+    ]  # fmt: skip
+    told = None if progress is None else lambda done: progress(done / len(jobs))
     found: dict[str, Trajectory] = {}
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        waiting = {pool.submit(run, build): name for name, build in plants.items()}
-        try:
-            for future in as_completed(waiting):
-                found[waiting[future]] = future.result()
-                if progress is not None:
-                    progress(len(found) / len(waiting))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    for name, run in zip(plants, run_many(jobs, progress=told), strict=True):
+        if isinstance(run, DivergedError):
+            run.args = (f"{scenario.name}: why they differ: {name}: {run}",)
+            raise run
+        found[name] = run
     return found
+
+
+def _first_share(switch: Switch, change: np.ndarray) -> Share:
+    return _share(switch.name, switch.title, "first", Contribution(change, change, change))
 
 
 def _share(name: str, title: str, how: str, found: Contribution) -> Share:

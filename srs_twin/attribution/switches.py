@@ -19,6 +19,7 @@ from srs_twin.spec import RobotSpec
 LAW_OF = {"rolling": "wheel", "skid": "ellipse"}
 """What the twin stands on → the friction law that describes it."""
 
+FROZEN = "frozen chords"
 STIFF = 45.0
 """How many times stiffer the bends of the matched setting are: gen 2's 0.44 become 20 N·m/rad."""
 
@@ -65,7 +66,8 @@ class Ladder:
     """The plants of a scenario with any of their assumptions switched.
 
     Attributes:
-        switches: those of the analytical side that differ here.
+        first: what is switched before all others: arcs come before they can yield.
+        switches: those of the analytical side that differ here and go in any order.
         same: names of those that do not.
         refinements: of what one plant alone has.
     """
@@ -76,7 +78,9 @@ class Ladder:
         self._model = analytical if isinstance(analytical, AnalyticalSettings) else AnalyticalSettings()
         self._twin = twin if isinstance(twin, TwinSettings) else TwinSettings()
         every = self._all_switches()
-        self.switches = [switch for switch, differs in every if differs]
+        differing = [switch for switch, differs in every if differs]
+        self.first = [switch for switch in differing if switch.name == FROZEN]
+        self.switches = [switch for switch in differing if switch.name != FROZEN]
         self.same = [switch.name for switch, differs in every if not differs]
         self.refinements = self._refinements()
 
@@ -93,7 +97,7 @@ class Ladder:
             ),
             (Switch("rigid gaps", f"rigid gaps: {model.gaps} → {twin.gaps}"), model.gaps != twin.gaps),
             (
-                Switch("frozen chords", "chords: frozen, and what else `simplified` leaves out → arcs"),
+                Switch(FROZEN, "chords frozen, and friction torque where it is left out → arcs"),
                 model.model == "simplified",
             ),
             (Switch("compliance", "bends: as given → springs that load and inertia deflect"), not compliant),
@@ -137,8 +141,8 @@ class Ladder:
             Refinement(
                 "link mass", "mass between the hinges", "twin", {"link_share": numerics.link_share / 2}, 2.0
             ),
-            Refinement("twin time step", f"{1e3 * step:g} ms", "twin", {"timestep": step / 2}, 2.0),
-            Refinement("model time step", "and slip speed of the model", "analytical", model, 4 / 3),
+            Refinement("twin time step", f"its {1e3 * step:g} ms", "twin", {"timestep": step / 2}, 2.0),
+            Refinement("model time step", "the model's time step and slip speed", "analytical", model, 4 / 3),
         ]  # fmt: skip
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
@@ -157,7 +161,7 @@ class Ladder:
             changes["friction"] = LAW_OF[self._twin.wheels]
         if "rigid gaps" in on:
             changes["gaps"] = self._twin.gaps
-        if "frozen chords" in on:
+        if FROZEN in on:
             changes |= {"model": "complete", "friction_torque": True}
         if "compliance" in on:
             changes |= {"model": "compliant", "friction_torque": True}
@@ -175,8 +179,8 @@ class Ladder:
         """Return the twin with the stiff bends of the match."""
 
         def stiffer(spec: RobotSpec) -> RobotSpec:
-            bending = replace(spec.bending, stiffness=STIFF * spec.bending.stiffness)
-            return replace(spec, bending=bending)
+            stiffness, lag = STIFF * spec.bending.stiffness, spec.actuator.tau_mode
+            return replace(spec, bending=replace(spec.bending, stiffness=stiffness, damping_time=lag))
 
         return self.twin(stiffer)
 

@@ -11,7 +11,7 @@ import typer
 
 from srs_twin.cli import INTERRUPTED
 from srs_twin.cli.progress import Progress
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.running import Explain, PreparedRun, RunResult
@@ -107,8 +107,8 @@ def _run(job: PreparedRun, *, check: bool, quiet: bool, explain: bool) -> int:
         _say(f"warning: {warning}")
     try:
         with Progress(job.scenario.name, quiet=quiet) as progress:
-            result = job.execute(progress, explain=_explainer() if explain else None)
-    except (InputError, DivergedError) as error:
+            result = job.execute(progress, explain=_explainer()) if explain else job.execute(progress)
+    except InputError as error:
         _say(str(error))
         return error.exit_code
     return _report(result, check=check, quiet=quiet)
@@ -135,7 +135,10 @@ def _report(result: RunResult, *, check: bool, quiet: bool) -> int:
     elif failed:
         for line in missed_lines(result.metrics):
             _say(line)
-    return EXPECTATION_FAILED if failed else 0
+    for error in result.unexplained:
+        _say(str(error))
+    codes = [error.exit_code for error in result.unexplained]
+    return max([*codes, EXPECTATION_FAILED if failed else 0])
 
 
 def _say(text: str) -> None:

@@ -65,8 +65,11 @@ def rows(metrics: Mapping[str, Any]) -> list[Row]:
         if all(value is None for value in values):
             continue
         texts = tuple(map(_number, values))
-        found.append(Row(heading, unit, texts, difference(plants, key), _number(stated.get(key, _NONE)[0])))
+        found.append(Row(heading, unit, texts, difference(metrics, key), _number(stated.get(key, _NONE)[0])))
     comparison = metrics["comparison"] or {}
+    if comparison.get("gap_factor", 1.0) != 1.0:
+        text = f"× {comparison['gap_factor']:.4g}"
+        found.insert(1, Row("… by the gap factor", "1", (text, *[""] * (len(plants) - 1))))
     for key, (heading, unit) in _COMPARISON_ROWS.items():
         if comparison.get(key) is not None:
             blank = ("",) * len(plants)
@@ -122,7 +125,7 @@ def _why(attribution: Mapping[str, Any]) -> Table:
         table.add_row(share["name"], *map(_signed, share["value"]))
     table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
     table.add_row("gap", *map(_signed, attribution["gap"]))
-    table.add_row("left with stiff bends", *map(_signed, attribution["matched"]))
+    table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
     return table
 
 

@@ -30,7 +30,8 @@ class Share:
         value: contribution to each of `MEASURES`, in that order.
         low: least of it over the orders in which the assumptions may be switched.
         high: most of it.
-        how: "averaged" over orders on the analytical side, or "refined" on the plant that alone has it.
+        how: "averaged" over orders on the analytical side, "first" of all there, or "refined" on the plant
+            that alone has it.
     """
 
     name: str

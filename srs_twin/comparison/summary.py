@@ -11,31 +11,30 @@ RELATIVE = {
 }  # fmt: skip
 """Metrics whose difference is given over the analytical value; of others in their own unit."""
 
-_TURNING_RAD_S = 0.01  # below it a snake goes straight, and a share of its yaw rate means nothing
 _ROUNDING = 1e-9  # of a value: what two ways of adding up may differ by
 _NOT_COMPARED = {"wall_s", "realtime_factor"}  # how long a computer took tells the plants nothing
 
 
-def difference(plants: Mapping[str, Mapping[str, Any]], metric: str) -> str:
+def difference(metrics: Mapping[str, Any], metric: str) -> str:
     """Return twin − analytical in words, over the (signed) analytical value where that is usual.
 
     Args:
-        plants: plant → metric → value, as in metrics.json.
+        metrics: what stands in metrics.json.
         metric: name of the metric.
 
     Returns:
         E.g. "-11.5 %" or "+0.0432"; empty where there is nothing to compare.
     """
-    ours, theirs = (plants.get(plant, {}).get(metric) for plant in ("analytical", "twin"))
+    ours, theirs = (metrics["plants"].get(plant, {}).get(metric) for plant in ("analytical", "twin"))
     if metric in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
         return ""
+    if metric == "com_speed_m_s":
+        ours *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
     apart = "0" if abs(theirs - ours) <= _ROUNDING * abs(ours) else f"{theirs - ours:+.3g}"
     # A share of nothing, or of the other direction, says nothing.
     share = f"{100 * (theirs - ours) / ours:+.1f} %" if ours * theirs > 0 else ""
     if metric in RELATIVE:
         return share or apart
-    if metric == "yaw_rate_rad_s" and abs(ours) > _TURNING_RAD_S:
-        return f"{apart} ({share})" if share else apart
     return apart
 
 

@@ -14,11 +14,12 @@ from srs_twin.plants.base import Plant, Pose, SnakeState
 from srs_twin.plants.floor import Floor
 from srs_twin.plants.given import Body, GivenBends, Motion
 from srs_twin.plants.kinematics import Solid
-from srs_twin.pneumatics import FELT_S, Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.spec import RobotSpec
 
 MODELS = ("complete", "simplified", "compliant")
 INERTIAS = ("point", "connector", "lumped")
+_MASSLESS_S = 0.0001  # at 0.25 ms pressures of point masses swing below ambient; half of this changes nothing
 
 
 class AnalyticalSnake(Plant):
@@ -69,7 +70,7 @@ class AnalyticalSnake(Plant):
             timestep: longest step, s.
             slip_speed: ε of the friction law, m/s.
             layout: valve layout, "3/2" or "in_out".
-            pneumatics: "lag", or chambers of one's own.
+            pneumatics: "lag", "orifice", or chambers of one's own.
             track: where the two contacts of a connector stand, m; default the robot's half track for a law
                 that acts at the wheels and 0, one contact, for the others.
 
@@ -137,8 +138,8 @@ class AnalyticalSnake(Plant):
 
         Chambers that feel how a yielding body bends take turns with it, a step or two each.
         """
-        felt = self._chambers_feel
-        pieces = np.unique(np.floor(ends / FELT_S * (1 - 1e-9)), return_index=True)[1] if felt else [0]
+        felt, turn = self._chambers_feel, self._turn
+        pieces = np.unique(np.floor(ends / turn * (1 - 1e-9)), return_index=True)[1] if felt else [0]
         motions, traces, done = [], [], 0
         for first, last in zip(pieces, [*pieces[1:], len(ends)], strict=True):
             begun = ends[first - 1] if first else 0.0
@@ -191,6 +192,12 @@ class AnalyticalSnake(Plant):
     def _chambers_feel(self) -> bool:
         return self.pneumatics.feels_bend and self._body.yields
 
+    @property
+    def _turn(self) -> float:
+        """How often bodies and chambers take turns at least, s: what has no inertia follows air at once."""
+        massless = not self._body.solid.inertia.all()
+        return min(self.pneumatics.felt_s, _MASSLESS_S) if massless else self.pneumatics.felt_s
+
     def _own_inertia(self) -> np.ndarray:
         """Return the connectors' moments of inertia about themselves, shape (N,), kg·m²."""
         if self._inertia == "connector":
@@ -209,7 +216,7 @@ class AnalyticalSnake(Plant):
         They end on an even grid, as fine as the time step asks and in step with the samples, and on every
         valve event in between.
         """
-        longest = min(self.timestep, FELT_S) if self._chambers_feel else self.timestep
+        longest = min(self.timestep, self._turn) if self._chambers_feel else self.timestep
         per_sample = math.ceil(schedule.span / samples / longest * (1 - 1e-12))
         count = samples * per_sample
         grid = schedule.span / count

@@ -11,7 +11,7 @@ from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
 from srs_twin.plants.base import Plant, Pose, SnakeState
 from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
-from srs_twin.pneumatics import FELT_S, Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.spec import RobotSpec
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
@@ -58,7 +58,7 @@ class TwinSnake(Plant):
             supply_pa: supply pressure, Pa; default the robot's nominal one.
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
-            pneumatics: "lag", or chambers of one's own.
+            pneumatics: "lag", "orifice", or chambers of one's own.
             slip_time: time constant with which contact friction stops a slip, s.
             axle_time: the same for the axles' friction, s.
             preload: by how many times its static load each wheel is pressed down besides; default what
@@ -68,7 +68,8 @@ class TwinSnake(Plant):
             constant_curvature: force the hinges of a segment to bend alike.
 
         Raises:
-            InputError: an unknown wheel or layout, or a tick that is no multiple of the time step.
+            InputError: an unknown wheel or layout, a tick that is no multiple of the time step, or a time
+                step that is too long for the chambers.
         """
         if wheels not in WHEELS:
             raise InputError(f"wheels '{wheels}' are unknown; allowed: {', '.join(WHEELS)}")
@@ -87,6 +88,11 @@ class TwinSnake(Plant):
         )
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
+        if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
+            raise InputError(
+                f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
+                f"it must be {self.pneumatics.felt_s:g} s or less"
+            )
         largest = supply * self.pneumatics.overshoot
         self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, supply_pa=largest)
         self.reset()
@@ -165,7 +171,8 @@ class TwinSnake(Plant):
 
     def _drive(self, schedule: Schedule, steps: int) -> tuple[Trace, Stretch]:
         """Advance chambers and bodies; return what the chambers did at the steps' ends, and the bodies."""
-        most = max(1, math.floor(FELT_S / self.timestep)) if self.pneumatics.feels_bend else steps
+        felt = self.pneumatics.felt_s
+        most = max(1, math.floor(felt / self.timestep * (1 + 1e-9))) if self.pneumatics.feels_bend else steps
         traces, stretches = [], []
         for first in range(0, steps, most):
             last = min(first + most, steps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from srs_twin.errors import UnknownNameError
-from srs_twin.pneumatics.base import FELT_S, Pneumatics, Trace
+from srs_twin.pneumatics.base import Pneumatics, Trace
 from srs_twin.pneumatics.lag import LagPneumatics
 from srs_twin.pneumatics.orifice import OrificePneumatics
 from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
@@ -12,7 +12,6 @@ from srs_twin.spec import RobotSpec
 KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
 
 __all__ = [
-    "FELT_S",
     "KINDS",
     "LAYOUTS",
     "LagPneumatics",

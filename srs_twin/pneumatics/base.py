@@ -14,10 +14,6 @@ from srs_twin.errors import InputError
 from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
 from srs_twin.spec import RobotSpec
 
-FELT_S = 0.001
-"""s: how long chambers that feel the bends may take these to go on as they do. A closed chamber is a stiff
-spring: with gen 2, 1 ms moves the speed by less than 0.5 %, 2 ms diverges."""
-
 
 @dataclass(frozen=True)
 class Trace:
@@ -72,6 +68,8 @@ class Pneumatics(ABC):
         kind: short name.
         feels_bend: whether pressures depend on the actual bend, so that a plant whose bends are not the
             free ones must tell them to `advance`.
+        felt_s: how long chambers that feel the bends may take these to go on as they do, s: bodies and
+            chambers take turns at least that often.
         overshoot: how many times the supply's pressure a chamber may reach.
         pressure: gauge pressures now, shape (segments, 2), Pa.
         bend: free bends now, shape (segments,), rad.
@@ -84,6 +82,7 @@ class Pneumatics(ABC):
     kind = "own"
     feels_bend = False
     overshoot = 1.0
+    felt_s = math.inf
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
         if layout not in LAYOUTS:

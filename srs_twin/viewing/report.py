@@ -100,7 +100,7 @@ def result_table(metrics: Mapping[str, Any]) -> Markup:
     for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
         values = [measured.get(name) for measured in plants.values()]
         if any(value is not None for value in values):
-            apart = [difference(plants, name)] if both else []
+            apart = [difference(metrics, name)] if both else []
             rows.append([_words(name), unit, *map(_text, values), *apart, stated.get(name, "")])
     for name, unit in COMPARISON_UNITS.items():
         value = (metrics.get("comparison") or {}).get(name)

@@ -13,7 +13,7 @@ _LONGEST_NAME = 2.05  # inches
 
 
 def waterfall(attribution: Attribution) -> Figure:
-    """Return one panel a measure; rows are the assumptions, in the order in which they were switched.
+    """Return one panel a measure; rows are the assumptions, as the shares are listed.
 
     Bars run from what was reached before to what is reached with one more assumption; thin lines show the
     least and the most of a share over the orders of switching.

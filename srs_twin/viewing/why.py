@@ -12,10 +12,11 @@ _READING = (
     "Rows add up to the whole gap, twin minus analytical; of the body shape it is the distance between the "
     "two bodies. 'Averaged' assumptions are the analytical model's: every subset of them was switched to "
     "what the twin has, and each one's share is its Shapley value, the average over all orders of switching; "
-    "in brackets the least and the most of it over these orders.",
+    "in brackets the least and the most of it over these orders. 'First' comes what has to, before them.",
     "'Refined' ones belong to one plant alone: it was run again with this made smaller, and what that "
     "changed was carried on to nothing. What none of them explains is the last row. 'Matched' is what is "
-    "left between the plants when both have stiff bends and the same friction at the same points.",
+    "left between the plants when both have stiff bends and the same friction at the same points. The column "
+    "of the body shape splits a distance: a negative share there brings the bodies nearer.",
 )
 
 
@@ -28,9 +29,8 @@ def why_section(attribution: Attribution) -> list[Markup]:
     ]
     whole = [("not explained", attribution.remainder), ("gap", attribution.gap)]
     rows += [[name, "", "", *map(_number, values)] for name, values in whole]
-    rows.append(
-        ["matched", "stiff bends, the same friction: what is left", "", *map(_number, attribution.matched)]
-    )
+    left = "stiff bends and the same friction on both sides: what is left"
+    rows.append(["matched (stiff bends)", left, "", *map(_number, attribution.matched)])
     same = ", ".join(attribution.same)
     return [
         element("h2", "Why the plants differ"),
@@ -39,7 +39,7 @@ def why_section(attribution: Attribution) -> list[Markup]:
         ),
         table(headings, rows, numbers=range(3, len(headings))),
         *(element("p", sentence) for sentence in _READING),
-        *([element("p", f"The same on both plants here: {same}.")] if same else []),
+        *([element("p", f"Not a difference in this scenario: {same}.")] if same else []),
     ]
 
 
