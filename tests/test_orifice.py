@@ -379,6 +379,8 @@ def test_starved_chambers_and_yielding_bends_take_turns_often_enough(l_per_min, 
 
 
 def test_a_twin_too_coarse_for_its_chambers_is_refused():
-    with pytest.raises(InputError, match=r"time step 0.001 s is too long .*; it must be 0.00025 s or less"):
+    with pytest.raises(
+        InputError, match=r"time step 0.001 s is too long .*; it must be 0.00025 s or less \(timestep_s"
+    ):
         TwinSnake(robot(), pneumatics=limited(2.0))
     TwinSnake(robot(), pneumatics=limited(2.0), timestep=0.00025).step(np.full((4, 2), -1))

@@ -228,7 +228,7 @@ def test_the_default_pneumatics_are_written_out():
     ],
 )  # fmt: skip
 def test_pneumatics_reach_both_plants(plant, given, described):
-    s = scenario(pneumatics=given)
+    s = scenario(pneumatics=given, plants={"analytical": {}, "twin": {"timestep_s": 0.00025}})
     first, second = (s.build_plant(plant).pneumatics for _ in range(2))
     assert first is not second, "chambers have a state"
     told = first.describe()

@@ -91,7 +91,7 @@ class TwinSnake(Plant):
         if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
             raise InputError(
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
-                f"it must be {self.pneumatics.felt_s:g} s or less"
+                f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
         largest = supply * self.pneumatics.overshoot
         self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, supply_pa=largest)
