@@ -43,7 +43,8 @@ def assert_metrics_close(
 def test_a_straight_run_has_the_speed_it_was_given(speed, frequency, phase, angle):
     run = moved(Snake(speed=speed, frequency=frequency, phase=phase).trajectory(), 1.0, -2.0, angle)
     found = plant_metrics(run)
-    assert found["com_speed_m_s"] == pytest.approx(speed, rel=1e-6)
+    # The error is that of the spline through the sway, 3e-8 m/s at 4 Hz whatever the speed.
+    assert found["com_speed_m_s"] == pytest.approx(speed, rel=0, abs=1e-7)
     assert found["yaw_rate_rad_s"] == pytest.approx(0, abs=1e-6)
     assert found["turning_radius_m"] is None
 
