@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a module imports only from its own step or from steps to its left.
 ORDER = (
-    ("errors", "compiled", "threads"),
+    ("errors", "compiled", "records", "threads"),
     ("files", "documents", "validation"),
     ("spec", "robots", "robot_file", "world"),
     ("trajectory",),

@@ -15,6 +15,7 @@ from srs_twin.plants.floor import Floor
 from srs_twin.plants.given import Body, GivenBends, Motion
 from srs_twin.plants.kinematics import Solid
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.records import joined
 from srs_twin.spec import RobotSpec
 
 MODELS = ("complete", "simplified", "compliant")
@@ -156,7 +157,7 @@ class AnalyticalSnake(Plant):
             done += made
             if made < len(steps):
                 break
-        return done, Motion.joined(motions), Trace.joined(traces)
+        return done, joined(motions), joined(traces)
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.schedule import Schedule
+from srs_twin.records import joined
 from srs_twin.spec import RobotSpec
 
 Pose = tuple[float, float, float]
@@ -68,8 +69,7 @@ class SnakeState:
     def history(parts: Sequence[SnakeState]) -> SnakeState:
         """Return the history of these histories, one after the other; a moment counts as one sample."""
         whole = [part if np.ndim(part.time) else part._sample() for part in parts]
-        names = [f.name for f in fields(SnakeState)]
-        return SnakeState(**{n: np.concatenate([getattr(part, n) for part in whole]) for n in names})
+        return joined(whole)
 
     def _sample(self) -> SnakeState:
         return SnakeState(**{f.name: np.asarray(getattr(self, f.name))[None] for f in fields(self)})

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,13 +32,6 @@ class Motion:
     bend: np.ndarray
     bend_rate: np.ndarray
     torque: np.ndarray
-
-    @staticmethod
-    def joined(parts: Sequence[Motion]) -> Motion:
-        """Return several motions, one after the other, as one."""
-        return Motion(
-            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Motion))
-        )
 
 
 class Body(ABC):

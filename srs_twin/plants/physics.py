@@ -6,8 +6,8 @@ import copy
 import os
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -71,13 +71,6 @@ class Stretch:
     floor_force: np.ndarray
     foot_velocity: np.ndarray
     energy: np.ndarray
-
-    @staticmethod
-    def joined(parts: Sequence[Stretch]) -> Stretch:
-        """Return several stretches as one."""
-        return Stretch(
-            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Stretch))
-        )
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
 from srs_twin.plants.base import Plant, Pose, SnakeState
 from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.records import joined
 from srs_twin.spec import RobotSpec
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
@@ -181,7 +182,7 @@ class TwinSnake(Plant):
             )
             stretches.append(self.physics.run(trace.pressure[:-1]))
             traces.append(trace.at(slice(1, None)))
-        return Trace.joined(traces), Stretch.joined(stretches)
+        return joined(traces), joined(stretches)
 
     def _history(self, times: np.ndarray, trace: Trace, stretch: Stretch, steps: int) -> SnakeState:
         """Return what was to be seen at these times, each at the end of so many steps."""

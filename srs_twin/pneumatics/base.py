@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -50,13 +49,6 @@ class Trace:
     def at(self, rows: np.ndarray | slice) -> Trace:
         """Return some of the times."""
         return Trace(*(getattr(self, each.name)[rows] for each in fields(Trace)))
-
-    @staticmethod
-    def joined(parts: Sequence[Trace]) -> Trace:
-        """Return several traces, one after the other, as one."""
-        return Trace(
-            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Trace))
-        )
 
 
 class Pneumatics(ABC):
