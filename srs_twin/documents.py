@@ -104,7 +104,8 @@ class Document:
             InputFileError: there is at least one problem.
         """
         lines = list(foreign)
-        for (line, column), message in sorted(self.problems, key=itemgetter(0)):
+        # Of a value that may be one of several things, each of them says the same.
+        for (line, column), message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
             lines.append(f"{self.name}:{line}:{column}: {message}" if line else f"{self.name}: {message}")
         if lines:
             raise InputFileError(lines)

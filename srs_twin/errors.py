@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import difflib
 import math
+import signal
+import traceback
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 
@@ -82,11 +85,50 @@ class DivergedError(SrsError):
         self.trajectory: Any = None
 
 
+class TaskFailedError(SrsError):
+    """A task in a worker process raised what nobody foresaw. Exit code 4."""
+
+    def __init__(self, error: BaseException) -> None:
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        said = " ".join(str(error).split())
+        super().__init__(
+            f"internal error: {type(error).__name__}: {said}{where}. "
+            "This is a fault of srs-twin, not of your files: please report it as CONTRIBUTING.md says"
+        )
+
+
+class WorkerDiedError(SrsError):
+    """A worker process ended in the middle of its task, as often as it was tried. Exit code 4."""
+
+    def __init__(self, exit_code: int, attempts: int) -> None:
+        times = "" if attempts == 1 else f", {attempts} times in a row"
+        super().__init__(f"the worker process {_ending(exit_code)}{times}; {_cause(exit_code)}")
+
+
 def _restored(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str, Any]) -> SrsError:
     error = kind.__new__(kind)
     error.args = args
     error.__dict__.update(attributes)
     return error
+
+
+def _ending(exit_code: int) -> str:
+    """Return how a process ended: multiprocessing gives a signal as its negative."""
+    if exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    try:
+        return f"was killed by {signal.Signals(-exit_code).name}"
+    except ValueError:
+        return f"was killed by signal {-exit_code}"
+
+
+def _cause(exit_code: int) -> str:
+    if exit_code == -signal.SIGKILL:
+        return "the machine was out of memory (fewer workers help), or somebody ended it"
+    if exit_code < 0:
+        return "compiled code failed, or somebody ended it"
+    return "its own output above may say why"
 
 
 def _round_part(period_s: float, step_s: float) -> float:

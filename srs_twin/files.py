@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 MAX_BYTES = 64 * 1024
 """No file that a person writes is larger; what is, was not meant for us."""
 
-_FOLDERS = {"robot": "calibration/robots", "scenario": "scenarios"}
+_FOLDERS = {"robot": "calibration/robots", "scenario": "scenarios", "sweep": "scenarios/sweeps"}
 _SUFFIXES = (".yaml", ".yml")
 
 
@@ -28,7 +29,7 @@ def data_root() -> Path:
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder in which names of this kind ("robot" or "scenario") are looked up."""
+    """Return the folder in which names of this kind ("robot", "scenario" or "sweep") are looked up."""
     return data_root() / _FOLDERS[kind]
 
 
@@ -44,7 +45,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     anything else is a name, looked up in the shipped folder.
 
     Args:
-        kind: "robot" or "scenario".
+        kind: "robot", "scenario" or "sweep".
         name_or_path: as a person wrote it.
 
     Raises:
@@ -58,6 +59,11 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     if given not in names:
         raise UnknownNameError(kind, given, names)
     return shipped_folder(kind) / f"{given}.yaml"
+
+
+def results_name(path: Path) -> str:
+    """Return what the results of a file are called: its stem, fit for a folder and for a YAML key."""
+    return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
 def shown(path: Path) -> str:

@@ -36,8 +36,9 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
         schema = model.model_json_schema()
         for item in error.errors(include_url=False):
             # What is missing, and a default that does not fit what was given, are not in the data.
-            absent = item["type"] in ("missing", "value_error")
-            loc = _locate(item["loc"], data, absent=absent)
+            loc = _locate(item["loc"], data)
+            absent = _is_absent(item, schema, loc)
+            loc = (*loc, item["loc"][-1]) if absent else loc
             message = _message(item, schema, loc)
             where = prefix + loc if absent else document.visible(prefix, loc)
             document.report(where, message, at_key=item["type"] == "extra_forbidden")
@@ -73,16 +74,21 @@ def _message(item: Any, schema: Schema, loc: Loc) -> str:
     return f"must be {words}, not {_given(given)}{close}"
 
 
-def _locate(loc: Loc, data: Any, *, absent: bool) -> Loc:
-    """Drop what pydantic puts into a path that is not in the data: names of union members."""
+def _locate(loc: Loc, data: Any) -> Loc:
+    """Drop what pydantic puts into a path that is not in the data: names of union members, absent keys."""
     kept: list[str | int] = []
-    for i, part in enumerate(loc):
+    for part in loc:
         if has_child(data, part):
             data = child(data, part)
-        elif not (absent and i == len(loc) - 1):
-            continue
-        kept.append(part)
+            kept.append(part)
     return tuple(kept)
+
+
+def _is_absent(item: Any, schema: Schema, loc: Loc) -> bool:
+    """Say whether a problem is with a key that its block does not have: it is missing, or its default."""
+    last = item["loc"][-1] if item["loc"] else None
+    known = item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
+    return item["type"] == "missing" or (known and last in _keys(schema, loc))
 
 
 def _given(value: Any) -> str:
@@ -160,10 +166,11 @@ def _schemas_at(root: Schema, loc: Loc) -> Iterator[Schema]:
         step: list[Schema] = []
         for schema in found:
             for option in _options(schema, root):
-                inner = (
-                    option.get("properties", {}).get(part) if isinstance(part, str) else option.get("items")
-                )
-                step += [inner] if inner is not None else []
+                if isinstance(part, str):
+                    inner = option.get("properties", {}).get(part, option.get("additionalProperties"))
+                else:
+                    inner = option.get("items")
+                step += [inner] if isinstance(inner, Mapping) else []
         found = step
     yield from found
 

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a module imports only from its own step or from steps to its left.
 ORDER = (
-    ("errors", "compiled", "records", "threads"),
+    ("errors", "compiled", "plausible", "records", "threads", "processes"),
     ("files", "documents", "validation"),
     ("spec", "robots", "robot_file", "world"),
     ("trajectory",),
@@ -33,6 +33,7 @@ ORDER = (
     ("identification", "scenario"),
     ("viewing",),
     ("running",),
+    ("doctor",),
     ("attribution", "sweep", "envs"),
     ("reproduction",),
     ("cli",),

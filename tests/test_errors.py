@@ -11,8 +11,10 @@ from srs_twin.errors import (
     InputError,
     InputFileError,
     SrsError,
+    TaskFailedError,
     TimeStepError,
     UnknownNameError,
+    WorkerDiedError,
 )
 
 EVERY = [
@@ -21,6 +23,8 @@ EVERY = [
     TimeStepError("tick", 0.02, "time step", 0.003),
     InputFileError(["a.yaml:1:2: x: unknown key", "a.yaml:3:4: y: missing"]),
     DivergedError("twin", 0.31, "it flew", history=[1, 2]),
+    TaskFailedError(ZeroDivisionError("division by zero")),
+    WorkerDiedError(-9, 3),
 ]
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from srs_twin.documents import Document, load_yaml
 from srs_twin.errors import InputFileError, TimeStepError, whole_steps
-from srs_twin.files import find
+from srs_twin.files import find, results_name
 from srs_twin.robot_file import PA_PER_KPA, RobotFile
 from srs_twin.robots import resolve_robot
 from srs_twin.scenario.expectation import COMPARISON, Expectation
@@ -40,9 +39,7 @@ def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
         InputFileError: everything that is wrong with it, one line each.
     """
     path = find("scenario", name_or_path)
-    # The name becomes a folder: what a file name may hold and a folder or a YAML key should not is replaced.
-    name = re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
-    return _scenario(load_yaml(path), name)
+    return _scenario(load_yaml(path), results_name(path))
 
 
 def parse_scenario(data: Mapping[str, Any], *, name: str = "scenario") -> Scenario:

@@ -1,0 +1,120 @@
+"""`srs-twin sweep`: one scenario over many values of its fields."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from srs_twin.cli import INTERRUPTED
+from srs_twin.cli.counting import Counting
+from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.sweep import Summary
+    from srs_twin.sweep.engines import Engine
+    from srs_twin.sweep.task import Row
+
+SWEEPS = Path("runs/sweeps")
+_SHOWN_REASONS = 5
+
+
+def sweep(
+    given: Annotated[str, typer.Argument(metavar="SWEEP", help="A shipped sweep or a file.")],
+    out: Annotated[
+        str | None,
+        typer.Option("--out", metavar="DIR", help="Folder of the results. [default: runs/sweeps/SWEEP]"),
+    ] = None,
+    engine: Annotated[str, typer.Option("--engine", help="Who runs the points: local or ray.")] = "local",
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, max=4096, help="How many at once. [default: one a processor]"),
+    ] = None,
+    address: Annotated[
+        str | None, typer.Option("--address", help="Of a Ray cluster. [default: a Ray of this machine's own]")
+    ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what failed.")] = False,
+    changed: Annotated[
+        bool,
+        typer.Option("--changed", help="Go on in a folder of an earlier version; keep what still belongs."),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")
+    ] = False,
+) -> None:
+    """Run a scenario over grids, lists or samples of its fields; go on where an earlier start left off."""
+    chosen = _engine(engine, workers, address)
+    from srs_twin.sweep import load_sweep, open_sweep
+
+    found = load_sweep(given)
+    for warning in () if quiet else found.warnings:
+        _say(f"warning: {warning}")
+    folder = Path(out) if out else SWEEPS / found.name
+    with open_sweep(found, folder, changed=changed) as opened:
+        missing = opened.missing(retry_failed=retry_failed)
+        there = len(found.points) - len(missing)
+        if there and not quiet:
+            _say(f"{there} of {len(found.points)} rows are there already, {len(missing)} to do")
+        try:
+            with Counting(found.name, len(missing), quiet=quiet) as counting:
+                opened.run(chosen, missing, lambda row: counting(failed=_failed(row)))
+            summary = opened.finish()
+        except KeyboardInterrupt:
+            summary = opened.finish()
+            kept = summary.done + summary.failed
+            _say(f"interrupted; {kept} of {summary.points} rows are kept, start again to go on")
+            raise typer.Exit(INTERRUPTED) from None
+    if not quiet:
+        _show(summary)
+    if summary.exit_code:
+        _complain(summary)
+        raise typer.Exit(summary.exit_code)
+
+
+def _engine(name: str, workers: int | None, address: str | None) -> Engine:
+    from srs_twin.errors import UnknownNameError
+    from srs_twin.sweep import engines
+
+    if name not in engines.ENGINES:
+        raise UnknownNameError("engine", name, engines.ENGINES)
+    if name == "ray":
+        return engines.on_ray(address, workers)
+    if address is not None:
+        raise InputError("--address belongs to --engine ray")
+    return engines.local(workers)
+
+
+def _failed(row: Row) -> bool:
+    return row.exit_code != 0
+
+
+def _show(summary: Summary) -> None:
+    """Print what the results span, and where they are."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("metric", "least", "median", "most"):
+        table.add_column(heading, justify="left" if heading == "metric" else "right", no_wrap=True)
+    for name, (least, median, most) in summary.spans.items():
+        table.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
+    if summary.spans:
+        Console(file=sys.stdout, highlight=False).print(table)
+    print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
+    print(f"results sha256 {summary.sha256}")
+    _say(f"files in {summary.folder}: {', '.join(summary.files)}")
+
+
+def _complain(summary: Summary) -> None:
+    """Say why runs failed, the most frequent reasons first."""
+    for reason, count in list(summary.reasons.items())[:_SHOWN_REASONS]:
+        _say(f"{count} failed: {reason}")
+    if len(summary.reasons) > _SHOWN_REASONS:
+        _say(f"and for {len(summary.reasons) - _SHOWN_REASONS} other reasons: see results.parquet")
+
+
+def _say(text: Any) -> None:
+    print(text, file=sys.stderr, flush=True)

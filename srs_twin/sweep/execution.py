@@ -1,0 +1,222 @@
+"""Running a sweep: what is missing is run, every row is kept at once, at the end they become one table."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from srs_twin.documents import dump_yaml
+from srs_twin.errors import InputError, SrsError
+from srs_twin.files import atomic_write, shown
+from srs_twin.processes import Done
+from srs_twin.running import open_folder
+from srs_twin.sweep.engines import Engine
+from srs_twin.sweep.points import Point, Sweep
+from srs_twin.sweep.results import RESULTS, digest, spans, table, write
+from srs_twin.sweep.store import RowStore
+from srs_twin.sweep.task import DONE, FAILED, Row
+
+SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
+TRAJECTORIES, PLOTS = "trajectories", "plots"
+
+Progress = Callable[[Row], None]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What stands in a sweep's folder.
+
+    Attributes:
+        folder: where.
+        points: how many runs the sweep has.
+        done: how many succeeded.
+        reasons: why the others failed → how many of them.
+        exit_code: the highest of the failed runs; 0 where none failed.
+        sha256: of the results, see `results.digest`.
+        spans: speed, yaw rate and amplitude of each plant → least, median and most.
+        files: what was written, by name.
+    """
+
+    folder: Path
+    points: int
+    done: int
+    reasons: Mapping[str, int]
+    exit_code: int
+    sha256: str
+    spans: Mapping[str, tuple[float, float, float]]
+    files: tuple[str, ...]
+
+    @property
+    def failed(self) -> int:
+        """How many runs failed."""
+        return sum(self.reasons.values())
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is a row for every point."""
+        return self.done + self.failed == self.points
+
+
+def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> OpenSweep:
+    """Lock a folder for a sweep and see what is there.
+
+    Args:
+        sweep: what is to be run.
+        folder: for rows and results; made where it is missing.
+        changed: go on although the folder belongs to another version of the sweep; rows that both have stay.
+
+    Raises:
+        InputError: the folder cannot be written, is locked, or belongs to another version of the sweep.
+    """
+    open_folder(folder)
+    store = RowStore(folder)
+    try:
+        return OpenSweep(sweep, folder, store, changed=changed)
+    except BaseException:
+        store.__exit__(None, None, None)
+        raise
+
+
+class OpenSweep:
+    """A sweep whose folder is locked; a context manager that unlocks it."""
+
+    def __init__(self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool) -> None:
+        self.sweep, self.folder, self._store = sweep, folder, store
+        self._settle(changed=changed)
+
+    def __enter__(self) -> OpenSweep:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._store.__exit__(kind, error, trace)
+
+    def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
+        """Return the points without a row, or (asked for) with one that failed."""
+        there = self._store.keys(failed=not retry_failed)
+        return tuple(point for point in self.sweep.points if point.key not in there)
+
+    def run(self, engine: Engine, points: tuple[Point, ...], progress: Progress | None = None) -> None:
+        """Run points and keep each row as it finishes.
+
+        An interrupt ends the workers; rows that are finished stay.
+
+        Args:
+            engine: who runs them.
+            points: some of the sweep's.
+            progress: called with every row.
+
+        Raises:
+            InputError: a row cannot be kept.
+        """
+        with closing(engine(self.sweep.experiment, points)) as finished:  # type: ignore[type-var]
+            for done in finished:
+                row = _row(points[done.number], done)
+                # The row is what says that a point is done: its files come first.
+                for plant, content in row.files.items():
+                    with atomic_write(self.folder / TRAJECTORIES / f"{row.key}.{plant}.parquet") as part:
+                        part.write_bytes(content)
+                self._store.add(row)
+                if progress is not None:
+                    progress(row)
+
+    def finish(self) -> Summary:
+        """Write the table and the pictures of the rows there are, sweep.json last.
+
+        Raises:
+            InputError: a file cannot be written.
+        """
+        rows = list(self._store.rows())
+        found = table(self.sweep, rows)
+        write(self.folder / RESULTS, found)
+        pictures = self._draw(found)
+        for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
+            with atomic_write(self.folder / name) as part:
+                part.write_text(dump_yaml(document), "utf-8")
+        failed = [row for row in rows if row.status == FAILED]
+        summary = Summary(
+            folder=self.folder,
+            points=len(self.sweep.points),
+            done=len(rows) - len(failed),
+            reasons=dict(Counter(row.reason or "" for row in failed).most_common()),
+            exit_code=max((row.exit_code for row in failed), default=0),
+            sha256=digest(rows),
+            spans=spans(found),
+            files=(RESULTS, *pictures, SWEEP, SCENARIO, SUMMARY),
+        )
+        with atomic_write(self.folder / SUMMARY) as part:
+            part.write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
+        return summary
+
+    def _draw(self, found: Any) -> tuple[str, ...]:
+        return ()
+
+    def _about(self, summary: Summary) -> dict[str, Any]:
+        return {
+            "sweep": self.sweep.name,
+            "title": self.sweep.title,
+            "points": summary.points,
+            "done": summary.done,
+            "failed": summary.failed,
+            "reasons": dict(summary.reasons),
+            "results_sha256": summary.sha256,
+            "plants": list(self.sweep.experiment.plants),
+            "fields": list(self.sweep.fields),
+            "versions": dict(self.sweep.versions),
+        }
+
+    def _settle(self, *, changed: bool) -> None:
+        """Refuse a folder that belongs to another version of the sweep, unless told; note whose it is."""
+        now = {
+            "keys": digest([Row(point.key, DONE) for point in self.sweep.points]),
+            "scenario": self.sweep.experiment.base,
+            "fields": self.sweep.fields,
+            "versions": self.sweep.versions,
+        }
+        now = json.loads(json.dumps(now))
+        before = self._store.about("sweep")
+        if before is not None and before.get("keys") != now["keys"]:
+            if not changed:
+                raise InputError(
+                    f"{shown(self.folder)}: its rows are of another version of this sweep "
+                    f"({_difference(before, now)}); give --changed to keep the rows that still belong and "
+                    f"run the others, or another --out"
+                )
+            self._store.keep(point.key for point in self.sweep.points)
+        if before != now:
+            self._store.tell("sweep", now)
+
+
+def _row(point: Point, done: Done[Row]) -> Row:
+    if done.result is not None:
+        return done.result
+    code = done.error.exit_code if isinstance(done.error, SrsError) else SrsError.exit_code
+    return Row(point.key, FAILED, reason=" ".join(str(done.error).split()), exit_code=code)
+
+
+def _difference(before: Any, now: Any) -> str:
+    """Say in a few words how two versions of a sweep differ."""
+    if before.get("versions") != now["versions"]:
+        old, new = before.get("versions", {}), now["versions"]
+        changed = [f"{name} {old.get(name)} → {new[name]}" for name in new if old.get(name) != new[name]]
+        return f"made with other versions: {', '.join(changed)}"
+    if before.get("fields") != now["fields"]:
+        return f"it varied {', '.join(before.get('fields', ()))}"
+    changed = list(_changes(before.get("scenario", {}), now["scenario"], ""))
+    return f"the scenario has changed: {'; '.join(changed[:3])}" if changed else "the values have changed"
+
+
+def _changes(before: Any, now: Any, where: str) -> Any:
+    """Yield 'field old → new' for every plain value that differs."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in dict.fromkeys((*before, *now)):
+            yield from _changes(before.get(key), now.get(key), f"{where}.{key}" if where else key)
+    elif before != now:
+        yield f"{where} {json.dumps(before)} → {json.dumps(now)}"

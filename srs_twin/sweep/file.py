@@ -1,0 +1,133 @@
+"""The sweep file as a strict model."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from srs_twin.scenario.file import quantity, section
+from srs_twin.validation import Strict
+
+MAX_FIELDS = 16
+MAX_POINTS = 1_000_000
+
+Plain = bool | int | float | Annotated[str, Field(max_length=200)]
+Values = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
+FieldName = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class RangeFile(Strict):
+    """Values from one end to the other, both included."""
+
+    start: float = Field(alias="from", ge=-1e12, le=1e12, title="From", description="First value.")
+    stop: float = Field(alias="to", ge=-1e12, le=1e12, title="To", description="Last value.")
+    count: int | None = quantity("How many values (grid, list)", "", 2, 10_000, None)
+    scale: Literal["linear", "log"] = section("How values are spaced; log: by equal ratios.", "linear")
+
+    @model_validator(mode="after")
+    def _ascending(self) -> RangeFile:
+        if not self.start < self.stop:
+            raise ValueError(
+                f"from comes first and is the lower one, but {self.start:g} is not below {self.stop:g}"
+            )
+        if self.scale == "log" and self.start <= 0:
+            raise ValueError(f"scale: log needs values above 0, but from is {self.start:g}")
+        return self
+
+
+def _values_or_range(value: Any) -> str:
+    return "range" if isinstance(value, dict | RangeFile) else "values"
+
+
+Varied = Annotated[
+    Annotated[Values, Tag("values")] | Annotated[RangeFile, Tag("range")], Discriminator(_values_or_range)
+]
+
+
+class SamplingFile(Strict):
+    """How the values of several fields are put together."""
+
+    kind: Literal["grid", "list", "latin_hypercube", "sobol"] = section(
+        "grid: every value with every other; list: first with first, second with second; latin_hypercube and "
+        "sobol: so many points spread over the ranges.",
+        "grid",
+    )
+    count: int | None = quantity("Points (latin_hypercube; sobol: a power of 2)", "", 1, MAX_POINTS, None)
+    seed: int | None = quantity(
+        "Seed of the points (latin_hypercube, sobol; default 0)", "", 0, 2**32 - 1, None
+    )
+
+    @model_validator(mode="after")
+    def _what_belongs_together(self) -> SamplingFile:
+        drawn = self.kind in ("latin_hypercube", "sobol")
+        if drawn and self.count is None:
+            raise ValueError(f"{self.kind} needs a count")
+        for name in ("count", "seed"):
+            if not drawn and getattr(self, name) is not None:
+                raise ValueError(f"{name} belongs to latin_hypercube and sobol, not to {self.kind}")
+        if self.kind == "sobol" and self.count is not None and self.count & (self.count - 1):
+            below = 1 << (self.count.bit_length() - 1)
+            raise ValueError(
+                f"sobol points are balanced in powers of 2 only: {below} or {2 * below}, not {self.count}"
+            )
+        return self
+
+
+class PlotFile(Strict):
+    """A picture of the results."""
+
+    kind: Literal["contour", "line", "scatter"] = section("Which kind.")
+    x: FieldName = section("Varied field, or metric (scatter), along x.")
+    y: FieldName | None = section("Varied field along y (contour).", None)
+    metric: FieldName = section("Metric that is drawn, of each plant or of the comparison.")
+    by: FieldName | None = section("Varied field that tells lines or colours apart (line, scatter).", None)
+
+    @model_validator(mode="after")
+    def _what_belongs_together(self) -> PlotFile:
+        if self.kind == "contour" and self.y is None:
+            raise ValueError("a contour needs y")
+        if self.kind != "contour" and self.y is not None:
+            raise ValueError(f"y belongs to contour, not to {self.kind}; metric is what stands upright there")
+        if self.kind == "contour" and self.by is not None:
+            raise ValueError("by belongs to line and scatter, not to contour")
+        return self
+
+
+class SweepFile(Strict):
+    """One scenario over many values of its fields."""
+
+    title: str | None = Field(
+        None,
+        title="Title",
+        min_length=1,
+        max_length=200,
+        description="One line for people (default: the name).",
+    )
+    scenario: str = Field(
+        title="Scenario", min_length=1, max_length=4096, description="A shipped name or the path of a file."
+    )
+    plants: Annotated[list[Literal["analytical", "twin"]], Field(min_length=1, max_length=2)] | None = (
+        section("Which plants run (default: those that the scenario names).", None)
+    )
+    periods: float | None = quantity(
+        "Simulated time in gait periods, instead of duration_s, rounded up to whole ticks",
+        "",
+        3.0,
+        1000.0,
+        None,
+    )
+    fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = section(
+        "Fields of the scenario that are otherwise than in its file.", {}
+    )
+    vary: Annotated[dict[FieldName, Varied], Field(min_length=1, max_length=MAX_FIELDS)] = (
+        section(
+            "Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."
+        )
+    )
+    sampling: SamplingFile = section("How the values are put together.", SamplingFile())
+    metrics: Annotated[list[FieldName], Field(min_length=1, max_length=64)] | None = section(
+        "Which metrics become columns (default: all).", None
+    )
+    trajectories: bool = section("Whether every trajectory is kept as well.", False)
+    plots: Annotated[list[PlotFile], Field(max_length=32)] = section("Pictures.", [])

@@ -1,0 +1,217 @@
+"""From a sweep file to a Sweep, with everything that is wrong reported at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.documents import Document, load_yaml
+from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
+from srs_twin.files import find, results_name
+from srs_twin.robots import load_robot_file
+from srs_twin.running import versions
+from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.file import PLANTS
+from srs_twin.sweep.file import RangeFile, SweepFile
+from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts
+from srs_twin.sweep.samples import sample
+from srs_twin.validation import validate
+
+_NOT_VARIED = ("name", "title", "expect")
+
+
+def load_sweep(name_or_path: str | os.PathLike[str]) -> Sweep:
+    """Load a sweep: a shipped name (fig31) or the path of a sweep file.
+
+    Raises:
+        InputError: not found or not readable.
+        InputFileError: everything that is wrong with it, one line each.
+    """
+    path = find("sweep", name_or_path)
+    document, name = load_yaml(path), results_name(path)
+    file = validate(SweepFile, document, document.data)
+    scenario, foreign = _scenario(document)
+    sweep = None
+    if file is not None and scenario is not None:
+        sweep = _Loading(document, file, scenario).sweep(name)
+    document.finish(foreign)
+    assert sweep is not None, "no problem was reported"
+    return sweep
+
+
+def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
+    """Return the scenario, and what is wrong with its own file."""
+    given = document.get("scenario")
+    if not isinstance(given, str):
+        return None, ()
+    try:
+        return load_scenario(given), ()
+    except InputFileError as error:
+        return None, error.lines
+    except InputError as error:
+        document.report(("scenario",), str(error))
+        return None, ()
+
+
+class _Loading:
+    """Checks a sweep against its scenario and puts it together."""
+
+    def __init__(self, document: Document, file: SweepFile, scenario: Scenario) -> None:
+        self._document, self._file = document, file
+        self._plants = tuple(p for p in PLANTS if p in (file.plants or scenario.plants))
+        self._scenario = dict(scenario.document)
+        settings = self._scenario["plants"]
+        self._scenario["plants"] = {plant: settings.get(plant, {}) for plant in self._plants}
+        self._warnings = scenario.warnings
+
+    def sweep(self, name: str) -> Sweep | None:
+        """Return the sweep, or None after reporting what is wrong with it."""
+        file, before = self._file, len(self._document.problems)
+        self._check_names()
+        self._check_metrics()
+        values, robots = self._sampled(), self._robots()
+        if values is None or len(self._document.problems) > before:
+            return None
+        experiment = Experiment(self._scenario, self._plants, file.periods, robots, file.trajectories)
+        base = self._scenario
+        for field, value in file.fixed.items():
+            base = experiment.with_change(base, field, value)
+        sweep = Sweep(
+            name=name,
+            title=file.title or name,
+            experiment=replace(experiment, base=base),
+            fields=tuple(file.vary),
+            values=tuple(values),
+            metrics=None if file.metrics is None else tuple(file.metrics),
+            plots=tuple(file.plots),
+            versions=versions(),
+            document=self._document.data,
+            warnings=self._warnings,
+        )
+        self._check_values(sweep)
+        return None if len(self._document.problems) > before else sweep
+
+    def _check_names(self) -> None:
+        for section in ("fixed", "vary"):
+            for field in getattr(self._file, section):
+                if field.partition(".")[0] in _NOT_VARIED:
+                    self._report(
+                        section, field, "says how results are named or judged, not what is simulated"
+                    )
+                elif field == "duration_s" and self._file.periods is not None:
+                    self._report(section, field, "periods says how long a run is; take one of them out")
+                elif section == "vary" and field in self._file.fixed:
+                    self._report(section, field, "is fixed as well; take one of them out")
+                path = parts(field)
+                if (
+                    path[:1] == ("plants",)
+                    and len(path) > 1
+                    and path[1] in PLANTS
+                    and path[1] not in self._plants
+                ):
+                    self._report(section, field, f"{path[1]} does not run here; add it to plants")
+
+    def _check_metrics(self) -> None:
+        known = [*METRIC_UNITS, *LIST_METRIC_UNITS, *(COMPARISON_UNITS if len(self._plants) == 2 else ())]
+        for i, metric in enumerate(self._file.metrics or ()):
+            self._check_metric(("metrics", i), metric, known)
+        for i, plot in enumerate(self._file.plots):
+            drawn = known if self._file.metrics is None else list(self._file.metrics)
+            self._check_metric(("plots", i, "metric"), plot.metric, drawn)
+            for key in ("x", "y", "by"):
+                field = getattr(plot, key)
+                if field is None or field in self._file.vary or (plot.kind == "scatter" and field in drawn):
+                    continue
+                hint = did_you_mean(field, self._file.vary)
+                fields = ", ".join(self._file.vary)
+                self._document.report(
+                    ("plots", i, key), f"'{field}' is not varied{hint or f'; varied: {fields}'}"
+                )
+
+    def _check_metric(self, loc: tuple[str | int, ...], metric: str, known: list[str]) -> None:
+        if metric in known:
+            return
+        if metric in COMPARISON_UNITS and len(self._plants) < 2:
+            self._document.report(loc, f"{metric} compares both plants; only {self._plants[0]} runs here")
+        else:
+            self._document.report(loc, str(UnknownNameError("metric", metric, known)))
+
+    def _sampled(self) -> list[tuple[Value, ...]] | None:
+        try:
+            return sample(self._file.vary, self._file.sampling)
+        except InputError as error:
+            self._document.report(("vary",), str(error))
+            return None
+
+    def _robots(self) -> dict[str, Any]:
+        """Return the robots that are named, so that the key of a point knows what is in their files."""
+        found = {}
+        values = self._file.vary.get("robot", ())
+        varied = () if isinstance(values, RangeFile) else values
+        for section, name in (
+            ("fixed", self._file.fixed.get("robot")),
+            *(("vary", value) for value in varied),
+        ):
+            if not isinstance(name, str):
+                continue
+            try:
+                found[name] = load_robot_file(name).model_dump(mode="json")
+            except InputError as error:
+                self._report(section, "robot", str(error))
+        return found
+
+    def _check_values(self, sweep: Sweep) -> None:
+        """Let the scenario's own checks see fixed values, and varied ones each beside the others' first."""
+        first = dict(zip(sweep.fields, sweep.values[0], strict=True))
+        seen: set[str] = set()
+        for loc, changes in self._probes(sweep, first):
+            for text in self._problems(changes, sweep):
+                # What is wrong with every point is said once, where it was written.
+                if text not in seen:
+                    seen.add(text)
+                    self._blame(loc, text)
+
+    def _probes(
+        self, sweep: Sweep, first: Mapping[str, Value]
+    ) -> Iterator[tuple[tuple[str | int, ...], Mapping[str, Value]]]:
+        """Yield where values stand and the changes of a point that has them."""
+        if self._file.sampling.kind == "list":
+            for row in sweep.values:
+                yield ("vary",), dict(zip(sweep.fields, row, strict=True))
+            return
+        yield ("vary",), first
+        for j, (field, given) in enumerate(self._file.vary.items()):
+            if isinstance(given, RangeFile):
+                column = [row[j] for row in sweep.values if not isinstance(row[j], str)]
+                ends = {"from": min(column), "to": max(column)}
+                for end, value in ends.items():
+                    yield ("vary", field, end), {**first, field: value}
+            else:
+                for i, value in enumerate(given):
+                    yield ("vary", field, i), {**first, field: value}
+
+    def _problems(self, changes: Mapping[str, Value], sweep: Sweep) -> list[str]:
+        try:
+            parse_scenario(sweep.experiment.document(changes), name="")
+        except InputFileError as error:
+            return [line.removeprefix(": ") for line in error.lines]
+        return []
+
+    def _blame(self, loc: tuple[str | int, ...], text: str) -> None:
+        """Report a problem of a point where its field stands in the file."""
+        place, _, message = text.partition(": ")
+        for section in ("vary", "fixed"):
+            for field in getattr(self._file, section):
+                if place == field or place.startswith((f"{field}.", f"{field}[")):
+                    where = loc if loc[:2] == (section, field) else (section, field)
+                    unknown = message.startswith("unknown key")
+                    hint = did_you_mean(field, leaves(self._scenario)) if "; known here" in message else ""
+                    self._document.report(where, message + hint, at_key=unknown)
+                    return
+        self._document.report(loc[:2], text)
+
+    def _report(self, section: str, field: str, message: str) -> None:
+        self._document.report((section, field), message, at_key=True)

@@ -1,0 +1,157 @@
+"""Sweep and its points: documents of scenarios that differ in some fields, and the key of each."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from srs_twin.documents import Loc
+
+if TYPE_CHECKING:
+    from srs_twin.sweep.file import PlotFile
+
+Value = bool | int | float | str
+Changes = Mapping[str, Value]
+
+# What says how results are named or judged, not what is simulated.
+_NOT_PHYSICS = ("name", "title", "expect")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run of a sweep.
+
+    Attributes:
+        key: SHA-256 of everything that decides the results, hex.
+        changes: dotted field → value.
+    """
+
+    key: str
+    changes: Changes
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What all points of a sweep have in common; small enough to go to every worker.
+
+    Attributes:
+        base: plain data of the scenario, defaults and robot written out, `fixed` fields set.
+        plants: which plants run.
+        periods: simulated time in gait periods; None: the scenario's duration_s.
+        robots: name → plain data of each robot that the field `robot` takes.
+        trajectories: whether they are kept.
+    """
+
+    base: Mapping[str, Any] = field(repr=False)
+    plants: tuple[str, ...]
+    periods: float | None = None
+    robots: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    trajectories: bool = False
+
+    def document(self, changes: Changes) -> dict[str, Any]:
+        """Return plain data of the scenario with these changes, as `parse_scenario` takes them."""
+        document: dict[str, Any] = {k: v for k, v in self.base.items() if k != "expect"}
+        for name, value in changes.items():
+            document = self.with_change(document, name, value)
+        if self.periods is not None:
+            document["duration_s"] = _duration(document, self.plants, self.periods)
+        return document
+
+    def with_change(self, document: Any, name: str, value: Value) -> Any:
+        """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
+        whole = self.robots.get(str(value), value) if name == "robot" else value
+        return changed(document, parts(name), whole)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One scenario over many values of its fields.
+
+    Attributes:
+        name: of the folder of results.
+        title: one line for people.
+        experiment: what all points have in common.
+        fields: the varied fields, dotted, in the order of the file.
+        values: a value for each field, a row a point.
+        metrics: which become columns; None: all.
+        plots: pictures of the results.
+        versions: package → version: those that decide the numbers.
+        document: plain data of the sweep file.
+        warnings: what a person should know before believing the results.
+    """
+
+    name: str
+    title: str
+    experiment: Experiment
+    fields: tuple[str, ...]
+    values: tuple[tuple[Value, ...], ...] = field(repr=False)
+    metrics: tuple[str, ...] | None
+    plots: tuple[PlotFile, ...]
+    versions: Mapping[str, str]
+    document: Mapping[str, Any] = field(repr=False)
+    warnings: tuple[str, ...] = ()
+
+    @cached_property
+    def points(self) -> tuple[Point, ...]:
+        """The runs, each once, in the order of the file."""
+        found: dict[str, Point] = {}
+        for row in self.values:
+            changes = dict(zip(self.fields, row, strict=True))
+            key = self._key(self.experiment.document(changes))
+            found.setdefault(key, Point(key, changes))
+        return tuple(found.values())
+
+    def _key(self, document: Mapping[str, Any]) -> str:
+        what = {
+            "scenario": {k: v for k, v in document.items() if k not in _NOT_PHYSICS},
+            "plants": self.experiment.plants,
+            "versions": self.versions,
+        }
+        return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+def parts(name: str) -> Loc:
+    """Return the path that a dotted field means: ``world.obstacles[0].x_m``."""
+    return tuple(int(text) if text.isdigit() else text for text in re.split(r"[.\[\]]+", name) if text)
+
+
+def changed(data: Any, loc: Loc, value: Value) -> Any:
+    """Return plain data with one value replaced; what is on the way is copied, the rest shared.
+
+    A plain value in place of a robot's record changes its number: unit stays, status and source say so.
+    """
+    if not loc:
+        if isinstance(data, Mapping) and {"value", "unit"} <= data.keys() and not isinstance(value, Mapping):
+            return {**data, "value": value, "status": "estimated", "source": "varied by a sweep"}
+        return value
+    first, rest = loc[0], loc[1:]
+    if isinstance(data, list) and isinstance(first, int) and first < len(data):
+        return [*data[:first], changed(data[first], rest, value), *data[first + 1 :]]
+    inner = data if isinstance(data, Mapping) else {}
+    return {**inner, first: changed(inner.get(first), rest, value)}
+
+
+def leaves(data: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the dotted names of all plain values in plain data; records of a robot count as one."""
+    if isinstance(data, Mapping) and not {"value", "unit"} <= data.keys():
+        for key, value in data.items():
+            yield from leaves(value, f"{prefix}.{key}" if prefix else str(key))
+    else:
+        yield prefix
+
+
+def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: float) -> Any:
+    """Return so many gait periods in whole ticks, s; the given duration where there is no such number."""
+    frequency = document.get("controller", {}).get("frequency_hz")
+    ticks = [document.get("plants", {}).get(plant, {}).get("tick_s", 0.02) for plant in plants]
+    numbers = [frequency, *ticks]
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) and 0 < n < math.inf for n in numbers):
+        return document.get("duration_s")
+    tick = max(ticks)
+    return round(math.ceil(periods / frequency / tick * (1 - 1e-12)) * tick, 9)

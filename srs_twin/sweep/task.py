@@ -1,0 +1,106 @@
+"""What a worker does for one point: run it, measure it, and say it in a row of plain values."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from srs_twin.comparison.compare import compare
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.errors import SrsError
+from srs_twin.rollout import rollout
+from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.file import PLANTS
+from srs_twin.sweep.points import Experiment, Point
+from srs_twin.trajectory import Trajectory
+
+DONE, FAILED = "done", "failed"
+
+# Wall times of two runs are never the same: one column has them all.
+_TIMES = ("wall_s", "realtime_factor")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one point.
+
+    Attributes:
+        key: of the point.
+        status: "done" or "failed".
+        values: ``<plant>.<metric>`` and ``comparison.<metric>`` → number, None where there is none.
+        wall_s: what it took, s.
+        reason: why it failed.
+        exit_code: what that failure means on the command line; 0 where there is none.
+        files: plant → trajectory as Parquet, for the runs that keep them.
+    """
+
+    key: str
+    status: str
+    values: Mapping[str, float | None] = field(default_factory=dict)
+    wall_s: float = 0.0
+    reason: str | None = None
+    exit_code: int = 0
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+
+
+def run_point(experiment: Experiment, point: Point) -> Row:
+    """Run the plants of a point and measure them; what a point does wrong becomes a failed row."""
+    start = time.perf_counter()
+    trajectories: dict[str, Trajectory] = {}
+    values: dict[str, float | None] = {}
+    reason, exit_code = None, 0
+    try:
+        scenario = parse_scenario(experiment.document(point.changes))
+        for plant in experiment.plants:
+            trajectories[plant] = _run(scenario, plant)
+            values |= _flat(plant, plant_metrics(trajectories[plant]))
+        if len(trajectories) == 2:
+            analytical, twin = (trajectories[plant] for plant in PLANTS)
+            values |= _flat("comparison", compare(analytical, twin, gap_factor=scenario.gap_factor).metrics)
+    except SrsError as error:
+        trajectories |= _begun(error, experiment.plants, trajectories)
+        reason, exit_code, values = " ".join(str(error).split()), error.exit_code, {}
+    files = {plant: _parquet(each) for plant, each in trajectories.items()} if experiment.trajectories else {}
+    wall = time.perf_counter() - start
+    return Row(point.key, FAILED if reason else DONE, values, wall, reason, exit_code, files)
+
+
+def _run(scenario: Scenario, plant: str) -> Trajectory:
+    return rollout(
+        scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
+        pose=scenario.pose, seed=scenario.seed, record_hz=scenario.record_hz,
+    )  # fmt: skip
+
+
+def _begun(error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajectory]) -> dict[str, Trajectory]:
+    """Return what a plant that diverged did up to there."""
+    trajectory = getattr(error, "trajectory", None)
+    plant = next((plant for plant in plants if plant not in done), None)
+    return {} if trajectory is None or plant is None else {plant: trajectory}
+
+
+def _flat(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return metrics as single numbers; elements of lists are numbered, chambers are plus and minus."""
+    found: dict[str, float | None] = {}
+    for name, value in metrics.items():
+        if name in _TIMES:
+            continue
+        if isinstance(value, list | tuple):
+            for i, each in enumerate(value, start=1):
+                both = (
+                    dict(zip(("plus", "minus"), each, strict=True)) if isinstance(each, list) else {"": each}
+                )
+                for side, number in both.items():
+                    found[f"{prefix}.{name}_{side}_{i}".replace("__", "_")] = float(number)
+        else:
+            found[f"{prefix}.{name}"] = None if value is None else float(value)
+    return found
+
+
+def _parquet(trajectory: Trajectory) -> bytes:
+    stream = io.BytesIO()
+    trajectory.to_parquet(stream)
+    return stream.getvalue()

@@ -1,0 +1,37 @@
+"""A sweep of eight short runs, and an engine that makes them in this process."""
+
+from __future__ import annotations
+
+from srs_twin.documents import parse_yaml
+from srs_twin.errors import DivergedError
+from srs_twin.processes import Done
+from srs_twin.sweep.task import run_point
+
+SMALL = """\
+scenario: gen2_straight
+plants: [analytical]
+fixed: {duration_s: 2}
+vary:
+  controller.frequency_hz: [2, 2.5]
+  supply.pressure_kpa: {from: 41, to: 55, count: 4}
+"""
+
+
+def here(experiment, points):
+    """Run points one after the other."""
+    for number, point in enumerate(points):
+        yield Done(number, run_point(experiment, point), None)
+
+
+def diverges(experiment, points):
+    """Fail every second point."""
+    for done in here(experiment, points):
+        yield Done(done.number, None, DivergedError("twin", 1.0, "boom")) if done.number % 2 else done
+
+
+def write(folder, text=SMALL, name="small.yaml"):
+    """Write a sweep file and return its path."""
+    assert parse_yaml(text, name).problems == []
+    path = folder / name
+    path.write_text(text)
+    return path

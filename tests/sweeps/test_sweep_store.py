@@ -1,0 +1,155 @@
+"""Rows on the disk: there or not, never in part; one sweep a folder; a full disk costs one row."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.errors import InputError
+from srs_twin.sweep.store import FILE, RowStore
+from srs_twin.sweep.task import DONE, FAILED, Row
+
+ROWS = [
+    Row(f"{k:064x}", DONE, {"twin.com_speed_m_s": k / 7, "twin.turning_radius_m": None}, 0.5)
+    for k in range(40)
+]
+numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    values=st.dictionaries(st.text(max_size=9), numbers, max_size=5), reason=st.none() | st.text(max_size=20)
+)
+def test_what_is_added_comes_back(tmp_path_factory, values, reason):
+    folder = tmp_path_factory.mktemp("store")
+    row = Row("ab", FAILED if reason else DONE, values, 1 / 3, reason, 3 if reason else 0)
+    with RowStore(folder) as store:
+        store.add(row)
+    with RowStore(folder) as store:
+        assert list(store.rows()) == [row]
+
+
+def test_a_row_of_the_same_key_replaces_the_other(tmp_path):
+    with RowStore(tmp_path) as store:
+        store.add(Row("a", FAILED, reason="boom", exit_code=3))
+        store.add(Row("b", DONE))
+        assert store.keys(failed=True) == {"a", "b"} and store.keys(failed=False) == {"b"}
+        store.add(Row("a", DONE, {"x": 1.0}))
+        assert [row.status for row in store.rows()] == [DONE, DONE]
+        store.keep(["a"])
+        assert store.keys(failed=True) == {"a"}
+
+
+def test_the_folder_is_locked(tmp_path):
+    with RowStore(tmp_path) as first:
+        first.add(ROWS[0])
+        with pytest.raises(InputError, match="another sweep works in this folder"):
+            RowStore(tmp_path)
+    with RowStore(tmp_path) as store:
+        assert list(store.rows()) == ROWS[:1]
+
+
+@pytest.mark.parametrize("pages", range(8, 24))
+def test_a_full_disk_leaves_the_rows_before(tmp_path, pages):
+    """The n-th page does not fit any more."""
+    added = []
+    with RowStore(tmp_path) as store:
+        store._base.execute(f"PRAGMA max_page_count={pages}")
+        with pytest.raises(
+            InputError, match=r"cannot be written \(database or disk is full\); what was finished is kept"
+        ):
+            for k in range(10_000):
+                row = Row(f"{k:064x}", DONE, {"x": float(k)}, reason="long " * 20)
+                store.add(row)
+                added.append(row)
+    assert added
+    with RowStore(tmp_path) as store:
+        assert list(store.rows()) == added
+        store.add(Row("f" * 64, DONE))
+        assert len(store.keys(failed=True)) == len(added) + 1
+
+
+@pytest.mark.parametrize("limit", range(30_000, 200_000, 17_000))
+def test_a_file_that_may_not_grow_leaves_the_rows_before(tmp_path, limit):
+    """The same by the operating system: every write beyond the limit fails."""
+    code = f"""
+import resource, sys
+from pathlib import Path
+from srs_twin.errors import InputError
+from srs_twin.sweep.store import RowStore
+from srs_twin.sweep.task import DONE, Row
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+try:
+    with RowStore(Path(".")) as store:
+        for k in range(100_000):
+            store.add(Row(f"{{k:064x}}", DONE, {{"x": float(k)}}))
+            sys.stdout.write(f"{{k}}\\n"); sys.stdout.flush()
+except InputError as error:
+    sys.exit(f"refused: {{error}}")
+"""
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 1 and run.stderr.startswith("refused: rows.sqlite: cannot be written"), (
+        run.stderr
+    )
+    kept = [int(line) for line in run.stdout.split()]
+    with RowStore(tmp_path) as store:
+        assert [int(row.key, 16) for row in store.rows()] == kept
+
+
+@pytest.mark.parametrize("count", [1, 7, 150])
+def test_kill_9_in_the_middle_of_writing(tmp_path, count):
+    code = """
+from pathlib import Path
+from srs_twin.sweep.store import RowStore
+from srs_twin.sweep.task import DONE, Row
+with RowStore(Path(".")) as store:
+    for k in range(10**9):
+        store.add(Row(f"{k:064x}", DONE, {"x": float(k)}))
+        print(k, flush=True)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+    ) as writer:
+        told = [int(writer.stdout.readline()) for _ in range(count)]
+        os.kill(writer.pid, signal.SIGKILL)
+        told += [int(line) for line in writer.stdout if line.endswith("\n")]
+    with RowStore(tmp_path) as store:
+        rows = list(store.rows())
+    # All that it said was kept, and at most the one that it had no time to tell of.
+    assert len(rows) - len(told) in (0, 1)
+    assert [(int(row.key, 16), row.values["x"]) for row in rows] == [(k, float(k)) for k in range(len(rows))]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"no rows at all", b"SQLite format 3\x00" + b"\xff" * 4000, b"SQLite format 3\x00", b"\x00" * 100],
+    ids=["text", "damaged", "cut", "zeros"],
+)
+def test_a_file_of_something_else(tmp_path, content):
+    (tmp_path / FILE).write_bytes(content)
+    with pytest.raises(InputError, match=f"{FILE}: (not the rows of a sweep|cannot be used)"):
+        RowStore(tmp_path)
+    assert (tmp_path / FILE).read_bytes() == content
+
+
+def test_rows_that_somebody_else_wrote(tmp_path):
+    with RowStore(tmp_path) as store:
+        store.add(ROWS[0])
+    base = sqlite3.connect(tmp_path / FILE)
+    base.execute("UPDATE rows SET row = '[1]'")
+    base.commit()
+    base.close()
+    with RowStore(tmp_path) as store, pytest.raises(InputError, match="not the rows of a sweep"):
+        list(store.rows())
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"rows.sqlite: cannot be used"):
+        RowStore(tmp_path / "file")

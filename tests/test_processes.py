@@ -1,0 +1,242 @@
+"""Worker processes: results as a plain loop would give them, whatever happens to the workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from multiprocessing import active_children
+from pathlib import Path
+
+import pytest
+
+from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
+from srs_twin.files import atomic_write
+from srs_twin.processes import each
+
+# Tasks: a worker imports them from here.
+PREPARED: list[str] = []
+
+
+def square(x):
+    return x * x
+
+
+def pid(_):
+    return os.getpid()
+
+
+def suicide_of(bad, how, x):
+    """Kill the worker at some arguments, with all it has; return the others' squares."""
+    if x in bad:
+        os.kill(os.getpid(), how)
+    return square(x)
+
+
+def suicide_at_first(folder, x):
+    """Kill the worker at every argument's first attempt; return the attempt and the square."""
+    with (folder / str(x)).open("a") as seen:
+        seen.write(f"{os.getpid()}\n")
+    tries = (folder / str(x)).read_text().splitlines()
+    if len(tries) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return len(tries), square(x)
+
+
+def fail(x):
+    if x == 0:
+        raise InputError("zero is not allowed")
+    if x == 1:
+        raise DivergedError("twin", 1.5, "qpos is not finite", history=[x])
+    if x == 2:
+        return lambda: "nobody can send this"
+    return 1 / (x - 3)
+
+
+def leave(x):
+    sys.exit(x)
+
+
+def prepared(_):
+    return PREPARED
+
+
+def note(word):
+    PREPARED.append(word)
+
+
+def kill_self():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuse():
+    raise InputError("no such robot")
+
+
+def write_slowly(folder, _):
+    """Stay in the middle of a file for longer than any test takes."""
+    with atomic_write(folder / "result") as part:
+        part.write_text("half")
+        (folder / "pid").write_text(str(os.getpid()))
+        time.sleep(600)
+
+
+def results(done):
+    assert [each.error for each in done] == [None] * len(done)
+    return [each.result for each in sorted(done, key=lambda each: each.number)]
+
+
+def exists(process):
+    """Whether a process runs: not gone, and no zombie that only waits to be looked at."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def wait_until(condition, seconds=30.0):
+    latest = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < latest, "waited in vain"
+        time.sleep(0.01)
+
+
+@pytest.fixture(autouse=True)
+def nothing_left_behind():
+    yield
+    assert active_children() == []
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_every_argument_once_and_its_own_result(workers):
+    arguments = list(range(50))
+    assert results(list(each(square, arguments, workers=workers))) == [x * x for x in arguments]
+
+
+def test_no_more_workers_than_tasks_and_none_for_none():
+    assert len(set(results(list(each(pid, [0, 1], workers=8))))) <= 2
+    assert list(each(pid, [], workers=8)) == []
+
+
+@pytest.mark.parametrize("given", [{"workers": 0}, {"workers": -1}, {"attempts": 0}])
+def test_fewer_than_one_is_refused_at_once(given):
+    with pytest.raises(InputError, match=r"(workers|attempts): -?\d is not allowed; it must be 1 or more"):
+        each(square, [1], **given)
+
+
+def test_a_killed_worker_costs_an_attempt_of_the_task_it_was_at(tmp_path):
+    done = results(list(each(partial(suicide_at_first, tmp_path), range(4), workers=2)))
+    # Two attempts each, no more: nobody is blamed for what a neighbour did.
+    assert done == [(2, x * x) for x in range(4)]
+
+
+@pytest.mark.parametrize(("how", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGSEGV, "SIGSEGV")])
+def test_a_task_that_kills_every_worker_fails_alone(how, words):
+    arguments = list(range(30))
+    done = {d.number: d for d in each(partial(suicide_of, {7}, how), arguments, workers=2, attempts=2)}
+    assert sorted(done) == arguments
+    assert isinstance(done[7].error, WorkerDiedError)
+    assert f"killed by {words}, 2 times in a row" in str(done[7].error)
+    del done[7]
+    assert all(d.result == n * n and d.error is None for n, d in done.items())
+
+
+def test_a_task_that_leaves_the_interpreter_counts_as_a_death():
+    (done,) = each(leave, [5], attempts=1)
+    assert isinstance(done.error, WorkerDiedError)
+    assert "ended with exit code 5; " in str(done.error)
+
+
+def test_what_tasks_raise_comes_back_and_the_others_go_on():
+    done = {d.number: d for d in each(fail, range(6), workers=1)}
+    assert [d.result for d in done.values()] == [None, None, None, None, 1.0, 0.5]
+    assert isinstance(done[0].error, InputError)
+    assert str(done[0].error) == "zero is not allowed"
+    diverged = done[1].error
+    assert isinstance(diverged, DivergedError)
+    assert (diverged.time, diverged.history, diverged.exit_code) == (1.5, [1], 3)
+    assert isinstance(done[2].error, TaskFailedError)
+    assert "pickle" in str(done[2].error)
+    assert isinstance(done[3].error, TaskFailedError)
+    assert "ZeroDivisionError: division by zero (test_processes.py:" in str(done[3].error)
+    assert "return 1 / (x - 3)" in "".join(done[3].error.__notes__)
+
+
+def test_prepare_runs_once_in_every_worker():
+    assert results(list(each(prepared, range(3), workers=1, prepare=partial(note, "x")))) == [["x"]] * 3
+
+
+@pytest.mark.parametrize(
+    ("prepare", "kind", "words"),
+    [(refuse, InputError, "^no such robot"), (kill_self, WorkerDiedError, "SIGKILL, 2 times in a row")],
+)
+def test_what_stops_every_worker_stops_the_whole(prepare, kind, words):
+    with pytest.raises(kind, match=words):
+        list(each(square, [1, 2], workers=2, attempts=2, prepare=prepare))
+
+
+PARENT = """
+import sys
+from functools import partial
+from pathlib import Path
+from test_processes import write_slowly
+from srs_twin.processes import each
+
+if __name__ == "__main__":
+    list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
+"""
+
+
+@pytest.fixture
+def parent(tmp_path):
+    """A process whose worker is in the middle of writing a file: (it, folder, the worker's id)."""
+    script, folder = tmp_path / "parent.py", tmp_path / "results"
+    folder.mkdir()
+    script.write_text(PARENT)
+    paths = {"PYTHONPATH": str(Path(__file__).parent)}
+    with subprocess.Popen(
+        [sys.executable, str(script), str(folder)],
+        env={**os.environ, **paths},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        wait_until(lambda: (folder / "pid").exists() and (folder / "pid").read_text())
+        yield process, folder, int((folder / "pid").read_text())
+        process.kill()
+
+
+def test_ctrl_c_is_the_parents_and_the_workers_clean_up(parent):
+    process, folder, worker = parent
+    # As the terminal does it: to the worker, too.
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.stderr.read()
+    assert process.wait(timeout=30) == -signal.SIGINT
+    assert said.count("Traceback") == 1
+    assert not exists(worker)
+    assert [path.name for path in folder.iterdir()] == ["pid"]
+
+
+def test_workers_do_not_outlive_a_parent_that_was_killed(parent):
+    process, folder, worker = parent
+    process.kill()
+    process.wait()
+    wait_until(lambda: not exists(worker))
+    assert [path.name for path in folder.iterdir()] == ["pid"]
+
+
+def test_closing_ends_the_workers():
+    done = each(square, range(1000), workers=2)
+    next(done)
+    assert len(active_children()) == 2
+    done.close()
+    assert active_children() == []
+
+
+def test_errors_are_of_one_family():
+    assert issubclass(WorkerDiedError, SrsError)
+    assert issubclass(TaskFailedError, SrsError)
+    assert (WorkerDiedError.exit_code, TaskFailedError.exit_code) == (4, 4)
