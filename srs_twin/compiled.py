@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,11 +28,15 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return kernel
 
 
-def _stamp() -> tuple[tuple[str, int, int], ...]:
-    """Return name, time of change and size of all sources that kernels are made of."""
-    root = Path(__file__).parent
-    sources = sorted(path for name in _INLINED for path in _python(root / name))
-    return tuple((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in sources)
+def _stamp() -> str:
+    """Return what changes with the contents of any source that kernels are made of.
+
+    Contents, not times: a fresh checkout of the same sources may use what an earlier one compiled.
+    """
+    root, total = Path(__file__).parent, hashlib.sha256()
+    for path in sorted(path for name in _INLINED for path in _python(root / name)):
+        total.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return total.hexdigest()
 
 
 def _python(path: Path) -> list[Path]:

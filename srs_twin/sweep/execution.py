@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import dump_yaml
 from srs_twin.errors import InputError, SrsError
@@ -21,6 +21,9 @@ from srs_twin.sweep.points import Point, Sweep
 from srs_twin.sweep.results import RESULTS, digest, spans, table, write
 from srs_twin.sweep.store import RowStore
 from srs_twin.sweep.task import DONE, FAILED, Row
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
 TRAJECTORIES, PLOTS = "trajectories", "plots"
@@ -155,8 +158,18 @@ class OpenSweep:
             part.write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
         return summary
 
-    def _draw(self, found: Any) -> tuple[str, ...]:
-        return ()
+    def _draw(self, found: pa.Table) -> tuple[str, ...]:
+        """Write the pictures; return their names."""
+        if not self.sweep.plots:
+            return ()
+        # matplotlib takes longer to import than a sweep without pictures has to wait.
+        from srs_twin.viewing.sweep_plots import PlotRequest, draw, save
+
+        names = []
+        for number, plot in enumerate(self.sweep.plots, start=1):
+            names.append(f"{PLOTS}/{number}_{plot.kind}_{plot.metric}.png")
+            save(draw(PlotRequest(**plot.model_dump()), found), self.folder / names[-1])
+        return tuple(names)
 
     def _about(self, summary: Summary) -> dict[str, Any]:
         return {

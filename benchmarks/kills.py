@@ -1,0 +1,183 @@
+"""A sweep that is killed at random, again and again: is what it leaves that of an undisturbed one?
+
+    uv run python benchmarks/kills.py [--kills 200] [--runs 400] [--seed 0]
+
+Kills the sweep itself or one of its workers by SIGKILL, at random times after its start or its latest row;
+starts it again until it is done, as often as needed. The rows must be those of a sweep that nobody disturbed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+SWEEP = """\
+scenario: gen2_straight
+plants: [analytical]
+fixed: {{duration_s: {duration}}}
+vary:
+  controller.frequency_hz: {{from: 1, to: 2, count: {runs}}}
+"""
+
+
+COMMAND = Path(sys.executable).with_name("srs-twin")
+
+
+@dataclass
+class Kills:
+    """What was killed.
+
+    Attributes:
+        victims: "sweep" or "worker" → how often.
+        starts: how often the sweep was started.
+        rows: rows that were there after each kill.
+    """
+
+    victims: Counter[str] = field(default_factory=Counter)
+    starts: int = 0
+    rows: list[int] = field(default_factory=list)
+
+
+def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: float) -> Kills:
+    """Run a sweep to its end; kill it or a worker that many times on the way.
+
+    Args:
+        sweep: the file.
+        out: the folder of its results.
+        kills: how many.
+        rng: decides when and whom.
+        longest: the longest time to the next kill, s: from a start or the death of a worker, or (seven times
+            of ten) from the first row after that.
+
+    Raises:
+        RuntimeError: the sweep failed by itself, or was done before all the kills.
+    """
+    found = Kills()
+    while True:
+        process = start(sweep, out)
+        found.starts += 1
+        while sum(found.victims.values()) < kills:
+            if rng.random() < 0.7:
+                _wait_for_a_row(process, out)
+            if _ended(process, rng.uniform(0, longest)):
+                raise RuntimeError(f"done after {sum(found.victims.values())} kills only: take more runs")
+            workers = children(process.pid)
+            worker = rng.choice(workers) if workers and rng.random() < 0.5 else None
+            os.kill(worker or process.pid, signal.SIGKILL)
+            found.victims["worker" if worker else "sweep"] += 1
+            if worker is None:
+                break
+        code = process.wait()
+        found.rows.append(rows(out))
+        if code == 0:
+            return found
+        if code != -signal.SIGKILL:
+            raise RuntimeError(
+                f"the sweep ended with {code}: {process.stderr.read() if process.stderr else ''}"
+            )
+
+
+def start(sweep: Path, out: Path) -> subprocess.Popen[str]:
+    """Start a sweep of two workers."""
+    words = [str(COMMAND), "sweep", str(sweep), "--out", str(out), "--workers", "2", "-q"]
+    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+
+
+def children(pid: int) -> list[int]:
+    """Return the worker processes of a sweep."""
+    try:
+        own = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return [int(each) for each in own if b"spawn_main" in Path(f"/proc/{each}/cmdline").read_bytes()]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+
+
+def rows(out: Path) -> int:
+    """Return how many rows a folder has, seen from outside."""
+    from srs_twin.sweep.store import FILE, RowStore
+
+    if not (out / FILE).exists():
+        return 0
+    for _ in range(100):
+        try:
+            with RowStore(out) as store:
+                return len(store.keys(failed=True))
+        except Exception:
+            time.sleep(0.05)  # a killed process takes a moment to let go
+    raise RuntimeError("the folder stays locked")
+
+
+def digest(out: Path) -> tuple[int, str]:
+    """Return how many runs a finished sweep has done, and the digest of its results."""
+    about = json.loads((out / "sweep.json").read_text())
+    return about["done"], about["results_sha256"]
+
+
+def pages(log: Path) -> int:
+    """Return how many pages a running sweep has written to the log of its rows."""
+    try:
+        return log.stat().st_size // 4096
+    except FileNotFoundError:
+        return 0
+
+
+def _wait_for_a_row(process: subprocess.Popen[str], out: Path) -> None:
+    """Wait until a sweep writes a row or ends."""
+    log = out / "rows.sqlite-wal"
+    before = pages(log)
+    while process.poll() is None and pages(log) == before:
+        time.sleep(0.01)
+
+
+def _ended(process: subprocess.Popen[str], within: float) -> bool:
+    try:
+        process.wait(within)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
+def main() -> None:
+    """Print what was killed and whether it did any harm."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--runs", type=int, default=400)
+    parser.add_argument("--duration", type=float, default=100.0, help="simulated time of a run, s")
+    parser.add_argument("--longest", type=float, default=0.5, help="longest time to the next kill, s")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sweep = folder / "sweep.yaml"
+        sweep.write_text(SWEEP.format(duration=arguments.duration, runs=arguments.runs))
+        quiet = start(sweep, folder / "quiet")
+        begun = time.perf_counter()
+        if quiet.wait():
+            sys.exit(f"the undisturbed sweep failed: {quiet.stderr.read() if quiet.stderr else ''}")
+        alone = time.perf_counter() - begun
+        begun = time.perf_counter()
+        killed = disturbed(
+            sweep, folder / "killed", arguments.kills, random.Random(arguments.seed), arguments.longest
+        )
+        took = time.perf_counter() - begun
+        same = digest(folder / "killed") == digest(folder / "quiet")
+        victims = ", ".join(f"{count} of the {who}" for who, count in sorted(killed.victims.items()))
+        print(f"{arguments.runs} runs, {alone:.0f} s undisturbed")
+        print(f"killed: {victims}; {killed.starts} starts, {took:.0f} s")
+        print(f"rows after each kill of the sweep: {killed.rows}")
+        print(f"the results are {'the same' if same else 'NOT the same'}: {digest(folder / 'killed')}")
+        sys.exit(0 if same else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""An hour of work in one process: does its memory grow, do files, threads or processes stay behind?
+
+    uv run python benchmarks/soak.py [--minutes 60] [--json FILE]
+
+Every cycle runs a scenario on both plants with all its files, sweeps a small grid with two workers, steers a
+batch of twins, and reads a trajectory back. Memory is judged by a straight line through the cycles after the
+first quarter, in which caches fill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from srs_twin import Trajectory, TwinBatch, load_robot, load_scenario, run_batch
+from srs_twin.running import run_scenario
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep.engines import local
+
+SWEEP = """\
+scenario: gen2_straight
+plants: [analytical, twin]
+fixed: {duration_s: 2}
+trajectories: true
+vary:
+  supply.pressure_kpa: {from: 41, to: 55, count: 4}
+plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s}]
+"""
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the process held after a cycle.
+
+    Attributes:
+        minutes: since the start.
+        memory: resident, MiB.
+        files: open descriptors.
+        threads: of the interpreter.
+        children: processes that it started and that are still there.
+    """
+
+    minutes: float
+    memory: float
+    files: int
+    threads: int
+    children: int
+
+
+def measure(begun: float) -> Sample:
+    """Look at this process."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return Sample(
+        minutes=(time.monotonic() - begun) / 60,
+        memory=pages * os.sysconf("SC_PAGE_SIZE") / MIB,
+        files=len(os.listdir("/proc/self/fd")),
+        threads=threading.active_count(),
+        children=len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()),
+    )
+
+
+def cycle(folder: Path) -> None:
+    """Do a little of everything."""
+    run_scenario(load_scenario("gen2_straight"), folder / "run")
+    Trajectory.from_parquet(folder / "run" / "twin.parquet")
+    path = folder / "sweep.yaml"
+    path.write_text(SWEEP)
+    with open_sweep(load_sweep(path), folder / "sweep") as opened:
+        opened.run(local(2), opened.missing())
+        opened.finish()
+    batch = TwinBatch([load_robot("gen2")] * 2, threads=2)
+    run_batch(batch, partial(_hold, batch), 0.5)
+
+
+def _hold(batch: TwinBatch, state: object) -> np.ndarray:
+    return np.full((2, batch.twins[0].spec.segments, 2), -1, dtype=np.int8)
+
+
+def slope(samples: list[Sample]) -> float:
+    """Return how fast memory grows after the first quarter, MiB an hour."""
+    late = [each for each in samples if each.minutes >= samples[-1].minutes / 4]
+    times, memory = ([getattr(each, name) for each in late] for name in ("minutes", "memory"))
+    return 60 * float(np.polyfit(times, memory, 1)[0])
+
+
+def main() -> None:
+    """Print one line a minute, then the verdict."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the samples here as well")
+    arguments = parser.parse_args()
+    begun, samples, cycles, told = time.monotonic(), list[Sample](), 0, 0
+    while time.monotonic() - begun < 60 * arguments.minutes:
+        with tempfile.TemporaryDirectory() as name:
+            cycle(Path(name))
+        cycles += 1
+        samples.append(measure(begun))
+        if samples[-1].minutes >= told:
+            told += 1
+            print(cycles, samples[-1], flush=True)
+    first, last = samples[len(samples) // 4], samples[-1]
+    print(f"{cycles} cycles in {last.minutes:.0f} min, memory after a quarter {slope(samples):+.1f} MiB/h")
+    print(f"from {first} to {last}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(each) for each in samples]) + "\n", "utf-8")
+    left = [name for name in ("files", "threads", "children") if getattr(last, name) > getattr(first, name)]
+    sys.exit(f"left behind: {', '.join(left)}" if left else 0)
+
+
+if __name__ == "__main__":
+    main()

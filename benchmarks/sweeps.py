@@ -1,0 +1,164 @@
+"""What sweeps cost, and that nothing of their results depends on who makes them.
+
+    uv run python benchmarks/sweeps.py [--only fig31 workers engines twins ray] [--repetitions 3]
+
+fig31: the 1,736 points of Fig. 31 with two workers. workers: the same points with one and with two. engines:
+the digests of one grid by one worker, two, and Ray. twins: what twins of one robot cost in processes, in
+threads of one process, and as a batch. ray: what a Ray of one's own adds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from grid import table
+
+from srs_twin.sweep import Sweep, load_sweep
+from srs_twin.sweep.engines import local
+from srs_twin.sweep.task import run_point
+
+COMMAND = Path(sys.executable).with_name("srs-twin")
+GRID = """\
+scenario: gen2_straight
+plants: [{plants}]
+fixed: {{duration_s: {duration}}}
+vary:
+  controller.frequency_hz: {{from: 1, to: 2, count: {frequencies}}}
+  supply.pressure_kpa: {{from: 41, to: 55, count: {pressures}}}
+"""
+
+
+def command(sweep: str, *words: str) -> tuple[float, str]:
+    """Run `srs-twin sweep` in a fresh folder; return its wall time (s) and the digest of its results."""
+    with tempfile.TemporaryDirectory() as out:
+        begun = time.perf_counter()
+        subprocess.run([str(COMMAND), "sweep", sweep, "--out", out, "-q", *words], check=True)
+        wall = time.perf_counter() - begun
+        return wall, json.loads((Path(out) / "sweep.json").read_text())["results_sha256"]
+
+
+def written(folder: Path, plants: str, duration: float, frequencies: int, pressures: int) -> str:
+    """Write a grid and return its file."""
+    path = folder / f"{plants.replace(', ', '_')}_{duration:g}_{frequencies}_{pressures}.yaml"
+    path.write_text(
+        GRID.format(plants=plants, duration=duration, frequencies=frequencies, pressures=pressures)
+    )
+    return str(path)
+
+
+def fig31(folder: Path, repetitions: int) -> None:
+    """Time the whole command on the grid of Fig. 31."""
+    walls = [command("fig31", "--workers", "2")[0] for _ in range(repetitions)]
+    print(f"fig31, 1736 points, two workers: {_spread(walls)} s")
+
+
+def workers(folder: Path, repetitions: int) -> None:
+    """Compare one worker with two: the whole command, and what is left without its start."""
+    rows = []
+    for plants, size in (("analytical", (40, 30)), ("twin", (6, 4))):
+        sweep = written(folder, plants, 10, *size)
+        few = written(folder, plants, 10, 2, 1)
+        walls = {
+            (n, which): [command(which, "--workers", str(n))[0] for _ in range(repetitions)]
+            for n in (1, 2)
+            for which in (sweep, few)
+        }
+        least = {key: min(found) for key, found in walls.items()}
+        alone = (least[1, sweep] - least[1, few]) / (least[2, sweep] - least[2, few]) / 2
+        whole = least[1, sweep] / least[2, sweep] / 2
+        rows.append([plants, str(size[0] * size[1]), _spread(walls[1, sweep]), _spread(walls[2, sweep]),
+                     f"{whole:.2f}", f"{alone:.2f}"])  # fmt: skip
+    head = ["plant", "points", "one, s", "two, s", "efficiency", "without the start"]
+    print(table(head, rows))
+
+
+def engines(folder: Path, repetitions: int) -> None:
+    """Compare the digests of one grid by every engine, several times over."""
+    sweep = written(folder, "analytical, twin", 3, 4, 3)
+    ways = [("--workers", "1"), ("--workers", "2"), ("--engine", "ray", "--workers", "2")]
+    found = {way: {command(sweep, *way)[1] for _ in range(repetitions)} for way in ways}
+    for way, digests in found.items():
+        print(" ".join(way), *digests)
+    same = len(set.union(*found.values())) == 1
+    print(f"{len(ways)} ways, {repetitions} times each: {'all the same' if same else 'NOT the same'}")
+    if not same:
+        sys.exit(1)
+
+
+def twins(folder: Path, repetitions: int) -> None:
+    """Compare ways to run the twins of a grid that differ in pressure and gait only."""
+    sweep = load_sweep(written(folder, "twin", 10, 4, 4))
+    ways: dict[str, Callable[[Sweep], None]] = {
+        "one process": lambda sweep: _exhaust(local(1), sweep),
+        "two processes": lambda sweep: _exhaust(local(2), sweep),
+        "two threads": _threads,
+        "in this process": lambda sweep: (
+            [run_point(sweep.experiment, point) for point in sweep.points] and None
+        ),
+    }
+    walls = {name: [_timed(way, sweep) for _ in range(repetitions)] for name, way in ways.items()}
+    print(table(["16 twins, 10 s", "wall, s"], [[name, _spread(found)] for name, found in walls.items()]))
+
+
+def _exhaust(engine: object, sweep: Sweep) -> None:
+    for _ in engine(sweep.experiment, sweep.points):  # type: ignore[operator]
+        pass
+
+
+def _threads(sweep: Sweep) -> None:
+    from functools import partial
+
+    from srs_twin import Job, run_many
+    from srs_twin.comparison.metrics import plant_metrics
+    from srs_twin.scenario import parse_scenario
+
+    scenarios = [parse_scenario(sweep.experiment.document(point.changes)) for point in sweep.points]
+    jobs = [Job(partial(s.build_plant, "twin"), s.build_controller, s.duration) for s in scenarios]
+    for run in run_many(jobs, threads=2):
+        plant_metrics(run)  # type: ignore[arg-type]
+
+
+def _timed(way: Callable[[Sweep], None], sweep: Sweep) -> float:
+    begun = time.perf_counter()
+    way(sweep)
+    return time.perf_counter() - begun
+
+
+def ray(folder: Path, repetitions: int) -> None:
+    """Compare a sweep of two short runs here and on a Ray of its own."""
+    sweep = written(folder, "analytical", 1.6, 2, 1)
+    here = [command(sweep, "--workers", "2")[0] for _ in range(repetitions)]
+    there = [command(sweep, "--engine", "ray", "--workers", "2")[0] for _ in range(repetitions)]
+    added = statistics.median(there) - statistics.median(here)
+    print(f"local {_spread(here)} s, Ray {_spread(there)} s: Ray adds {added:.1f} s")
+
+
+def _spread(values: list[float]) -> str:
+    return f"{statistics.median(values):.1f} ({min(values):.1f} to {max(values):.1f})"
+
+
+PARTS = {"fig31": fig31, "workers": workers, "engines": engines, "twins": twins, "ray": ray}
+
+
+def main() -> None:
+    """Print what each part finds."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--repetitions", type=int, default=3)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        for part in arguments.only:
+            print(f"\n{part}")
+            PARTS[part](Path(name), arguments.repetitions)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""`srs-twin doctor`: what is installed, what of it works here, and what to do about what does not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.doctor.check import Check
+
+
+def doctor(
+    out: Annotated[
+        str, typer.Option("--out", metavar="DIR", help="Where results would go, to see if they can.")
+    ] = "runs",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
+) -> None:
+    """Say what is installed, what works here, and what to do about what does not."""
+    from srs_twin.doctor.check import failing
+    from srs_twin.doctor.examination import examine
+
+    checks = examine(Path(out))
+    bad = failing(checks)
+    if as_json:
+        document = {"works": not bad, "checks": [asdict(check) for check in checks]}
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+    else:
+        _show(checks)
+    if bad:
+        named = ", ".join(check.name for check in bad)
+        raise InputError(f"not fit for runs: {named}; the remedies stand above")
+    if not as_json:
+        typer.echo("\neverything that a run needs works")
+
+
+def _show(checks: Sequence[Check]) -> None:
+    """Print a line a check under its topic, the remedy below where there is one."""
+    width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 10_000
+    longest = max(len(check.name) for check in checks)
+    for topic, group in groupby(checks, key=lambda check: check.topic):
+        typer.echo(f"{topic}")
+        for check in group:
+            head = f"  {check.mark:8}{check.name:{longest}}  "
+            inset = " " * len(head)
+            typer.echo(textwrap.fill(
+                check.detail, width, initial_indent=head, subsequent_indent=inset,
+                break_on_hyphens=False, break_long_words=False,
+            ))  # fmt: skip
+            if check.remedy:
+                # Not wrapped: a command is to be copied as it stands.
+                typer.echo(f"{inset}→ {check.remedy}")

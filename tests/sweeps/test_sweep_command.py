@@ -1,0 +1,116 @@
+"""`srs-twin sweep` as a person starts it: what it says, what it leaves, what a kill costs."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import kills
+import pyarrow.parquet as pq
+import pytest
+from small import SMALL, write
+
+COMMAND = Path(sys.executable).with_name("srs-twin")
+SLOWER = SMALL.replace("duration_s: 2", "duration_s: 100").replace("count: 4", "count: 24")
+
+
+def test_what_a_sweep_leaves(srs_twin, tmp_path):
+    write(tmp_path)
+    run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert "8 of 8 runs done, 0 failed" in run.stdout and "analytical.com_speed_m_s" in run.stdout
+    folder = tmp_path / "runs" / "sweeps" / "small"
+    about = json.loads((folder / "sweep.json").read_text())
+    assert f"results sha256 {about['results_sha256']}" in run.stdout
+    assert pq.read_table(folder / "results.parquet").num_rows == 8
+    again = srs_twin("sweep", "small.yaml", cwd=tmp_path)
+    assert again.returncode == 0 and "8 of 8 rows are there already, 0 to do" in again.stderr
+    # The scenario that it leaves is one, and the sweep runs from what it leaves too.
+    assert srs_twin("sweep", str(folder / "sweep.yaml"), "--out", "copy", "-q", cwd=tmp_path).returncode == 0
+    copy = json.loads((tmp_path / "copy" / "sweep.json").read_text())
+    assert copy["results_sha256"] == about["results_sha256"]
+
+
+@pytest.mark.parametrize(
+    "words", [("--workers", "1"), ("--engine", "ray", "--workers", "2")], ids=["one", "ray"]
+)
+def test_results_do_not_depend_on_who_makes_them(srs_twin, tmp_path, words):
+    write(tmp_path, SMALL.replace("plants: [analytical]\n", "").replace("count: 4", "count: 2"))
+    digests = set()
+    for out, given in (("two", ("--workers", "2")), ("other", words)):
+        run = srs_twin("sweep", "small.yaml", "--out", out, "-q", *given, cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+        digests.add(json.loads((tmp_path / out / "sweep.json").read_text())["results_sha256"])
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("nope",), "unknown sweep 'nope' (available: fig31"),
+        (("nope.yaml",), "nope.yaml: no such file"),
+        (("small.yaml", "--engine", "rai"), "unknown engine 'rai'; did you mean ray?"),
+        (("small.yaml", "--address", "x:1"), "--address belongs to --engine ray"),
+        (
+            ("small.yaml", "--engine", "ray", "--address", "x:1", "--workers", "2"),
+            "--workers belongs to a Ray of",
+        ),
+        (("small.yaml", "--workers", "0"), "Invalid value for '--workers'"),
+        (("small.yaml", "--out", "small.yaml"), "cannot write there"),
+    ],
+)
+def test_bad_input(srs_twin, tmp_path, words, message):
+    write(tmp_path)
+    run = srs_twin("sweep", *words, cwd=tmp_path)
+    assert run.returncode == 2 and message in run.stderr, run.stderr
+    assert "Traceback" not in run.stderr and os.listdir(tmp_path) == ["small.yaml"]
+
+
+def started(tmp_path) -> subprocess.Popen[str]:
+    """Start a sweep of a few seconds and wait for its first row."""
+    write(tmp_path, SLOWER)
+    process = subprocess.Popen(
+        [str(COMMAND), "sweep", "small.yaml", "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )  # fmt: skip
+    log = tmp_path / "out" / "rows.sqlite-wal"
+    while process.poll() is None and kills.pages(log) < 20:  # the empty tables are a dozen
+        time.sleep(0.02)
+    assert process.poll() is None, process.stderr.read()
+    return process
+
+
+def test_ctrl_c_keeps_what_is_finished(srs_twin, tmp_path):
+    process = started(tmp_path)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130 and "rows are kept, start again to go on" in said
+    assert "Traceback" not in said
+    kept = pq.read_table(tmp_path / "out" / "results.parquet").num_rows
+    assert 0 < kept < 48
+    run = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path)
+    assert run.returncode == 0 and f"{kept} of 48 rows are there already" in run.stderr
+    assert pq.read_table(tmp_path / "out" / "results.parquet").num_rows == 48
+
+
+def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
+    process = started(tmp_path)
+    run = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path)
+    process.kill()
+    process.wait()
+    assert run.returncode == 2 and "another sweep works in this folder" in run.stderr
+
+
+def test_twenty_kills(tmp_path):
+    """None lost, none twice, none torn: benchmarks/kills.py does it with 200."""
+    sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=60))
+    quiet = kills.start(sweep, tmp_path / "quiet")
+    assert quiet.wait() == 0, quiet.stderr.read()
+    found = kills.disturbed(sweep, tmp_path / "killed", 20, random.Random(4), 0.1)
+    assert sum(found.victims.values()) == 20
+    assert kills.digest(tmp_path / "killed") == kills.digest(tmp_path / "quiet")

@@ -1,0 +1,320 @@
+"""Pictures of sweeps: what the artists hold is what the table says, and nothing makes them fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.collections import PathCollection
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.viewing.labels import field_label, metric_label
+from srs_twin.viewing.sweep_plots import PlotRequest, draw, save
+
+F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
+SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"
+CONTOUR = PlotRequest("contour", F, SPEED, P)
+LINE = PlotRequest("line", F, SPEED)
+
+
+def law(f, p):
+    return 0.1 + 0.02 * f + 0.003 * p
+
+
+def table(f, p, *, failed=(), missing=(), share=0.8):
+    rows = len(f)
+    lost = np.isin(np.arange(rows), [*failed, *missing])
+    ours = [None if gone else float(v) for gone, v in zip(lost, law(f, p), strict=True)]
+    return {
+        "key": [f"{i:064x}" for i in range(rows)],
+        F: list(map(float, f)),
+        P: list(map(float, p)),
+        "status": ["failed" if i in failed else "done" for i in range(rows)],
+        "reason": ["diverged" if i in failed else None for i in range(rows)],
+        A: ours,
+        B: [None if v is None else share * v for v in ours],
+        "comparison.com_speed_rel": [None if v is None else share - 1 for v in ours],
+        "wall_s": [0.1] * rows,
+    }
+
+
+def grid(frequencies=(0.5, 1.0, 1.5, 2.0), pressures=(20.0, 30.0, 40.0), **lost):
+    f, p = (each.ravel() for each in np.meshgrid(frequencies, pressures))
+    return table(f, p, **lost)
+
+
+def planes(figure: Figure):
+    """The axes that are no colour bar."""
+    return [axes for axes in figure.axes if axes.get_label() != "colors"]
+
+
+def curves(axes):
+    return [line for line in axes.lines if line.get_label().startswith("_")]
+
+
+def marks(axes, what):
+    (line,) = [line for line in axes.lines if line.get_label() == what]
+    return set(map(tuple, np.asarray(line.get_xydata()).round(9).tolist()))
+
+
+def dots(axes):
+    (found,) = [each for each in axes.collections if isinstance(each, PathCollection)]
+    return found
+
+
+def words(figure):
+    texts = [figure.get_suptitle(), *(text.get_text() for axes in figure.axes for text in axes.texts)]
+    return "\n".join(texts)
+
+
+def filled(axes):
+    return [each for each in axes.collections if isinstance(each, ContourSet) and each.filled]
+
+
+def test_contour_of_a_grid_has_its_points_its_colours_and_its_labels():
+    figure = draw(CONTOUR, pa.table(grid()))
+    left, right = planes(figure)
+    assert (left.get_title("left"), right.get_title("left")) == ("analytical", "twin (MuJoCo)")
+    assert left.get_xlabel() == "gait frequency (Hz)" and left.get_ylabel() == "supply pressure (kPa)"
+    first, second = filled(left)[0], filled(right)[0]
+    assert np.array_equal(first.levels, second.levels) and first.cmap.name == second.cmap.name
+    assert first.levels[0] <= 0.8 * law(0.5, 20) and first.levels[-1] >= law(2.0, 40)
+    (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
+    assert bar.get_ylabel() == "CoM speed (m/s)"
+    assert {tuple(p) for p in dots(left).get_offsets()} == set(zip(grid()[F], grid()[P], strict=True))
+
+
+def test_contour_lines_lie_where_the_law_says():
+    """The level of a plane is a straight line, so linear interpolation meets the law exactly."""
+    (axes, _) = planes(draw(CONTOUR, grid()))
+    lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
+    checked = 0
+    for level, segments in zip(lines.levels, lines.allsegs, strict=True):
+        for segment in segments:
+            if len(segment):
+                assert law(segment[:, 0], segment[:, 1]) == pytest.approx(level)
+                checked += 1
+    assert checked >= 3
+
+
+def test_scattered_points_are_triangulated():
+    rng = np.random.default_rng(3)
+    f, p = rng.uniform(0.5, 2, 40), rng.uniform(20, 40, 40)
+    (axes, _) = planes(draw(CONTOUR, table(f, p, failed=(4,))))
+    lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
+    points = np.concatenate([s for segments in lines.allsegs for s in segments])
+    values = law(points[:, 0], points[:, 1])
+    assert np.abs(values[:, None] - lines.levels[None]).min(axis=1).max() < 1e-9
+    assert marks(axes, "failed") == {(round(f[4], 9), round(p[4], 9))}
+
+
+def test_failed_and_missing_points_are_marked_apart():
+    given = grid(failed=(0, 11), missing=(3,))
+    figure = draw(CONTOUR, given)
+    for axes in planes(figure):
+        assert marks(axes, "failed") == {(given[F][i], given[P][i]) for i in (0, 11)}
+        assert marks(axes, "no value") == {(given[F][3], given[P][3])}
+    assert "2 of 12 runs failed" in words(figure) and "2 values missing" in words(figure)
+
+
+def test_both_signs_have_zero_in_the_middle():
+    given = grid()
+    given["comparison.com_speed_rel"] = np.linspace(-0.2, 0.4, 12).tolist()
+    (axes,) = planes(draw(PlotRequest("contour", F, "com_speed_rel", P), given))
+    levels = filled(axes)[0].levels
+    assert levels == pytest.approx(-levels[::-1]) and filled(axes)[0].cmap.name == "RdBu_r"
+    assert axes.get_title("left") == "twin − analytical"
+
+
+def test_other_varied_fields_are_averaged_and_it_is_said():
+    low, high = grid(), grid()
+    both = {name: [*low[name], *high[name]] for name in low}
+    both[OFFSET] = [0.0] * 12 + [0.4] * 12
+    both[A] = [*low[A], *(3 * v for v in low[A])]
+    figure = draw(PlotRequest("contour", F, SPEED, P, plants=("analytical",)), both)
+    (axes,) = planes(figure)
+    assert "mean over steering offset" in words(figure)
+    assert filled(axes)[0].zmax == pytest.approx(2 * max(low[A]))
+    assert "mean over" not in words(draw(PlotRequest("line", F, SPEED, by=OFFSET), both | {P: [30.0] * 24}))
+
+
+def test_lines_hold_the_table_one_a_value_and_plant():
+    given = grid(failed=(5,))
+    figure = draw(PlotRequest("line", F, SPEED, by=P), given)
+    (axes,) = planes(figure)
+    drawn = curves(axes)
+    assert len(drawn) == 2 * 3
+    for k, line in enumerate(drawn):
+        pressure, share = (20.0, 30.0, 40.0)[k % 3], (1.0, 0.8)[k // 3]
+        x, y = line.get_data()
+        assert np.array_equal(x, [0.5, 1.0, 1.5, 2.0])
+        expected = share * law(x, pressure)
+        expected[(x == 1.0) & (pressure == 30.0)] = np.nan
+        assert y == pytest.approx(expected, nan_ok=True)
+    assert len({line.get_color() for line in drawn[:3]}) == 3
+    assert [line.get_color() for line in drawn[:3]] == [line.get_color() for line in drawn[3:]]
+    assert len({line.get_linestyle() for line in drawn}) == 2
+    assert marks(axes, "failed") == {(1.0, 0.025)}
+    legend = axes.get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["20", "30", "40"]
+    assert legend.get_title().get_text().replace("\n", " ") == "supply pressure (kPa)"
+
+
+def test_many_lines_get_a_colour_bar():
+    figure = draw(PlotRequest("line", F, SPEED, by=P), grid(pressures=np.linspace(20, 40, 13)))
+    (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
+    assert bar.get_ylabel() == "supply pressure (kPa)" and len(curves(planes(figure)[0])) == 26
+
+
+def test_scatter_holds_the_table():
+    given = grid(missing=(2,))
+    figure = draw(PlotRequest("scatter", "com_speed_rel", SPEED, by=P, plants=("twin",)), given)
+    (axes,) = planes(figure)
+    expected = [
+        (x, y, c) for x, y, c in zip(given["comparison.com_speed_rel"], given[B], given[P], strict=True) if y
+    ]
+    found = [(*at, c) for at, c in zip(dots(axes).get_offsets(), dots(axes).get_array(), strict=True)]
+    assert np.array(sorted(found)) == pytest.approx(np.array(sorted(expected)))
+    assert axes.get_xlabel() == "CoM speed, relative difference" and axes.get_ylabel() == "CoM speed (m/s)"
+
+
+def test_text_and_truth_become_named_places():
+    given = grid(frequencies=(1.0, 2.0), pressures=(30.0,))
+    given["plants.analytical.model"] = ["simplified", "complete"]
+    given["plants.twin.gaps"] = [True, False]
+    (axes,) = planes(draw(PlotRequest("line", "plants.analytical.model", SPEED), given))
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["complete", "simplified"]
+    x, y = curves(axes)[0].get_data()
+    assert np.array_equal(x, [0, 1]) and y == pytest.approx([law(2.0, 30.0), law(1.0, 30.0)])
+    (axes,) = planes(draw(PlotRequest("line", "plants.twin.gaps", SPEED), given))
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["False", "True"]
+
+
+def test_lists_are_averaged():
+    given = grid() | {f"twin.bend_amplitude_rad_{j}": [0.1 * j] * 12 for j in (1, 2, 3)}
+    (axes,) = planes(draw(PlotRequest("line", F, "bend_amplitude_rad"), given))
+    assert axes.get_ylabel() == "bend amplitude (rad), mean over 3"
+    assert curves(axes)[0].get_ydata() == pytest.approx(0.2)
+    (axes,) = planes(draw(PlotRequest("line", F, "bend_amplitude_rad_3"), given))
+    assert curves(axes)[0].get_ydata() == pytest.approx(0.3)
+
+
+NOTHING = [
+    (table(np.zeros(0), np.zeros(0)), "there are no runs"),
+    (table(np.ones(1), np.ones(1), failed=(0,)), "the run failed"),
+    (grid(failed=range(12)), "all 12 runs failed"),
+    (grid(missing=range(12)), "no value in 12 runs"),
+    (grid(failed=(0, 1), missing=range(2, 12)), "no value in 10 runs, 2 failed"),
+]
+
+
+@pytest.mark.parametrize(("given", "said"), NOTHING)
+@pytest.mark.parametrize(
+    "request_",
+    [CONTOUR, LINE, PlotRequest("line", F, SPEED, by=P), PlotRequest("scatter", F, SPEED, by=P)],
+    ids=lambda r: f"{r.kind}-{r.by}",
+)
+def test_nothing_to_draw_is_said(given, said, request_, tmp_path):
+    figure = draw(request_, given)
+    assert f"nothing to draw: {said}" in words(figure)
+    save(figure, tmp_path / "x.png")
+
+
+def test_one_value_is_said_and_shown():
+    figure = draw(CONTOUR, table(np.array([1.0]), np.array([30.0]), share=1.0))
+    assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
+    assert np.asarray(dots(planes(figure)[0]).get_array()) == pytest.approx([law(1.0, 30.0)])
+
+
+numbers = st.one_of(st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -1.0, 1e300, 1e-300]))
+
+
+@settings(max_examples=25)
+@given(
+    rows=st.lists(
+        st.tuples(
+            st.sampled_from([0.0, 1.0, 2.0, 1e9]), st.floats(-1e6, 1e6), numbers,
+            st.sampled_from(["done", "failed"]),
+        ),
+        max_size=12,
+    ),
+    kind=st.sampled_from(["contour", "line", "scatter"]),
+)  # fmt: skip
+def test_no_table_breaks_a_picture(rows, kind):
+    f, p, value, status = ([row[i] for row in rows] for i in range(4))
+    given = {F: f, P: p, "status": status, A: value, B: value[::-1]}
+    wanted = PlotRequest(kind, F, SPEED, P) if kind == "contour" else PlotRequest(kind, F, SPEED, by=P)
+    draw(wanted, given).canvas.draw()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
+    rng = np.random.default_rng(5)
+    given = grid(failed=(5,), missing=(2,)) | {OFFSET: rng.choice([0.1, 0.2], 12).tolist()}
+    order = rng.permutation(12)
+    shuffled = {name: [column[i] for i in order] for name, column in given.items()}
+    for request in (
+        CONTOUR,
+        PlotRequest("line", F, SPEED, by=OFFSET),
+        PlotRequest("scatter", P, SPEED, by=F),
+    ):
+        for name, each in (("a", given), ("b", pa.table(shuffled))):
+            save(draw(request, each), tmp_path / f"{name}{suffix}")
+        first, second = ((tmp_path / f"{name}{suffix}").read_bytes() for name in "ab")
+        assert first == second
+    if suffix == ".png":
+        assert imread(tmp_path / "a.png").std() > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"a{suffix}", f"b{suffix}"]
+
+
+def test_what_is_refused(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown metric 'com_sped_m_s'; did you mean com_speed_m_s"):
+        draw(PlotRequest("line", F, "com_sped_m_s"), grid())
+    with pytest.raises(UnknownNameError, match="unknown column 'supply.presure_kpa'; did you mean"):
+        draw(PlotRequest("contour", F, SPEED, "supply.presure_kpa"), grid())
+    with pytest.raises(InputError, match="none of measured has it"):
+        draw(PlotRequest("line", F, SPEED, plants=("measured",)), grid())
+    with pytest.raises(InputError, match="needs y"):
+        PlotRequest("contour", F, SPEED)
+    with pytest.raises(InputError, match="y belongs to contour"):
+        PlotRequest("line", F, SPEED, P)
+    with pytest.raises(InputError, match="by belongs to line"):
+        PlotRequest("contour", F, SPEED, P, by=OFFSET)
+    with pytest.raises(InputError, match=r"\.png or \.svg"):
+        save(draw(LINE, grid()), tmp_path / "x.gif")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        save(draw(LINE, grid()), tmp_path / "file/x.png")
+
+
+def test_every_metric_has_a_label_with_its_unit():
+    for metric, unit in (METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS).items():
+        label = metric_label(metric)
+        assert label.endswith(f"({unit})") == (unit != "1"), label
+        assert "_" not in label, label
+    assert metric_label("bend_amplitude_rad_2") == "bend amplitude 2 (rad)"
+
+
+@pytest.mark.parametrize(
+    ("field", "label"),
+    [
+        (F, "gait frequency (Hz)"),
+        (P, "supply pressure (kPa)"),
+        (OFFSET, "steering offset"),
+        ("duration_s", "simulated time (s)"),
+        ("plants.twin.timestep_s", "time step of the integrator, twin (s)"),
+        ("plants.twin.wheels", "wheels, twin"),
+        ("robot.bending.stiffness_nm_per_rad", "bending stiffness (N·m/rad)"),
+        ("robot.friction.mu_n", "friction μ_n"),
+        ("robot", "robot"),
+        ("pneumatics.leak_per_s", "pneumatics leak (1/s)"),
+    ],
+)
+def test_fields_are_called_what_people_call_them(field, label):
+    assert field_label(field) == label
