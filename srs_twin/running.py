@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
+import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import metadata
@@ -21,7 +24,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.documents import dump_yaml
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.files import atomic_write, shown
+from srs_twin.files import shown
 from srs_twin.plants.base import Plant
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
@@ -35,6 +38,7 @@ METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
 REPORT, RECORDING = "report.html", "recording.rrd"
 # metrics.json first: as long as it stands, the folder is complete.
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
+_FRESH = ".part"
 
 Progress = Callable[[str, float], None]
 Explain = Callable[..., "Attribution"]
@@ -114,16 +118,14 @@ class PreparedRun:
                 attribution = explain(self.scenario, trajectories, progress=told)
             except DivergedError as error:
                 unexplained.append(error)
-        # Only now: an interrupted run leaves what an earlier one wrote.
-        self._clear()
-        with atomic_write(self.folder / RESOLVED) as path:
-            path.write_text(dump_yaml(self.scenario.document), "utf-8")
-        for kind, trajectory in trajectories.items():
-            with atomic_write(self.folder / f"{kind}.parquet") as path:
-                trajectory.to_parquet(path)
-        if diverged:
-            return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-        measured = self._measure(trajectories, walls, attribution)
+        # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
+        with _replaced(self.folder) as fresh:
+            (fresh / RESOLVED).write_text(dump_yaml(self.scenario.document), "utf-8")
+            for kind, trajectory in trajectories.items():
+                trajectory.to_parquet(fresh / f"{kind}.parquet")
+            if diverged:
+                return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
+            measured = self._measure(fresh, trajectories, walls, attribution)
         return replace(measured, unexplained=tuple(unexplained))
 
     def _warm_up(self, kind: str) -> None:
@@ -151,6 +153,7 @@ class PreparedRun:
 
     def _measure(
         self,
+        fresh: Path,
         trajectories: Mapping[str, Trajectory],
         walls: Mapping[str, float],
         attribution: Attribution | None,
@@ -175,31 +178,50 @@ class PreparedRun:
         outcomes = tuple(expectation.check(metrics) for expectation in scenario.expect)
         metrics["expectations"] = [asdict(outcome) for outcome in outcomes]
         metrics["versions"] = versions()
-        with atomic_write(self.folder / REPORT) as path:
-            write_report(
-                path, scenario_title=scenario.title, spec=spec, trajectories=trajectories,
-                metrics=metrics, comparison=comparison, attribution=attribution,
-            )  # fmt: skip
-        with atomic_write(self.folder / RECORDING) as path:
-            write_recording(
-                path,
-                spec=spec,
-                trajectories=trajectories,
-                comparison=comparison,
-                title=scenario.title,
-            )
-        with atomic_write(self.folder / METRICS) as path:
-            path.write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
+        write_report(
+            fresh / REPORT, scenario_title=scenario.title, spec=spec, trajectories=trajectories,
+            metrics=metrics, comparison=comparison, attribution=attribution,
+        )  # fmt: skip
+        write_recording(
+            fresh / RECORDING, spec=spec, trajectories=trajectories, comparison=comparison,
+            title=scenario.title,
+        )  # fmt: skip
+        (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
         return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)
 
-    def _clear(self) -> None:
-        """Remove what an earlier run left, so that the folder never holds files of two runs."""
+
+@contextmanager
+def _replaced(folder: Path) -> Iterator[Path]:
+    """Give an empty folder for a run's files; they take the places of an earlier run's at the block's end.
+
+    After an error nothing of the block is left, and what the earlier run wrote is as it was. The folder
+    never holds files of two runs beside metrics.json: that goes first and comes last.
+
+    Raises:
+        InputError: the files cannot be written, for want of space or of permission.
+    """
+    fresh = folder / _FRESH
+    try:
+        # Only one that was killed has left any.
+        shutil.rmtree(fresh, ignore_errors=True)
+        fresh.mkdir()
+        yield fresh
         for product in PRODUCTS:
-            try:
-                (self.folder / product).unlink(missing_ok=True)
-            except OSError as error:
-                where = shown(self.folder / product)
-                raise InputError(f"{where}: cannot be replaced ({error.strerror})") from error
+            if (folder / product).is_dir():
+                raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
+        for product in PRODUCTS:
+            (folder / product).unlink(missing_ok=True)
+        for product in reversed(PRODUCTS):
+            if (fresh / product).exists():
+                (fresh / product).replace(folder / product)
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise InputError(
+            f"{shown(folder)}: the run's files cannot be written there ({reason}); "
+            "an earlier run's are as they were"
+        ) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
 
 
 def _compare(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> Comparison:

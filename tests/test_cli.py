@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import pickle
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import pytest
 
 from srs_twin.cli import main
 from srs_twin.cli.progress import Progress
 from srs_twin.cli.view import find_recording
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
+from srs_twin.processes import Done
+from srs_twin.running import RunResult
+from srs_twin.scenario import Expectation
 
 HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
 METRICS = {
@@ -35,6 +41,13 @@ METRICS = {
 }  # fmt: skip
 
 
+MET = {**METRICS, "expectations": METRICS["expectations"][:1]}
+EXPECTED = (
+    Expectation("com_speed_m_s", "twin", 0.1819, 0.2461, 0.214, "Table 10"),
+    Expectation("com_speed_rel", "comparison", -0.12, 0.12),
+)
+
+
 @dataclass
 class Job:
     """Stands in for a prepared run: does what a test tells it to."""
@@ -42,27 +55,29 @@ class Job:
     name: str
     folder: Path
     log: list[str]
-    outcome: object = "met"
-    complete: bool = True
-
-    @property
-    def scenario(self):
-        return SimpleNamespace(name=self.name, warnings=(f"{self.name} is warned of",))
+    outcome: object
 
     def execute(self, progress):
         self.log.append(f"run {self.name}")
-        if isinstance(self.outcome, BaseException) and not isinstance(self.outcome, DivergedError):
+        if isinstance(self.outcome, DivergedError):
+            return RunResult(self.name, self.folder, {"twin": object()}, diverged=(self.outcome,))
+        if isinstance(self.outcome, BaseException):
             raise self.outcome
-        diverged = (self.outcome,) if isinstance(self.outcome, DivergedError) else ()
-        outcomes = (SimpleNamespace(met=self.outcome == "met"),)
-        return SimpleNamespace(
-            name=self.name,
-            folder=self.folder,
-            metrics=METRICS,
-            outcomes=outcomes,
-            diverged=diverged,
-            unexplained=(),
-        )
+        metrics = MET if self.outcome == "met" else METRICS
+        return RunResult(self.name, self.folder, {"twin": object()}, metrics)
+
+
+def last_first(task, arguments, *, workers):
+    """Stand in for worker processes that finish in the least convenient order."""
+    for number in reversed(range(len(arguments))):
+        try:
+            done = Done(number, task(arguments[number]), None)
+            # What comes back was sent from one process to another.
+            yield pickle.loads(pickle.dumps(done))
+        except RuntimeError as error:
+            yield Done(number, None, TaskFailedError(error))
+        except MemoryError:
+            yield Done(number, None, WorkerDiedError(-signal.SIGKILL, 3))
 
 
 @pytest.fixture
@@ -77,13 +92,15 @@ def start(monkeypatch, capsys, tmp_path):
             log.append(f"load {name}")
             if isinstance(endings[name], InputError):
                 raise endings[name]
-            return SimpleNamespace(name=name)
+            expect = EXPECTED[:1] if endings[name] == "met" else EXPECTED
+            return SimpleNamespace(name=name, expect=expect, warnings=(f"{name} is warned of",))
 
         def prepare(scenario, folder, *, plants):
             return Job(scenario.name, folder, log, endings[scenario.name])
 
         monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
         monkeypatch.setattr("srs_twin.running.prepare", prepare)
+        monkeypatch.setattr("srs_twin.processes.each", last_first)
         with pytest.raises(SystemExit) as left:
             main(list(words))
         said = capsys.readouterr()
@@ -134,25 +151,103 @@ def test_exit_codes(start, words, ending, code):
 
 
 def test_bad_input_is_said_before_anything_runs_and_stops_nothing_else(start):
-    left = start("run", "a", "bad", "c", a="met", bad=InputError("bad.yaml:3:1: wrong"), c="missed")
+    endings = {"a": "met", "bad": InputError("bad.yaml:3:1: wrong"), "c": "missed"}
+    left = start("run", "a", "bad", "c", "--jobs", "1", **endings)
     assert left.log == ["load a", "load bad", "load c", "run a", "run c"]
     assert left.err.startswith("bad.yaml:3:1: wrong\n")
     assert left.code == 2
+    several = start("run", "a", "bad", "c", "--jobs", "2", **endings)
+    assert several.log == ["load a", "load bad", "load c", "run c", "run a"]
+    assert (several.code, several.out, several.err) == (left.code, left.out, left.err)
 
 
-def test_the_highest_code_wins_whatever_the_order(start):
-    diverged = DivergedError("twin", 1.5, "qpos is not finite")
-    left = start("run", "a", "b", "c", "--check", a="missed", b=diverged, c="met")
+@pytest.mark.parametrize("jobs", ["1", "2", "7"])
+def test_the_highest_code_wins_whatever_the_order(start, jobs):
+    diverged = DivergedError("twin", 1.5, "qpos is not finite", history=[1])
+    left = start("run", "a", "b", "c", "--check", "-j", jobs, a="missed", b=diverged, c="met")
     assert left.code == 3
     assert "twin diverged at t = 1.5 s: qpos is not finite" in left.err
-    assert left.log[-1] == "run c"
+    assert {"run a", "run b", "run c"} <= set(left.log)
+
+
+def test_words_keep_to_the_order_given_whoever_is_first(start):
+    endings = {name: "met" for name in "abcd"} | {"b": DivergedError("twin", 1.5, "b flew")}
+    one, many = (start("run", *"abcd", "--jobs", jobs, **endings) for jobs in ("1", "4"))
+    assert one.log == [*(f"load {name}" for name in "abcd"), *(f"run {name}" for name in "abcd")]
+    assert many.log[4:] == one.log[:3:-1]
+    assert (many.out, many.err) == (one.out, one.err)
+    assert [line.strip() for line in many.out.splitlines() if len(line.strip()) == 1] == ["a", "c", "d"]
+    assert [text for text in many.err.splitlines() if "warn" not in text] == [
+        "files in runs/a; `srs-twin view runs/a` shows the run",
+        "twin diverged at t = 1.5 s: b flew",
+        "files in runs/c; `srs-twin view runs/c` shows the run",
+        "files in runs/d; `srs-twin view runs/d` shows the run",
+    ]
+
+
+def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):
+    endings = {"a": "met", "b": MemoryError(), "c": RuntimeError("nobody foresaw this"), "d": "met"}
+    left = start("run", *"abcd", "--jobs", "2", **endings)
+    assert left.code == 4
+    assert "b: the worker process was killed by SIGKILL, 3 times in a row; the machine was out of" in left.err
+    assert "c: internal error: RuntimeError: nobody foresaw this (test_cli.py:" in left.err
+    assert "files in runs/a;" in left.err
+    assert "files in runs/d;" in left.err
 
 
 def test_an_interrupt_says_what_is_finished(start):
-    left = start("run", "a", "b", "c", a="met", b=KeyboardInterrupt(), c="met")
+    endings = {"a": "met", "b": KeyboardInterrupt(), "c": "met"}
+    left = start("run", "a", "b", "c", "--jobs", "1", **endings)
     assert left.code == 130
-    assert "interrupted; finished before: runs/a" in left.err
+    assert "interrupted; finished before: runs/a\n" in left.err
     assert "run c" not in left.log
+    # c was finished, its table waited for those of a and b.
+    assert "interrupted; finished before: runs/c\n" in start("run", "a", "b", "c", "-j", "2", **endings).err
+
+
+@pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
+def test_an_impossible_number_of_jobs_is_a_usage_error(start, jobs):
+    left = start("run", "a", f"--jobs={jobs}", a="met")
+    assert left.code == 2
+    assert "--jobs" in left.err
+    assert left.log == []
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_the_report_is_written_however_the_batch_ends(start, tmp_path, jobs):
+    def outcomes():
+        tests = ElementTree.parse(tmp_path / "r.xml").iter("testcase")
+        return [(t.get("classname"), t.get("name"), t[0].tag if len(t) else "passed") for t in tests]
+
+    words = ("run", "a", "bad", "c", "--junit", "r.xml", "--jobs", jobs)
+    bad = InputError("bad.yaml:3:1: wrong")
+    assert start(*words, a="met", bad=bad, c="missed").code == 2
+    ran = outcomes()
+    assert ran == [
+        ("a", "runs", "passed"), ("a", "twin com_speed_m_s", "passed"), ("bad", "runs", "error"),
+        ("c", "runs", "passed"), ("c", "twin com_speed_m_s", "passed"),
+        ("c", "comparison com_speed_rel", "failure"),
+    ]  # fmt: skip
+    assert start(*words, "--check", "-q", a="met", bad=bad, c="missed").code == 2
+    assert outcomes() == ran
+    assert start(*words, a=KeyboardInterrupt(), bad=bad, c=KeyboardInterrupt()).code == 130
+    assert [tag for *_, tag in outcomes()] == [*3 * ["skipped"], "error", *3 * ["skipped"]]
+    assert start(*words, a="met", bad=bad, c=DivergedError("twin", 1.5, "it flew")).code == 3
+    assert [tag for *_, tag in outcomes()] == ["passed", "passed", "error", "error", "skipped", "skipped"]
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is_read(start, tmp_path):
+    (tmp_path / "folder.xml").mkdir()
+    for where in ("folder.xml", "a.yaml"):
+        left = start("run", "a", "--junit", where, a="met")
+        assert (left.code, left.log) == (2, [])
+
+
+def test_one_word_on_a_place_where_nothing_can_be_written(start, tmp_path):
+    (tmp_path / "file").touch()
+    left = start("run", "a", "b", "--out", "file/below", a="met", b="met")
+    assert (left.code, left.log) == (2, ["load a", "load b"])
+    assert left.err == "file/below: cannot write there (Not a directory); give another folder with --out\n"
 
 
 def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
@@ -167,7 +262,7 @@ def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
 
 def test_several_runs_get_a_folder_each_and_one_gets_the_folder_itself(start):
     assert "files in out;" in start("run", "a", "--out", "out", a="met").err
-    several = start("run", "a", "b", "--out", "out", a="met", b="met").err
+    several = start("run", "a", "b", "--out", "out", "--jobs", "1", a="met", b="met").err
     assert "files in out/a;" in several
     assert "files in out/b;" in several
     assert "files in runs/a;" in start("run", "a", a="met").err
@@ -183,7 +278,7 @@ def test_folders_stand_for_the_files_in_them(start, tmp_path):
 
 def test_the_table_fits_80_columns_and_says_what_was_missed(start, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    left = start("compare", "a", a="met")
+    left = start("compare", "a", a="missed")
     assert all(len(line) <= 80 for line in left.out.splitlines())
     (speed,) = (line.split() for line in left.out.splitlines() if "CoM speed " in line)
     assert speed == ["CoM", "speed", "m/s", "0.25", "0.2", "-20.0", "%", "0.214"]

@@ -27,18 +27,19 @@ def main(argv: list[str] | None = None) -> None:
 
         command()(args=argv, prog_name="srs-twin")
     except SrsError as error:
-        _show_traceback(error)
+        show_traceback(error)
         print(error, file=sys.stderr)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except Exception as error:  # the outermost edge: what nobody foresaw becomes one line and exit code 4
-        _show_traceback(error)
+        show_traceback(error)
         print(_internal(error), file=sys.stderr)
         sys.exit(SrsError.exit_code)
 
 
-def _show_traceback(error: Exception) -> None:
+def show_traceback(error: Exception) -> None:
+    """Print an error's traceback to stderr where somebody asked for it."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         traceback.print_exception(error)
 

@@ -1,23 +1,27 @@
-"""Runs scenarios one after the other: what `run` and `compare` share."""
+"""Runs scenarios, one here or several in worker processes: what `run` and `compare` share."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED
+from srs_twin.cli import INTERRUPTED, show_traceback
+from srs_twin.cli.case import Case, Ended, simulate
+from srs_twin.cli.counting import Counting
 from srs_twin.cli.progress import Progress
-from srs_twin.errors import InputError
-
-if TYPE_CHECKING:
-    from srs_twin.running import Explain, PreparedRun, RunResult
+from srs_twin.errors import InputError, SrsError
 
 EXPECTATION_FAILED = 1
 RUNS = Path("runs")
+
+Task = Callable[..., Ended]
+Runs = Generator[tuple[Case, Ended], None, None]
 
 OutOption = Annotated[
     str | None,
@@ -37,32 +41,44 @@ def run_all(
     out: str | None,
     check: bool,
     quiet: bool,
+    jobs: int | None = None,
+    junit: str | None = None,
     plants: Sequence[str] | None = None,
     explain: bool = False,
 ) -> None:
     """Find what is bad in any scenario, then run the good ones; exit with the highest code.
+
+    What is printed keeps to the order in which the scenarios were given.
 
     Args:
         given: shipped names, files, folders of files.
         out: where the files go; the folder itself for one scenario, a folder in it for each of several.
         check: let failed expectations decide the exit code.
         quiet: print errors only.
+        jobs: how many scenarios at once, in worker processes; 1: here, one after the other; default one a
+            processor.
+        junit: a file for what came of each scenario and expectation, as JUnit XML.
         plants: which plants; None takes those that each scenario names.
         explain: also say why the plants differ.
 
     Raises:
+        InputError: the JUnit file or the folder for all cannot be written; nothing was simulated.
         typer.Exit: with the exit code, where it is not 0.
     """
-    jobs, code = _prepare_all(_expand(given), out, plants)
-    finished: list[str] = []
+    from srs_twin.cli.junit import report_path, write_junit
+
+    cases = [Case(source) for source in _expand(given)]
+    report = None if junit is None else report_path(junit)
+    if report is not None:
+        # Found out now that it cannot be written; and whatever ends this process, no old report is left.
+        write_junit(report, cases)
     try:
-        for job in jobs:
-            code = max(code, _run(job, check=check, quiet=quiet, explain=explain))
-            finished += [str(job.folder)] if job.complete else []
-    except KeyboardInterrupt:
-        kept = ", ".join(finished) or "nothing"
-        _say(f"interrupted; finished before: {kept}")
-        code = INTERRUPTED
+        _load_all(cases, out, plants)
+        task = partial(simulate, plants=plants, explain=explain)
+        code = _run_all(cases, task, jobs, check=check, quiet=quiet)
+    finally:
+        if report is not None:
+            write_junit(report, cases)
     if code:
         raise typer.Exit(code)
 
@@ -78,67 +94,118 @@ def _expand(given: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _prepare_all(
-    sources: Sequence[str], out: str | None, plants: Sequence[str] | None
-) -> tuple[list[PreparedRun], int]:
-    """Load and build every scenario; say what is wrong with the bad ones and return the rest."""
-    from srs_twin.running import prepare
+def _load_all(cases: Sequence[Case], out: str | None, plants: Sequence[str] | None) -> None:
+    """Load every scenario and see that it can run; say what is wrong with the bad ones."""
+    from srs_twin.running import open_folder, prepare
     from srs_twin.scenario import load_scenario
 
-    jobs: dict[Path, PreparedRun] = {}
-    code = 0
-    for source in sources:
-        try:
-            scenario = load_scenario(source)
-            base = Path(out) if out else RUNS
-            folder = base if out and len(sources) == 1 else base / scenario.name
-            if folder in jobs:
-                raise InputError(f"{source}: another '{scenario.name}' is given, and both write to {folder}")
-            jobs[folder] = prepare(scenario, folder, plants=plants)
-        except InputError as error:
-            _say(str(error))
-            code = max(code, error.exit_code)
-    return list(jobs.values()), code
+    base = Path(out) if out else RUNS
+    taken: set[Path] = set()
+    for case in cases:
+        with _ending(case):
+            case.scenario = scenario = load_scenario(case.source)
+            case.folder = base if out and len(cases) == 1 else base / scenario.name
+            if case.folder in taken:
+                raise InputError(
+                    f"{case.source}: another '{scenario.name}' is given, and both write to {case.folder}"
+                )
+            taken.add(case.folder)
+    good = [case for case in cases if case.ended is None]
+    if len(good) > 1:
+        # One word on a place where nothing can be written, not one for each scenario.
+        open_folder(base)
+    for case in good:
+        with _ending(case):
+            # Built to see that it can be, and again where it runs: plants do not travel between processes.
+            prepare(*case.order, plants=plants)
 
 
-def _run(job: PreparedRun, *, check: bool, quiet: bool, explain: bool) -> int:
-    """Run one scenario and show what it gave; return its exit code."""
-    for warning in () if quiet else job.scenario.warnings:
-        _say(f"warning: {warning}")
+@contextmanager
+def _ending(case: Case) -> Iterator[None]:
+    """Say what is wrong with a scenario and count it as ended."""
     try:
-        with Progress(job.scenario.name, quiet=quiet) as progress:
-            result = job.execute(progress, explain=_explainer()) if explain else job.execute(progress)
+        yield
     except InputError as error:
         _say(str(error))
-        return error.exit_code
-    return _report(result, check=check, quiet=quiet)
+        case.ended = Ended(None, (error,))
 
 
-def _explainer() -> Explain:
-    from srs_twin.attribution import explain
+def _run_all(cases: Sequence[Case], task: Task, jobs: int | None, *, check: bool, quiet: bool) -> int:
+    """Run what has not ended yet; return the exit code."""
+    to_do = [case for case in cases if case.ended is None]
+    for case in () if quiet else to_do:
+        for warning in case.scenario.warnings if case.scenario else ():
+            _say(f"warning: {warning}")
+    from srs_twin.processes import processors
 
-    return explain
+    workers = min(jobs or processors(), len(to_do))
+    run = _run_here(to_do, task, quiet) if workers <= 1 else _run_in_workers(to_do, task, workers, quiet)
+    try:
+        with closing(run):
+            for case, ended in run:
+                _report(case, ended, check=check, quiet=quiet)
+    except KeyboardInterrupt:
+        complete = [str(case.folder) for case in to_do if case.ended and case.ended.metrics]
+        _say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
+        return INTERRUPTED
+    return max((_exit_code(case, check=check) for case in cases), default=0)
 
 
-def _report(result: RunResult, *, check: bool, quiet: bool) -> int:
-    """Show what a run gave; return its exit code."""
-    if result.diverged:
-        for error in result.diverged:
-            _say(str(error))
-        return max(error.exit_code for error in result.diverged)
+def _run_here(cases: Sequence[Case], task: Task, quiet: bool) -> Runs:
+    """Run scenarios in this process, one after the other; yield each when it has ended."""
+    for case in cases:
+        with Progress(case.name, quiet=quiet) as progress:
+            case.ended = ended = task(case.order, progress)
+        yield case, ended
+
+
+def _run_in_workers(cases: Sequence[Case], task: Task, workers: int, quiet: bool) -> Runs:
+    """Run scenarios in worker processes; yield each when it and all before it have ended."""
+    from srs_twin.processes import each
+
+    shown = 0
+    with (
+        Counting("scenarios", len(cases), quiet=quiet) as counting,
+        closing(each(task, [case.order for case in cases], workers=workers)) as run,
+    ):
+        for done in run:
+            case = cases[done.number]
+            case.ended = done.result or Ended(None, (_named(case, done.error),))
+            counting(failed=bool(case.ended.errors))
+            with counting.aside():
+                while shown < len(cases) and (ended := cases[shown].ended) is not None:
+                    yield cases[shown], ended
+                    shown += 1
+
+
+def _named(case: Case, error: Exception | None) -> SrsError:
+    """Say in the message which scenario it was."""
+    assert isinstance(error, SrsError)
+    error.args = (f"{case.name}: {error}",)
+    return error
+
+
+def _report(case: Case, ended: Ended, *, check: bool, quiet: bool) -> None:
+    """Show what a run gave."""
     from srs_twin.cli.table import missed_lines, show
 
-    failed = check and not all(outcome.met for outcome in result.outcomes)
-    if not quiet:
-        show(result)
-        _say(f"files in {result.folder}; `srs-twin view {result.folder}` shows the run")
-    elif failed:
-        for line in missed_lines(result.metrics):
-            _say(line)
-    for error in result.unexplained:
+    if ended.result is not None and ended.metrics:
+        if not quiet:
+            show(ended.result)
+            _say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
+        elif check:
+            for line in missed_lines(ended.metrics):
+                _say(line)
+    for error in ended.errors:
+        show_traceback(error)
         _say(str(error))
-    codes = [error.exit_code for error in result.unexplained]
-    return max([*codes, EXPECTATION_FAILED if failed else 0])
+
+
+def _exit_code(case: Case, *, check: bool) -> int:
+    if case.ended is None:
+        return 0
+    codes = [error.exit_code for error in case.ended.errors]
+    return max([*codes, EXPECTATION_FAILED if check and case.ended.missed else 0])
 
 
 def _say(text: str) -> None:

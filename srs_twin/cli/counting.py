@@ -1,4 +1,4 @@
-"""How many of many runs are done: a bar on stderr with rate and time left; lines where that is no terminal."""
+"""How many of many runs are done: a bar on stderr with rate and time left; lines where it is no terminal."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ class Counting:
         self._title, self._total, self._quiet = title, total, quiet
         self._done = self._failed = 0
         self._start = self._told = time.monotonic()
+        self._first = self._start  # when the first run was done: workers take a while to start
         self._bar: Any = None
 
     def __enter__(self) -> Counting:
@@ -32,33 +33,41 @@ class Counting:
 
     def __call__(self, *, failed: bool) -> None:
         """Take note of one more run that is finished."""
+        now = time.monotonic()
+        if not self._done:
+            self._first = now
         self._done += 1
         self._failed += failed
-        now = time.monotonic()
         if self._quiet or now - self._start < PATIENCE_S:
             return
         if sys.stderr.isatty():
-            self._draw()
-        elif now - self._told >= LINE_EVERY_S or self._told == self._start:
+            self._draw(now)
+        elif now - self._told >= LINE_EVERY_S:
             self._told = now
-            print(self._line(now), file=sys.stderr, flush=True)
+            left = (self._total - self._done) / self._rate(now)
+            print(f"{self._title}: {self._done} of {self._total}{self._pace(now)}, {left:.0f} s left",
+                  file=sys.stderr, flush=True)  # fmt: skip
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Take the bar off the terminal while something else is printed there."""
+        """Take the bar off the terminal while something else is printed there (`run` prints tables)."""
         if self._bar is not None:
             self._bar.stop()
         yield
         if self._bar is not None:
             self._bar.start()
 
-    def _line(self, now: float) -> str:
-        rate = self._done / (now - self._start)
-        left = (self._total - self._done) / rate
-        failed = f", {self._failed} failed" if self._failed else ""
-        return f"{self._title}: {self._done} of {self._total}{failed}, {rate:.3g}/s, {left:.0f} s left"
+    def _rate(self, now: float) -> float:
+        """Return runs a second since the first was done; before a second is, since the start."""
+        if self._done < 2:
+            return self._done / max(now - self._start, 1e-3)
+        return (self._done - 1) / max(now - self._first, 1e-3)
 
-    def _draw(self) -> None:
+    def _pace(self, now: float) -> str:
+        failed = f", {self._failed} failed" if self._failed else ""
+        return f"{failed}, {self._rate(now):.3g}/s"
+
+    def _draw(self, now: float) -> None:
         # rich costs more to import than a short sweep has time for.
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -66,11 +75,9 @@ class Counting:
         if self._bar is None:
             columns = (
                 TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
-                TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
+                TextColumn("{task.fields[pace]}"), TimeRemainingColumn(),
             )  # fmt: skip
             self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
             self._bar.start()
-            self._task = self._bar.add_task(self._title, total=self._total, rate="")
-        rate = self._done / (time.monotonic() - self._start)
-        failed = f" {self._failed} failed" if self._failed else ""
-        self._bar.update(self._task, completed=self._done, rate=f"{rate:.3g}/s{failed}")
+            self._task = self._bar.add_task(self._title, total=self._total, pace="")
+        self._bar.update(self._task, completed=self._done, pace=self._pace(now).lstrip(", "))

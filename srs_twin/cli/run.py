@@ -16,7 +16,24 @@ def run(
     ],
     out: OutOption = None,
     check: CheckOption = False,
+    junit: Annotated[
+        str | None,
+        typer.Option(
+            "--junit", metavar="FILE.xml", help="Write a JUnit report: expectations, divergences, bad input."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            "-j",
+            metavar="N",
+            min=1,
+            max=4096,
+            help="Scenarios at once; 1: one after the other. [default: one a processor]",
+        ),
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Run scenarios on the plants they name."""
-    run_all(scenarios, out=out, check=check, quiet=quiet)
+    run_all(scenarios, out=out, check=check, quiet=quiet, jobs=jobs, junit=junit)

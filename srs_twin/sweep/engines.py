@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -56,8 +57,13 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
 
     def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
         try:
-            own = {} if address else {"num_cpus": workers, "include_dashboard": False}
-            ray.init(address, log_to_driver=False, logging_level="ERROR", **own)
+            if address:
+                ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+            else:
+                ray.init(
+                    num_cpus=workers, include_dashboard=False, log_to_driver=False,
+                    logging_level=logging.ERROR,
+                )  # fmt: skip
         except (ConnectionError, RuntimeError, ValueError) as error:
             raise InputError(f"Ray cannot be reached at {address or 'this machine'}: {error}") from error
         try:

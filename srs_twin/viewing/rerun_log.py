@@ -54,7 +54,8 @@ def write_recording(
     log = rr.RecordingStream("srs_twin")
     low, high = _extent(trajectories, spec)
     layout = _layout(trajectories, spec, comparison is not None)
-    log.save(path)
+    # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
+    recording = log.memory_recording()
     # Active, not only default: a viewer that has shown another robot before must not keep its layout.
     log.send_blueprint(run_blueprint(layout), make_active=True, make_default=True)
     log.set_log_time_enabled(False)
@@ -73,7 +74,7 @@ def write_recording(
             (("shape", comparison.shape_error), ("path", comparison.path_error))
         ):
             _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
-    log.flush()
+    Path(path).write_bytes(recording.drain_as_bytes())
     log.disconnect()
 
 

@@ -1,0 +1,108 @@
+"""What came of scenarios as JUnit XML, which GitHub, GitLab and Jenkins show: a test suite each."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from srs_twin.cli.case import Case
+from srs_twin.errors import InputError
+from srs_twin.files import atomic_write
+
+if TYPE_CHECKING:
+    from srs_twin.scenario import Outcome
+
+_OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
+# What XML 1.0 has no way to write: control characters, and the halves of a file name that is not UTF-8.
+_UNWRITABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def report_path(given: str) -> Path:
+    """Return the file that a report goes to.
+
+    Raises:
+        InputError: it does not end in .xml, as a scenario does that was taken for it.
+    """
+    path = Path(given)
+    if path.suffix.lower() != ".xml":
+        raise InputError(f"--junit {given}: not the name of a report; give one that ends in .xml")
+    return path
+
+
+def write_junit(path: Path, cases: Sequence[Case]) -> None:
+    """Write a report: a suite for each scenario, a test case for its run and for each of its expectations.
+
+    A missed expectation is a failure; a divergence, bad input or a dead worker is an error of the test case
+    ``runs``; what was not reached or could not be measured is skipped.
+
+    Args:
+        path: the file; an earlier one is replaced.
+        cases: the scenarios, whether they have ended or not.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    root = Element("testsuites", name="srs-twin")
+    root.extend(map(_suite, cases))
+    _sum_up(root, sum(case.ended.wall_s for case in cases if case.ended))
+    tree = ElementTree.ElementTree(root)
+    ElementTree.indent(tree)
+    with atomic_write(path) as part:
+        tree.write(part, encoding="utf-8", xml_declaration=True)
+
+
+def _suite(case: Case) -> Element:
+    suite = Element("testsuite", name=_text(case.name))
+    wall_s = case.ended.wall_s if case.ended else 0.0
+    run = _test(suite, case, "runs", wall_s)
+    if case.ended is None:
+        SubElement(run, "skipped", message="not finished")
+    elif case.ended.errors:
+        words = _text("\n".join(map(str, case.ended.errors)))
+        kind = type(case.ended.errors[0]).__name__
+        SubElement(run, "error", message=words, type=kind).text = words
+    for name, outcome in _outcomes(case):
+        test = _test(suite, case, name, 0.0)
+        if outcome is None:
+            SubElement(test, "skipped", message="there is no whole run to measure")
+        elif not outcome.met:
+            said = f"{name} = {outcome.value}, allowed {outcome.allowed}"
+            failure = SubElement(test, "failure", message=_text(said), type="expectation")
+            source = outcome.source or "ours"
+            failure.text = _text(f"value: {outcome.value}\nallowed: {outcome.allowed}\nsource: {source}")
+    _sum_up(suite, wall_s)
+    return suite
+
+
+def _outcomes(case: Case) -> Iterator[tuple[str, Outcome | None]]:
+    """Yield a name for each expectation and what came out; None where nothing could be measured."""
+    expected = case.scenario.expect if case.scenario else ()
+    metrics = case.ended.metrics if case.ended else None
+    seen: Counter[str] = Counter()
+    for each in expected:
+        name = f"{each.of} {each.metric}"
+        seen[name] += 1
+        number = f" ({seen[name]})" if seen[name] > 1 else ""
+        yield name + number, each.check(metrics) if metrics else None
+
+
+def _test(suite: Element, case: Case, name: str, wall_s: float) -> Element:
+    return SubElement(suite, "testcase", classname=_text(case.name), name=name, time=f"{wall_s:.3f}")
+
+
+def _sum_up(element: Element, wall_s: float) -> None:
+    """Count what is in a suite, or in all of them."""
+    element.set("tests", str(sum(1 for _ in element.iter("testcase"))))
+    for name, outcome in _OUTCOMES.items():
+        element.set(name, str(sum(1 for _ in element.iter(outcome))))
+    element.set("time", f"{wall_s:.3f}")
+
+
+def _text(text: str) -> str:
+    """Return a text with escapes for what XML cannot write."""
+    return _UNWRITABLE.sub(lambda found: ascii(found[0])[1:-1], text)

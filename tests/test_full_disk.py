@@ -1,0 +1,139 @@
+"""A full disk: one clear message, nothing half-written, what an earlier run left as it was."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from srs_twin import Trajectory, load_scenario
+from srs_twin.errors import InputError
+from srs_twin.running import PRODUCTS, prepare
+
+SCENARIO = """\
+title: Brief
+robot: gen2
+duration_s: 0.2
+supply: {pressure_kpa: 48.3}
+controller: {kind: gait, frequency_hz: 2.0}
+plants: {analytical: {}}
+"""
+FILES = len(PRODUCTS) - 1  # one plant
+
+
+def contents(folder):
+    """Return path → bytes of all that lies in a folder."""
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def room(tmp_path):
+    (tmp_path / "brief.yaml").write_text(SCENARIO)
+    (tmp_path / "out").mkdir()
+    for product in ("metrics.json", "twin.parquet", "notes.txt"):
+        (tmp_path / "out" / product).write_text(f"{product} of before")
+    return tmp_path
+
+
+@contextmanager
+def largest_file(size):
+    """Let no file grow beyond a size (bytes), as a quota does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("size", [0, 4_000, 8_000, 60_000])
+def test_real_writers_against_a_limit(room, size):
+    before = contents(room)
+    job = prepare(load_scenario(room / "brief.yaml"), room / "out")
+    with largest_file(size), pytest.raises(InputError) as refused:
+        job.execute()
+    assert str(refused.value).endswith(
+        "/out: the run's files cannot be written there (File too large); an earlier run's are as they were"
+    )
+    assert contents(room) == before
+    assert sorted(path.name for path in (room / "out").iterdir()) == [
+        "metrics.json", "notes.txt", "twin.parquet"
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def full_at(monkeypatch):
+    """Make the disk full at the n-th file that a run writes; half of it fits. Pictures are left out."""
+    written = []
+
+    def fake(at):
+        write_bytes = Path.write_bytes
+
+        def write(path, raw):
+            written.append(path.name)
+            if len(written) == at:
+                write_bytes(path, raw[: len(raw) // 2])
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            write_bytes(path, raw)
+
+        def write_text(path, text, encoding):
+            write(path, text.encode(encoding))
+
+        monkeypatch.setattr(Path, "write_text", write_text)
+        monkeypatch.setattr(Trajectory, "to_parquet", lambda run, path: write(path, b"columns"))
+        for picture in ("report.write_report", "rerun_log.write_recording"):
+            monkeypatch.setattr(f"srs_twin.viewing.{picture}", lambda path, **_: write(path, b"picture"))
+        return written
+
+    return fake
+
+
+@pytest.mark.parametrize("at", range(1, FILES + 1))
+def test_full_at_any_write(room, full_at, at):
+    before = contents(room)
+    job = prepare(load_scenario(room / "brief.yaml"), room / "out")
+    written = full_at(at)
+    with pytest.raises(InputError, match=r"cannot be written there \(No space left on device\)"):
+        job.execute()
+    assert len(written) == at
+    assert contents(room) == before
+
+
+def test_with_room_again_the_new_run_takes_the_place_of_the_old(room, full_at):
+    written = full_at(FILES + 1)
+    prepare(load_scenario(room / "brief.yaml"), room / "out").execute()
+    assert len(written) == FILES
+    found = {path.name for path in (room / "out").iterdir()}
+    assert found == {*PRODUCTS, "notes.txt"} - {"twin.parquet"}
+    assert (room / "out/metrics.json").read_text() != "metrics.json of before"
+
+
+def test_what_a_killed_run_left_half_written_goes_with_the_next(room, full_at):
+    (room / "out/.part").mkdir()
+    (room / "out/.part/report.html").write_text("hal")
+    full_at(0)
+    prepare(load_scenario(room / "brief.yaml"), room / "out").execute()
+    assert not (room / "out/.part").exists()
+
+
+def test_the_command_says_it_in_one_line_and_exits_with_2(room):
+    script = Path(sys.executable).with_name("srs-twin")
+    before = contents(room / "out")
+    done = subprocess.run(
+        ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", script, "run", "./brief.yaml", "--out", "out"],
+        cwd=room,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "out: the run's files cannot be written there (File too large); an earlier run's are as they were\n"
+    )
+    assert contents(room / "out") == before

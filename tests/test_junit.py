@@ -1,0 +1,256 @@
+"""JUnit reports: what GitHub, GitLab and Jenkins read from them, and that it is true."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import redirect_stdout
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.cli import main
+from srs_twin.cli.case import Case, Ended
+from srs_twin.cli.junit import report_path, write_junit
+from srs_twin.errors import DivergedError, InputError, WorkerDiedError
+from srs_twin.running import RunResult
+from srs_twin.scenario import Expectation
+from srs_twin.viewing.viewer import rerun_executable
+
+SCENARIO = """\
+title: Brief
+robot: gen2
+duration_s: 0.2
+supply: {pressure_kpa: 48.3}
+controller: {kind: gait, frequency_hz: 2.0}
+plants: {analytical: {}}
+expect:
+  - {metric: path_length_m, plant: analytical, below: 100}
+  - {metric: path_length_m, plant: analytical, above: 100, source: "<&> nobody"}
+"""
+EXPECT = (
+    Expectation("com_speed_m_s", "twin", 0.18, 0.25, 0.214, "Table 10"),
+    Expectation("com_speed_rel", "comparison", -0.12, 0.12),
+    Expectation("com_speed_rel", "comparison", -0.5, float("inf")),
+)
+METRICS = {"plants": {"twin": {"com_speed_m_s": 0.2}}, "comparison": {"com_speed_rel": -0.2}}
+
+
+def case(name, *, metrics=None, errors=(), ended=True):
+    """A scenario with three expectations and what came of it."""
+    found = Case(name, SimpleNamespace(name=name, expect=EXPECT), Path("runs") / name)
+    result = None if metrics is None else RunResult(name, found.folder, {}, metrics)
+    found.ended = Ended(result, errors, 1.5) if ended else None
+    return found
+
+
+def read(path):
+    """Return suite → test case → (outcome, its words), after a check of all that readers rely on."""
+    text = path.read_text("utf-8")
+    assert text.startswith("<?xml version='1.0' encoding='utf-8'?>\n")
+    root = ElementTree.fromstring(text)
+    assert root.tag == "testsuites"
+    found = {}
+    for suite in root:
+        assert (suite.tag, suite.get("name") in found) == ("testsuite", False)
+        tests = found[suite.get("name")] = {}
+        for test in suite:
+            assert test.tag == "testcase"
+            assert set(test.attrib) == {"classname", "name", "time"}
+            assert test.get("classname") == suite.get("name")
+            assert test.get("name") not in tests, "readers take tests of one name for one"
+            assert float(test.get("time")) >= 0
+            (outcome,) = list(test) or [None]
+            if outcome is None:
+                tests[test.get("name")] = ("passed", "")
+                continue
+            assert outcome.get("message")
+            assert (outcome.tag == "skipped") == (outcome.get("type") is None) == (outcome.text is None)
+            words = outcome.get("message") + "\n" + (outcome.text or "")
+            tests[test.get("name")] = (outcome.tag, words)
+        check_sums(suite, tests.values())
+    check_sums(root, [test for tests in found.values() for test in tests.values()])
+    assert float(root.get("time")) == pytest.approx(sum(float(s.get("time")) for s in root), abs=2e-3)
+    return found
+
+
+def check_sums(element, tests):
+    kinds = [kind for kind, _ in tests]
+    assert set(element.attrib) == {"name", "tests", "failures", "errors", "skipped", "time"}
+    assert int(element.get("tests")) == len(kinds)
+    for name, kind in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+        assert int(element.get(name)) == kinds.count(kind)
+
+
+def kinds(tests):
+    return [kind for kind, _ in tests.values()]
+
+
+def test_every_kind_of_end(tmp_path):
+    flew = DivergedError("twin", 1.5, "qpos is not finite")
+    cases = [
+        case("ran", metrics=METRICS),
+        case("flew", metrics={}, errors=(flew,)),
+        case("died", errors=(WorkerDiedError(-9, 3),)),
+        case("unexplained", metrics=METRICS, errors=(flew,)),
+        case("later", ended=False),
+        Case("./bad.yaml", ended=Ended(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
+        Case("./never_read.yaml"),
+    ]
+    write_junit(tmp_path / "r.xml", cases)
+    found = read(tmp_path / "r.xml")
+    measured = ["passed", "failure", "passed"]
+    assert {name: kinds(tests) for name, tests in found.items()} == {
+        "ran": ["passed", *measured],
+        "flew": ["error", *3 * ["skipped"]],
+        "died": ["error", *3 * ["skipped"]],
+        "unexplained": ["error", *measured],
+        "later": 4 * ["skipped"],
+        "bad": ["error"],
+        "never_read": ["skipped"],
+    }
+    assert list(found["ran"]) == [
+        "runs", "twin com_speed_m_s", "comparison com_speed_rel", "comparison com_speed_rel (2)",
+    ]  # fmt: skip
+    _, words = found["ran"]["comparison com_speed_rel"]
+    assert words == (
+        "comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
+        "value: -0.2\nallowed: -0.12 to 0.12\nsource: ours"
+    )
+    assert "twin diverged at t = 1.5 s" in found["flew"]["runs"][1]
+    assert "killed by SIGKILL" in found["died"]["runs"][1]
+    assert "bad.yaml:1:2: wrong\nbad.yaml:3:4: too" in found["bad"]["runs"][1]
+
+
+@given(st.text(min_size=1), st.text(min_size=1))
+def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, name, words):
+    path = tmp_path_factory.getbasetemp() / "any.xml"
+    scenario = SimpleNamespace(name=name, expect=())
+    write_junit(path, [Case("x", scenario, ended=Ended(None, (InputError(words),)))])
+    (suite,) = ElementTree.parse(path).getroot()
+    message = suite.find("testcase/error").get("message")
+    if all(ord(c) >= 32 and c not in "\ufffe\uffff" for c in name + words):
+        assert (suite.get("name"), message) == (name, words)
+
+
+def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
+    bad = Ended(None, (InputError("\x1b[31mred\x00 \ud800 \ufffe <&\"'> é 🐍"),))
+    write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", ended=bad)])
+    (name,) = read(tmp_path / "r.xml")
+    assert name == "a\\udcff"
+    _, words = read(tmp_path / "r.xml")[name]["runs"]
+    assert words.startswith("\\x1b[31mred\\x00 \\ud800 \\ufffe <&\"'> é 🐍\n")
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", "out", "gen2.yaml", "reports/", ".xml"])
+def test_what_is_no_name_of_a_report_is_refused(name):
+    # A scenario after a bare --junit must not be overwritten.
+    with pytest.raises(InputError, match=r"--junit .*: not the name of a report; give one that ends in .xml"):
+        report_path(name)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory, srs_twin):
+    """The same scenarios in worker processes and here: (room, what each start printed)."""
+    room = tmp_path_factory.mktemp("both")
+    (room / "a.yaml").write_text(SCENARIO)
+    (room / "bad.yaml").write_text(SCENARIO.replace("gait", "gate"))
+    (room / "b.yaml").write_text(SCENARIO.replace("2.0", "1.5").replace("{}}", "{}, twin: {}}"))
+    many = srs_twin("run", ".", "--jobs", "2", "--out", "many", "--junit", "many/x/out.xml", cwd=room)
+    assert many.returncode == 2, "the bad one"
+    words = ["run", ".", "-j", "1", "--out", "one", "--check", "--junit", "one/x/out.xml"]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as one:
+        patch.chdir(room)
+        with pytest.raises(SystemExit) as left:
+            main(words)
+    assert left.value.code == 2
+    return room, many.stdout, one.getvalue()
+
+
+def test_the_truth_is_written_with_and_without_check(both):
+    room, _, _ = both
+    ran = ["passed", "passed", "failure"]
+    for folder in ("many", "one"):
+        found = read(room / folder / "x/out.xml")
+        assert {name: kinds(tests) for name, tests in found.items()} == {"a": ran, "b": ran, "bad": ["error"]}
+        assert "source: <&> nobody" in found["a"]["analytical path_length_m (2)"][1]
+        assert [path.name for path in (room / folder / "x").iterdir()] == ["out.xml"]
+
+
+def test_worker_processes_leave_the_same_files_and_words(both):
+    room, many, one = both
+    for name in "ab":
+        files = [{path.name for path in (room / where / name).iterdir()} for where in ("many", "one")]
+        assert files[0] == files[1] >= {"metrics.json", "recording.rrd", "report.html"}
+        for file in files[0]:
+            here, there = (room / where / name / file for where in ("many", "one"))
+            if file == "recording.rrd":
+                # Recordings carry a random id each: Rerun says whether they hold the same.
+                words = ["rrd", "compare", "--unordered", str(here), str(there)]
+                subprocess.run([rerun_executable(), *words], check=True)
+            elif file == "report.html":
+                assert without_wall_times(here.read_text()) == without_wall_times(there.read_text())
+            elif file == "metrics.json":
+                assert timeless(json.loads(here.read_text())) == timeless(json.loads(there.read_text()))
+            else:
+                assert here.read_bytes() == there.read_bytes(), file
+    assert without_wall_times(many) == without_wall_times(one)
+
+
+def timeless(metrics):
+    """Take out what a run's speed on this machine decides."""
+    for plant in metrics["plants"].values():
+        assert plant.pop("wall_s") > 0
+        assert plant.pop("realtime_factor") > 0
+    return metrics
+
+
+def without_wall_times(text):
+    """Return a table or a report without what it took to compute, and without widths."""
+    text = re.sub("<tr><td>(time to compute|realtime factor)</td>.*?</tr>", "", text, flags=re.DOTALL)
+    return [line.split() for line in text.splitlines() if "real-time factor" not in line and "─" not in line]
+
+
+@pytest.mark.parametrize("where", ["/proc/nosuch/r.xml", "a.yaml/r.xml", "folder.xml"])
+def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, srs_twin, where):
+    (tmp_path / "a.yaml").write_text(SCENARIO)
+    (tmp_path / "folder.xml").mkdir()
+    done = srs_twin("run", "./a.yaml", "--junit", where, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"{where}: cannot be written (")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+
+
+def test_after_an_interrupt_the_report_says_what_was_reached(tmp_path):
+    (tmp_path / "brief.yaml").write_text(SCENARIO)
+    (tmp_path / "long.yaml").write_text(SCENARIO.replace("0.2", "600").replace("{}}", "{}, twin: {}}"))
+    (tmp_path / "r.xml").write_text("of an earlier run")
+    script = str(Path(sys.executable).with_name("srs-twin"))
+    words = ["run", "./long.yaml", "./brief.yaml", "--junit", "r.xml", "--jobs", "2"]
+    child = subprocess.Popen(
+        [script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    latest = time.monotonic() + 120
+    while not (tmp_path / "runs/brief/metrics.json").exists() and time.monotonic() < latest:
+        time.sleep(0.05)
+    assert kinds(read(tmp_path / "r.xml")["brief"]) == ["skipped"], "before the end nothing is claimed"
+    time.sleep(0.5)
+    os.killpg(child.pid, signal.SIGINT)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 130, said
+    assert "interrupted; finished before: runs/brief\n" in said
+    assert "Traceback" not in said
+    found = read(tmp_path / "r.xml")
+    assert kinds(found["long"]) == 3 * ["skipped"]
+    assert kinds(found["brief"]) == ["passed", "passed", "failure"]
