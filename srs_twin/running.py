@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
-import shutil
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import metadata
@@ -23,8 +19,9 @@ from srs_twin.comparison.compare import Comparison, compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.documents import dump_yaml
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError
 from srs_twin.files import shown
+from srs_twin.folders import open_folder, replaced
 from srs_twin.plants.base import Plant
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
@@ -38,7 +35,6 @@ METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
 REPORT, RECORDING = "report.html", "recording.rrd"
 # metrics.json first: as long as it stands, the folder is complete.
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
-_FRESH = ".part"
 
 Progress = Callable[[str, float], None]
 Explain = Callable[..., "Attribution"]
@@ -119,7 +115,7 @@ class PreparedRun:
             except DivergedError as error:
                 unexplained.append(error)
         # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
-        with _replaced(self.folder) as fresh:
+        with replaced(self.folder, PRODUCTS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(self.scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
                 trajectory.to_parquet(fresh / f"{kind}.parquet")
@@ -190,40 +186,6 @@ class PreparedRun:
         return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)
 
 
-@contextmanager
-def _replaced(folder: Path) -> Iterator[Path]:
-    """Give an empty folder for a run's files; they take the places of an earlier run's at the block's end.
-
-    After an error nothing of the block is left, and what the earlier run wrote is as it was. The folder
-    never holds files of two runs beside metrics.json: that goes first and comes last.
-
-    Raises:
-        InputError: the files cannot be written, for want of space or of permission.
-    """
-    fresh = folder / _FRESH
-    try:
-        # Only one that was killed has left any.
-        shutil.rmtree(fresh, ignore_errors=True)
-        fresh.mkdir()
-        yield fresh
-        for product in PRODUCTS:
-            if (folder / product).is_dir():
-                raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
-        for product in PRODUCTS:
-            (folder / product).unlink(missing_ok=True)
-        for product in reversed(PRODUCTS):
-            if (fresh / product).exists():
-                (fresh / product).replace(folder / product)
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise InputError(
-            f"{shown(folder)}: the run's files cannot be written there ({reason}); "
-            "an earlier run's are as they were"
-        ) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
-
-
 def _compare(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> Comparison:
     analytical, twin = (trajectories[plant] for plant in PLANTS)
     return compare(analytical, twin, gap_factor=scenario.gap_factor)
@@ -270,24 +232,6 @@ def run_scenario(
         InputError: bad input, or a folder that cannot be written; found before simulating.
     """
     return prepare(scenario, out, plants=plants).execute(progress)
-
-
-def open_folder(folder: Path) -> None:
-    """Make a folder and see that it can be written.
-
-    Raises:
-        InputError: it cannot.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # Permission bits say nothing to root and little on network drives: try it.
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"{folder}: cannot write there ({reason}); give another folder with --out"
-        ) from error
 
 
 def versions() -> dict[str, str]:

@@ -115,11 +115,11 @@ def test_with_room_again_the_new_run_takes_the_place_of_the_old(room, full_at):
 
 
 def test_what_a_killed_run_left_half_written_goes_with_the_next(room, full_at):
-    (room / "out/.part").mkdir()
-    (room / "out/.part/report.html").write_text("hal")
+    (room / "out/.part-killed").mkdir()
+    (room / "out/.part-killed/report.html").write_text("hal")
     full_at(0)
     prepare(load_scenario(room / "brief.yaml"), room / "out").execute()
-    assert not (room / "out/.part").exists()
+    assert not (room / "out/.part-killed").exists()
 
 
 def test_the_command_says_it_in_one_line_and_exits_with_2(room):
@@ -137,3 +137,15 @@ def test_the_command_says_it_in_one_line_and_exits_with_2(room):
         "out: the run's files cannot be written there (File too large); an earlier run's are as they were\n"
     )
     assert contents(room / "out") == before
+
+
+def test_two_runs_in_one_folder_do_not_disturb_each_other(tmp_path):
+    for name in ("first", "second"):
+        (tmp_path / name).write_text("from before")
+    with replaced(tmp_path, ("first",)) as one, replaced(tmp_path, ("second",)) as two:
+        (one / "first").write_text("of one")
+        (two / "second").write_text("of two")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "first": "of one",
+        "second": "of two",
+    }

@@ -96,7 +96,8 @@ def _expand(given: Sequence[str]) -> list[str]:
 
 def _load_all(cases: Sequence[Case], out: str | None, plants: Sequence[str] | None) -> None:
     """Load every scenario and see that it can run; say what is wrong with the bad ones."""
-    from srs_twin.running import open_folder, prepare
+    from srs_twin.folders import open_folder
+    from srs_twin.running import prepare
     from srs_twin.scenario import load_scenario
 
     base = Path(out) if out else RUNS

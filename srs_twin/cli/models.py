@@ -24,8 +24,8 @@ def export(
 ) -> None:
     """Write robots as MJCF, each in a folder of its own."""
     from srs_twin.files import shipped_names
+    from srs_twin.folders import open_folder
     from srs_twin.mjcf_export import export_robot
-    from srs_twin.running import open_folder
     from srs_twin.spec import load_robot
 
     robots = [load_robot(name) for name in names or shipped_names("robot")]

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from srs_twin.documents import dump_yaml
 from srs_twin.errors import InputError, SrsError
 from srs_twin.files import atomic_write, shown
+from srs_twin.folders import open_folder
 from srs_twin.processes import Done
-from srs_twin.running import open_folder
 from srs_twin.sweep.engines import Engine
 from srs_twin.sweep.points import Point, Sweep
 from srs_twin.sweep.results import RESULTS, digest, spans, table, write

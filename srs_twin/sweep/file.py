@@ -120,10 +120,8 @@ class SweepFile(Strict):
     fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = section(
         "Fields of the scenario that are otherwise than in its file.", {}
     )
-    vary: Annotated[dict[FieldName, Varied], Field(min_length=1, max_length=MAX_FIELDS)] = (
-        section(
-            "Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."
-        )
+    vary: Annotated[dict[FieldName, Varied], Field(min_length=1, max_length=MAX_FIELDS)] = section(
+        "Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."
     )
     sampling: SamplingFile = section("How the values are put together.", SamplingFile())
     metrics: Annotated[list[FieldName], Field(min_length=1, max_length=64)] | None = section(
