@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
 from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedError
+from srs_twin.threads import processors
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -42,13 +43,6 @@ class Done(Generic[Result]):
     number: int
     result: Result | None
     error: Exception | None
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def each(

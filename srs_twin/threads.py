@@ -29,7 +29,7 @@ class Workers:
         Raises:
             InputError: fewer than one.
         """
-        self.threads = _processors() if threads is None else threads
+        self.threads = processors() if threads is None else threads
         if self.threads < 1:
             raise InputError(f"threads: {threads} is not allowed; it must be 1 or more")
         # Idle threads end by themselves once nobody holds the pool.
@@ -88,7 +88,7 @@ class Workers:
         return results
 
 
-def _processors() -> int:
+def processors() -> int:
     """Return how many processors this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

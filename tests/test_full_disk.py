@@ -14,6 +14,7 @@ import pytest
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
+from srs_twin.folders import replaced
 from srs_twin.running import PRODUCTS, prepare
 
 SCENARIO = """\

@@ -137,7 +137,7 @@ def _run_all(cases: Sequence[Case], task: Task, jobs: int | None, *, check: bool
     for case in () if quiet else to_do:
         for warning in case.scenario.warnings if case.scenario else ():
             _say(f"warning: {warning}")
-    from srs_twin.processes import processors
+    from srs_twin.threads import processors
 
     workers = min(jobs or processors(), len(to_do))
     run = _run_here(to_do, task, quiet) if workers <= 1 else _run_in_workers(to_do, task, workers, quiet)
