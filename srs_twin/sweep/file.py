@@ -129,3 +129,9 @@ class SweepFile(Strict):
     )
     trajectories: bool = section("Whether every trajectory is kept as well.", False)
     plots: Annotated[list[PlotFile], Field(max_length=32)] = section("Pictures.", [])
+
+
+def sweep_json_schema() -> dict[str, Any]:
+    """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
+    schema = SweepFile.model_json_schema(by_alias=True)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

@@ -1,0 +1,59 @@
+"""What docs/sweeps.md prints is what the program takes and leaves."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from conftest import ROOT
+from small import SMALL, write
+
+from srs_twin.cli import main
+from srs_twin.files import shipped_names
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep.engines import local
+from srs_twin.sweep.file import PlotFile, SweepFile
+
+PAGE = (ROOT / "docs" / "sweeps.md").read_text("utf-8")
+FENCES = dict(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S))
+
+
+def test_the_file_that_is_printed_loads(tmp_path):
+    sweep = load_sweep(write(tmp_path, FENCES["yaml"], "printed.yaml"))
+    assert len(sweep.points) == 6
+    assert set(re.findall(r"^\| `(\w+)` \|", PAGE, re.M)) <= SweepFile.model_fields.keys()
+
+
+def test_every_shipped_sweep_is_named():
+    assert {name for name in re.findall(r"`(\w+)`", PAGE)} >= set(shipped_names("sweep")) - {"fig39"}
+    assert FENCES["sh"] == "uv run srs-twin sweep fig39\n"
+
+
+def test_the_files_that_are_promised_are_left(tmp_path):
+    plot = "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s}]\n"
+    with open_sweep(load_sweep(write(tmp_path, SMALL + plot)), tmp_path / "out") as opened:
+        opened.run(local(1), opened.missing())
+        summary = opened.finish()
+    left = {f"{path.name}/" if path.is_dir() else path.name for path in (tmp_path / "out").iterdir()}
+    promised = {
+        name
+        for row in re.findall(r"^\| (`[\w./`, ]+) \|", PAGE, re.M)
+        for name in re.findall(r"`([\w.]+[./]\w*)`", row)
+    }
+    assert left == promised
+    assert all((tmp_path / "out" / name).exists() for name in summary.files)
+
+
+def test_every_key_has_words_for_editors(capsys):
+    main_exit(["schema", "sweep"])
+    schema = json.loads(capsys.readouterr().out)
+    assert set(schema["properties"]) == set(SweepFile.model_fields)
+    for model in (SweepFile, PlotFile):
+        assert all(field.description and field.title for field in model.model_fields.values())
+
+
+def main_exit(words):
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert not end.value.code
