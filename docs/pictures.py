@@ -2,7 +2,7 @@
 
     uv run python docs/pictures.py
 
-`plan.png` and `why.png` need nothing; `hero.png` is a screenshot of Rerun's viewer and needs a Vulkan driver
+`plan.png`, `why.png` and `fig31.png` need nothing; `hero.png` is a screenshot of Rerun's viewer and needs a Vulkan driver
 (on a machine without a graphics card Debian's mesa-vulkan-drivers).
 """
 
@@ -14,6 +14,8 @@ from pathlib import Path
 from srs_twin import load_scenario
 from srs_twin.attribution import explain
 from srs_twin.running import run_scenario
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep.engines import local
 from srs_twin.viewing.plan_view import hero_figure
 from srs_twin.viewing.screenshot import screenshots
 from srs_twin.viewing.waterfall import waterfall
@@ -23,8 +25,12 @@ MOMENT_S = 3.3
 
 
 def main() -> None:
-    """Run gen2_straight and gen2_turn and write the pictures."""
+    """Run gen2_straight, gen2_turn and the sweep fig31 and write the pictures."""
     IMAGES.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, open_sweep(load_sweep("fig31"), Path(folder)) as sweep:
+        sweep.run(local(), sweep.missing())
+        speed = next(name for name in sweep.finish().files if name.endswith("com_speed_m_s.png"))
+        (IMAGES / "fig31.png").write_bytes((Path(folder) / speed).read_bytes())
     turn = load_scenario("gen2_turn")
     with tempfile.TemporaryDirectory() as folder:
         runs = run_scenario(turn, Path(folder)).trajectories
