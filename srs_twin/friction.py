@@ -39,39 +39,41 @@ def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # n
         mu_t, mu_n: coefficients.
         slip: regularisation speed ε, m/s.
     """
-    s_t = np.sqrt(v_t * v_t + slip * slip)
-    s_n = np.sqrt(v_n * v_n + slip * slip)
-    k_t, k_n = load * mu_t, load * mu_n
+    # Reciprocal roots: one division a root, where the slopes would take another each.
+    r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
+    r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
+    k_t, k_n = load * mu_t * r_t, load * mu_n * r_n
     none = 0.0 * v_t
     return (
-        -k_t * v_t / s_t,
-        -k_n * v_n / s_n,
-        -k_t * slip * slip / s_t**3,
+        -k_t * v_t,
+        -k_n * v_n,
+        -k_t * (slip * r_t) ** 2,
         none,
         none,
-        -k_n * slip * slip / s_n**3,
+        -k_n * (slip * r_n) ** 2,
     )
 
 
 def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and slopes (N·s/m) of the `wheel` law. Arguments as in `axis`."""
-    s2 = v_t * v_t + v_n * v_n + slip * slip
-    s = np.sqrt(s2)
-    s_n = np.sqrt(v_n * v_n + slip * slip)
-    slide_t = mu_n * v_t / s  # what a locked wheel would feel along
+    r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
+    r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
+    a_t, a_n = v_t * r, v_n * r
+    slide_t = mu_n * a_t  # what a locked wheel would feel along
     rest = np.sqrt(np.maximum(mu_n * mu_n - mu_t * mu_t, 0.0))
-    iso = load * mu_n / (s2 * s)
     # Rolling: the drag saturates along, the rest of the cone acts across; else the isotropic cone.
     # Blended by arithmetic, not np.where, so that the compiled scalar form is the same code.
     roll = 1.0 * (np.abs(slide_t) > mu_t)
     skid = 1.0 - roll
+    iso = skid * load * mu_n * r
+    mixed = iso * a_t * a_n
     return (
         -load * (roll * mu_t * np.sign(v_t) + skid * slide_t),
-        -load * (roll * rest * v_n / s_n + skid * mu_n * v_n / s),
-        -skid * iso * (s2 - v_t * v_t),
-        skid * iso * v_t * v_n,
-        skid * iso * v_t * v_n,
-        -roll * load * rest * slip * slip / s_n**3 - skid * iso * (s2 - v_n * v_n),
+        -load * (roll * rest * v_n * r_n + skid * mu_n * a_n),
+        -iso * (1 - a_t * a_t),
+        mixed,
+        mixed,
+        -roll * load * rest * r_n * (slip * r_n) ** 2 - iso * (1 - a_n * a_n),
     )
 
 
@@ -87,15 +89,14 @@ def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
     w_t, w_n = mu_t * mu_t, mu_n * mu_n
     # Without a least coefficient a frictionless contact would divide 0 by 0.
     smooth = slip * np.maximum(np.maximum(mu_t, mu_n), _LEAST_MU)
-    s2 = w_t * v_t * v_t + w_n * v_n * v_n + smooth * smooth
-    s = np.sqrt(s2)
-    steep = load / (s2 * s)
-    both = steep * w_t * w_n * v_t * v_n
+    r = 1 / np.sqrt(w_t * v_t * v_t + w_n * v_n * v_n + smooth * smooth)
+    a_t, a_n = v_t * r, v_n * r
+    both = load * r * w_t * w_n * a_t * a_n
     return (
-        -load * w_t * v_t / s,
-        -load * w_n * v_n / s,
-        -steep * w_t * (s2 - w_t * v_t * v_t),
+        -load * w_t * a_t,
+        -load * w_n * a_n,
+        -load * r * w_t * (1 - w_t * a_t * a_t),
         both,
         both,
-        -steep * w_n * (s2 - w_n * v_n * v_n),
+        -load * r * w_n * (1 - w_n * a_n * a_n),
     )

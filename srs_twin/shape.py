@@ -15,33 +15,52 @@ from __future__ import annotations
 
 import numpy as np
 
-_NEAR = 0.1  # rad: below it series, whose next terms are below 1e-16
+def half_turn(bend):  # type: ignore[no-untyped-def]  # noqa: D417
+    r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
 
+    With a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or a loss of digits,
 
-def chords(bend, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²), smooth through q = 0.
+    $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
+       \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
+
+    Their series at a quarter of x, twice doubled, cost less than a sine, a cosine and the divisions. Exact to
+    rounding up to |q| = 2π, to 1e-11 up to 4π.
 
     Args:
         bend: q, rad, any shape; a number when compiled.
+    """
+    x = bend / 2
+    p = x * x / 16
+    a = (1 - p / 20 * (1 - p / 42 * (1 - p / 72 * (1 - p / 110 * (1 - p / 156 * (1 - p / 210)))))) / 6
+    b = (1 - p / 12 * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))) / 2
+    arc = 1 - p * a
+    a, b = (a + arc * b) / 4, arc * arc / 2
+    arc = 1 - 4 * p * a
+    a, b = (a + arc * b) / 4, arc * arc / 2
+    p = x * x
+    arc = 1 - p * a
+    return 1 - p * b, x * arc, arc, x * (a - b) / 2, (b - a) / 2 - arc / 4
+
+
+def spans(turn, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from what `half_turn` returns.
+
+    Args:
+        turn: cos x, sin x, A, dA/dq, d²A/dq².
         length: l, m.
         gap: L_o, m.
     """
-    # Blended by arithmetic, not np.where, so that the compiled scalar form is the same code.
-    near = 1.0 * (np.abs(bend) < _NEAR)
-    far = 1.0 - near
-    q = bend + near
-    sine, cosine = np.sin(bend / 2), np.cos(bend / 2)
-    p = bend * bend
-    arc = far * 2 * sine / q + near * (1 - p / 24 * (1 - p / 80 * (1 - p / 168)))
-    slope = far * (cosine - arc) / q - near * bend / 12 * (1 - p / 40 * (1 - p / 112 * (1 - p / 216)))
-    curvature = -far * (arc / 4 + 2 * slope / q) - near / 12 * (
-        1 - 3 * p / 40 * (1 - 5 * p / 336 * (1 - 7 * p / 1080))
-    )
+    cosine, sine, arc, slope, curvature = turn
     return (
         length * arc + gap * cosine,
         length * slope - gap / 2 * sine,
         length * curvature - gap / 4 * cosine,
     )
+
+
+def chords(bend, length, gap):  # type: ignore[no-untyped-def]
+    """Return what `spans` returns from the bend q, rad."""
+    return spans(half_turn(bend), length, gap)
 
 
 def chord(bend: np.ndarray, length: float, gap: float) -> np.ndarray:

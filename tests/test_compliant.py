@@ -13,7 +13,7 @@ from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, ro
 from srs_twin.friction import LAWS
 from srs_twin.plants import compliant_kernels, kernels
 from srs_twin.plants.floor import Floor
-from srs_twin.plants.kinematics import COLUMNS, Solid
+from srs_twin.plants.kinematics import ROWS, Solid
 from srs_twin.shape import body_shape, relative_headings
 from srs_twin.spec import Mass
 
@@ -54,7 +54,7 @@ class Body:
         momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
         compliant_kernels.balance(
             q, u, moment, a, self.solid, self.spring, self.floor, momentum, force, matrix,
-            np.empty((n, COLUMNS)), np.empty((n, 3, size)), np.empty((n, 2, size)),
+            np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size)),
         )  # fmt: skip
         return momentum, force, matrix
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from srs_twin.friction import LAWS
-from srs_twin.plants import kernels, kinematics
+from srs_twin.plants import kernels, kinematics, step_control
 from srs_twin.plants.floor import Floor, fill_forces, floor_forces
 from srs_twin.plants.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
 
@@ -42,22 +42,28 @@ class Swim:
         return rise * wave, slope * wave + rise * rate
 
 
-def by_kernel(swim: Swim, duration: float, step: float) -> np.ndarray:
+def by_kernel(swim: Swim, duration: float, step: float, tolerance: float = math.inf) -> np.ndarray:
     """Return the kernel's final state."""
+    return run(swim, duration, step, tolerance)[0]
+
+
+def run(swim: Swim, duration: float, step: float, tolerance: float) -> tuple[np.ndarray, int]:
+    """Return the kernel's final state, and in how many parts it made the steps."""
     count = round(duration / step)
     starts = step * np.arange(count)
-    bends, rates = swim.bends(np.stack([starts + kernels.GAMMA * step, starts + step], axis=1))
-    state = np.zeros(kernels.STATES)
+    stages = np.stack([starts + kernels.GAMMA * step, starts + step], axis=1).ravel()
+    bends, rates = swim.bends(np.append(0.0, stages))
+    state, slope = np.zeros((2, kernels.STATES))
     mass = np.array(swim.mass)
     solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
     floor = Floor(LAWS.index(swim.law), swim.track, swim.mu_t, swim.mu_n, swim.slip)
     none = np.empty((0, kernels.STATES))
-    done = kernels.advance(
-        state, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True, np.zeros(3),
-        none, none,
+    done, parts = step_control.advance(
+        state, slope, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True,
+        tolerance, np.zeros(3), none, none,
     )  # fmt: skip
     assert done == count
-    return state
+    return state, parts
 
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -190,7 +196,7 @@ def draw(seed: int, connectors: int) -> tuple[Solid, np.ndarray, np.ndarray]:
 
 def posed(solid: Solid, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Return the body as the kernels pose it."""
-    body = np.empty((len(solid.mass), kinematics.COLUMNS))
+    body = np.empty((kinematics.ROWS, len(solid.mass)))
     pose_body(bend, rate, solid, body)
     return body
 
@@ -203,9 +209,8 @@ def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
     floor = Floor(law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        net, slope = np.empty(3), np.empty((3, 3))
-        power = floor_forces(body, solid.mass, v, floor, net, slope)
-        return net, slope, power
+        net, (xx, xy, xz, yy, yz, zz), power = floor_forces(body, solid.mass, *v, floor)
+        return np.array(net), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), power
 
     net, slope, power = total(u)
     h = 1e-6 * np.eye(3)
@@ -214,10 +219,10 @@ def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
     # The same forces one connector at a time: their sum, their moment and the power they take.
     force = np.empty((4, 3))
     fill_forces(body, solid.mass, u, floor, force)
-    turn = body[:, COS] + 1j * body[:, SIN]
+    turn = body[COS] + 1j * body[SIN]
     pushed = (force[:, 0] + 1j * force[:, 1]) * turn
-    place, own = body[:, X] + 1j * body[:, Y], body[:, VX] + 1j * body[:, VY]
-    velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[:, SPIN]
+    place, own = body[X] + 1j * body[Y], body[VX] + 1j * body[VY]
+    velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[SPIN]
     assert net[:2] == pytest.approx([pushed.sum().real, pushed.sum().imag], abs=1e-14)
     assert net[2] == pytest.approx((place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14)
     given = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
@@ -228,24 +233,24 @@ def test_posed_body_moves_at_the_rates_it_says():
     solid, bend, rate = draw(3, 5)
     now, before, after = (posed(solid, bend + h * rate, rate) for h in (0.0, -1e-6, 1e-6))
     difference = (after - before) / 2e-6
-    turning = now[:, COS] * difference[:, SIN] - now[:, SIN] * difference[:, COS]
-    assert now[:, SPIN] == pytest.approx(turning, abs=1e-8)
-    assert now[:, VX : VY + 1] == pytest.approx(difference[:, X : Y + 1], abs=1e-9)
+    turning = now[COS] * difference[SIN] - now[SIN] * difference[COS]
+    assert now[SPIN] == pytest.approx(turning, abs=1e-8)
+    assert now[VX : VY + 1] == pytest.approx(difference[X : Y + 1], abs=1e-9)
     inertia, moment = pose_body(bend, rate, solid, now)
-    place, own = now[:, X : Y + 1], solid.inertia
-    assert inertia == pytest.approx((solid.mass * (place**2).sum(axis=1) + own).sum())
-    cross = now[:, X] * now[:, VY] - now[:, Y] * now[:, VX]
-    assert moment == pytest.approx((solid.mass * cross + own * now[:, SPIN]).sum())
+    place, own = now[X : Y + 1], solid.inertia
+    assert inertia == pytest.approx((solid.mass * (place**2).sum(axis=0) + own).sum())
+    cross = now[X] * now[VY] - now[Y] * now[VX]
+    assert moment == pytest.approx((solid.mass * cross + own * now[SPIN]).sum())
 
 
 def test_frozen_chords_keep_the_straight_length():
     solid, bend, rate = draw(4, 5)
     now = posed(solid._replace(frozen=1.0), bend, rate)
     ahead, after = (posed(solid._replace(frozen=1.0), bend + h * rate, rate) for h in (-1e-6, 1e-6))
-    links = np.diff(now[:, X : Y + 1], axis=0)
-    assert np.hypot(*links.T) == pytest.approx([0.06] * 4)
-    assert now[:, VX : VY + 1] == pytest.approx((after - ahead)[:, X : Y + 1] / 2e-6, abs=1e-9)
+    links = np.diff(now[X : Y + 1], axis=1)
+    assert np.hypot(*links) == pytest.approx([0.06] * 4)
+    assert now[VX : VY + 1] == pytest.approx((after - ahead)[X : Y + 1] / 2e-6, abs=1e-9)
     # Along the mean of the two headings, as the arcs' chords.
     whole = posed(solid, bend, rate)
-    arcs = np.diff(whole[:, X : Y + 1], axis=0)
-    assert np.arctan2(*links.T) == pytest.approx(np.arctan2(*arcs.T), abs=1e-12)
+    arcs = np.diff(whole[X : Y + 1], axis=1)
+    assert np.arctan2(*links) == pytest.approx(np.arctan2(*arcs), abs=1e-12)

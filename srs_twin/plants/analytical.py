@@ -48,6 +48,7 @@ class AnalyticalSnake(Plant):
         supply_pa: float | None = None,
         tick: float = 0.02,
         timestep: float = 0.002,
+        tolerance: float = 0.0002,
         slip_speed: float = 0.00025,
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
@@ -69,6 +70,8 @@ class AnalyticalSnake(Plant):
             supply_pa: supply pressure, Pa; default the robot's nominal one.
             tick: control tick, s.
             timestep: longest step, s.
+            tolerance: of what a step may misjudge while friction turns, as a velocity, m/s; where bends are
+                given, steps are cut until they keep it, see `step_control`.
             slip_speed: ε of the friction law, m/s.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or chambers of one's own.
@@ -76,8 +79,8 @@ class AnalyticalSnake(Plant):
                 that acts at the wheels and 0, one contact, for the others.
 
         Raises:
-            InputError: an unknown model, law, inertia or layout, a tick or time step that is not above 0,
-                or no friction torque with another model.
+            InputError: an unknown model, law, inertia or layout, a tick, time step or tolerance that is not
+                above 0, or no friction torque with another model.
         """
         for kind, given, known in (
             ("model", model, MODELS), ("friction law", friction, LAWS), ("inertia", inertia, INERTIAS),
@@ -86,9 +89,11 @@ class AnalyticalSnake(Plant):
                 raise InputError(f"{kind} '{given}' is unknown; allowed: {', '.join(known)}")
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
-        for name, value in (("tick", tick), ("time step", timestep)):
+        for name, value, unit in (
+            ("tick", tick, "s"), ("time step", timestep, "s"), ("tolerance", tolerance, "m/s"),
+        ):  # fmt: skip
             if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} {value!r} s is not allowed; it must be finite and above 0")
+                raise InputError(f"{name} {value!r} {unit} is not allowed; it must be finite and above 0")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
         self._model, self._inertia, self._turning = model, inertia, friction_torque
         supply = spec.supply.nominal if supply_pa is None else supply_pa
@@ -96,6 +101,7 @@ class AnalyticalSnake(Plant):
         if track is None:
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction
+        self._tolerance = tolerance
         self._floor = Floor(LAWS.index(friction), track, mu.mu_t, mu.mu_n, slip_speed)
         self._body = self._make_body()
         self.reset()
@@ -146,14 +152,15 @@ class AnalyticalSnake(Plant):
             begun = ends[first - 1] if first else 0.0
             starts = np.append(begun, ends[first : last - 1]) - begun
             steps = ends[first:last] - begun - starts
-            stages = np.stack([starts + kernels.GAMMA * steps, starts + steps], axis=1)
+            moments = np.zeros(1 + 2 * len(steps))
+            moments[1::2], moments[2::2] = starts + kernels.GAMMA * steps, starts + steps
             bend, rate = self._body.bends()
             part = schedule.part(begun, ends[last - 1]) if felt else schedule
-            trace = self.pneumatics.advance(part, stages.ravel(), bend=bend, bend_rate=rate)
+            trace = self.pneumatics.advance(part, moments, bend=bend, bend_rate=rate)
             inside = marks[(marks > first) & (marks <= last)] - first
             made, motion = self._body.move(steps, trace, inside)
             motions.append(motion)
-            traces.append(trace.at(2 * inside[: len(motion.states)] - 1))
+            traces.append(trace.at(2 * inside[: len(motion.states)]))
             done += made
             if made < len(steps):
                 break
@@ -174,6 +181,7 @@ class AnalyticalSnake(Plant):
             "track_m": self._floor.track,
             "timestep_s": self.timestep,
             "slip_speed_m_s": self._floor.slip,
+            "tolerance_m_s": self._tolerance,
         }
 
     def _make_body(self) -> Body:
@@ -183,7 +191,7 @@ class AnalyticalSnake(Plant):
             self.spec.mass.array(), self._own_inertia(), g.segment_length, g.rigid_gap, frozen
         )  # fmt: skip
         if self._model != "compliant":
-            return GivenBends(solid, self._floor, turning=self._turning)
+            return GivenBends(solid, self._floor, turning=self._turning, tolerance=self._tolerance)
         # Its kernels take a second to load: not before they are asked for.
         from srs_twin.plants.compliant import YieldingBends
 

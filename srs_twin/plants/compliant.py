@@ -40,7 +40,7 @@ class YieldingBends(Body):
         states = np.empty((len(marks), len(self.state)))
         velocities = np.empty((len(marks), len(self.velocity)))
         done: int = compliant_kernels.advance(
-            self.state, steps, self._moments(trace).reshape(len(steps), 2, -1), marks, self.solid,
+            self.state, steps, self._moments(trace)[1:].reshape(len(steps), 2, -1), marks, self.solid,
             self._spring, self.floor, self.velocity, states, velocities,
         )  # fmt: skip
         reached, at = self.seen(done, marks)

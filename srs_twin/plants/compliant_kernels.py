@@ -38,7 +38,7 @@ from srs_twin.plants.kernels import (
     X,
     Y,
 )  # fmt: skip
-from srs_twin.plants.kinematics import COLUMNS, fill_rows, pose_body
+from srs_twin.plants.kinematics import ROWS, fill_rows, pose_body
 from srs_twin.spec import GRAVITY
 
 BENDS = STATES
@@ -113,7 +113,7 @@ def balance(q, u, moment, a, solid, spring, floor, momentum, force, matrix, body
         momentum: out, p, shape (3 + segments,).
         force: out, dp/dt, same shape.
         matrix: out, slope of p − a dp/dt by u while q moves by a u, but for some terms in a².
-        body: work array, shape (N, COLUMNS).
+        body: work array, shape (ROWS, N).
         rows: work array, shape (N, 3, 3 + segments).
         rates: work array, shape (N, 2, 3 + segments).
 
@@ -241,7 +241,7 @@ def advance(state, steps, moments, marks, solid, spring, floor, u, seen, velocit
     """
     n, size = solid.mass.shape[0], u.shape[0]
     work = (
-        np.empty(size), np.empty(size), np.empty((size, size)), np.empty((n, COLUMNS)),
+        np.empty(size), np.empty(size), np.empty((size, size)), np.empty((ROWS, n)),
         np.empty((n, 3, size)), np.empty((n, 2, size)), np.empty(n - 1), np.empty(size), np.zeros(size),
     )  # fmt: skip
     k1, k2, known = np.empty_like(state), np.empty_like(state), np.empty_like(state)

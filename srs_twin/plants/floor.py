@@ -35,15 +35,47 @@ _ellipse = compiled(friction.ellipse)
 
 
 @compiled
-def friction_law(v_t, v_n, load, floor):  # type: ignore[no-untyped-def]
-    """Return force (N) and slopes (N·s/m) of one contact by the law's number in `friction.LAWS`."""
+def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    """Return what `connector_friction` does, of one contact under a law given as a function."""
+    t, n, tt, tn, _, nn = law(along, across, weight, floor.mu_t, floor.mu_n, floor.slip)
+    return t, n, 0.0, tt, tn, 0.0, nn, 0.0, 0.0
+
+
+@compiled
+def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    """Return what `connector_friction` does, of two contacts at the track."""
+    mu_t, mu_n, slip, arm = floor.mu_t, floor.mu_n, floor.slip, floor.track
+    a_t, a_n, a_tt, a_tn, _, a_nn = law(along - spin * arm, across, weight / 2, mu_t, mu_n, slip)
+    b_t, b_n, b_tt, b_tn, _, b_nn = law(along + spin * arm, across, weight / 2, mu_t, mu_n, slip)
+    return (
+        a_t + b_t, a_n + b_n, arm * (b_t - a_t),
+        a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt),
+        a_nn + b_nn, arm * (b_tn - a_tn), arm * arm * (a_tt + b_tt),
+    )  # fmt: skip
+
+
+@compiled
+def _choose(do, floor, given):  # type: ignore[no-untyped-def]
+    """Call `do` with the floor's contacts and its law as functions, then the floor and what else is given.
+
+    Where the choice is made outside of a loop, the loop has no branch, and the compiler takes several
+    connectors at a time.
+    """
+    if floor.track == 0.0:
+        if floor.law == 0:
+            return do(_one_contact, _axis, floor, given)
+        if floor.law == 1:
+            return do(_one_contact, _wheel, floor, given)
+        if floor.law == 2:
+            return do(_one_contact, _viscous, floor, given)
+        return do(_one_contact, _ellipse, floor, given)
     if floor.law == 0:
-        return _axis(v_t, v_n, load, floor.mu_t, floor.mu_n, floor.slip)
+        return do(_two_contacts, _axis, floor, given)
     if floor.law == 1:
-        return _wheel(v_t, v_n, load, floor.mu_t, floor.mu_n, floor.slip)
+        return do(_two_contacts, _wheel, floor, given)
     if floor.law == 2:
-        return _viscous(v_t, v_n, load, floor.mu_t, floor.mu_n, floor.slip)
-    return _ellipse(v_t, v_n, load, floor.mu_t, floor.mu_n, floor.slip)
+        return do(_two_contacts, _viscous, floor, given)
+    return do(_two_contacts, _ellipse, floor, given)
 
 
 @compiled
@@ -62,39 +94,47 @@ def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-u
     Returns:
         Force along (t) and across (n), moment (m); slopes tt, tn, tm, nn, nm, mm.
     """
-    if floor.track == 0.0:
-        t, n, tt, tn, _, nn = friction_law(along, across, weight, floor)
-        return t, n, 0.0, tt, tn, 0.0, nn, 0.0, 0.0
-    arm = floor.track
-    a_t, a_n, a_tt, a_tn, _, a_nn = friction_law(along - spin * arm, across, weight / 2, floor)
-    b_t, b_n, b_tt, b_tn, _, b_nn = friction_law(along + spin * arm, across, weight / 2, floor)
-    return (
-        a_t + b_t, a_n + b_n, arm * (b_t - a_t),
-        a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt),
-        a_nn + b_nn, arm * (b_tn - a_tn), arm * arm * (a_tt + b_tt),
-    )  # fmt: skip
+    return _choose(_of_connector, floor, (along, across, spin, weight))
 
 
 @compiled
-def floor_forces(body, mass, u, floor, total, slope):  # type: ignore[no-untyped-def]
-    """Sum the friction on a body whose shape changes as given; return the power that it takes, W.
+def _of_connector(contacts, law, floor, given):  # type: ignore[no-untyped-def]
+    along, across, spin, weight = given
+    return contacts(law, along, across, spin, weight, floor)
+
+
+@compiled
+def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+    """Sum the friction on a body whose shape changes as given.
 
     Args:
-        body: what `kinematics.pose_body` filled, shape (N, COLUMNS).
+        body: what `kinematics.pose_body` filled, shape (ROWS, N).
         mass: shape (N,), kg; connector i carries the load m_i g.
-        u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s), shape (3,).
+        forth, aside: velocity of the centre of mass in the body frame, m/s.
+        yaw: yaw rate, rad/s.
         floor: the floor.
-        total: out, net force and moment about the centre of mass in the body frame, shape (3,).
-        slope: out, d total/d u, shape (3, 3), symmetric.
+
+    Returns:
+        Net force (x, y) and moment about the centre of mass (z) in the body frame; their slopes by the three
+        velocities, which are symmetric: xx, xy, xz, yy, yz, zz; the power that the floor takes, W.
     """
+    return _choose(_sum, floor, (body, mass, forth, aside, yaw))
+
+
+@compiled
+def _sum(contacts, law, floor, given):  # type: ignore[no-untyped-def]
+    """Do what `floor_forces` says, under the contacts and the law given as functions."""
+    body, mass, forth, aside, yaw = given
+    cosine, sine, turning = body[COS], body[SIN], body[SPIN]
+    place_x, place_y, rate_x, rate_y = body[X], body[Y], body[VX], body[VY]
     fx = fy = moment = power = 0.0
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(mass.shape[0]):
-        c, s, px, py = body[i, COS], body[i, SIN], body[i, X], body[i, Y]
-        spin = u[2] + body[i, SPIN]
-        vx, vy = u[0] - u[2] * py + body[i, VX], u[1] + u[2] * px + body[i, VY]
+        c, s, px, py = cosine[i], sine[i], place_x[i], place_y[i]
+        spin = yaw + turning[i]
+        vx, vy = forth - yaw * py + rate_x[i], aside + yaw * px + rate_y[i]
         along, across = vx * c + vy * s, vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass[i] * GRAVITY, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm = contacts(law, along, across, spin, mass[i] * GRAVITY, floor)
         # How velocity along and across depend on the yaw rate; by d'Alembert the arms of the forces.
         t_arm, n_arm = px * s - py * c, px * c + py * s
         fx += t * c - n * s
@@ -111,23 +151,19 @@ def floor_forces(body, mass, u, floor, total, slope):  # type: ignore[no-untyped
         xz += on_z_t * c - on_z_n * s
         yz += on_z_t * s + on_z_n * c
         zz += on_z_t * t_arm + on_z_n * n_arm + on_z_m
-    total[0], total[1], total[2] = fx, fy, moment
-    slope[0, 0], slope[0, 1], slope[0, 2] = xx, xy, xz
-    slope[1, 0], slope[1, 1], slope[1, 2] = xy, yy, yz
-    slope[2, 0], slope[2, 1], slope[2, 2] = xz, yz, zz
-    return power
+    return (fx, fy, moment), (xx, xy, xz, yy, yz, zz), power
 
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
     """Fill `force` (N, 3): what the floor exerts on each connector, along, across (N) and moment (N·m).
 
-    Other arguments as in `floor_forces`.
+    Other arguments as in `floor_forces`, with the three velocities as `u`, shape (3 or more,).
     """
     for i in range(mass.shape[0]):
-        c, s = body[i, COS], body[i, SIN]
-        vx, vy = u[0] - u[2] * body[i, Y] + body[i, VX], u[1] + u[2] * body[i, X] + body[i, VY]
+        c, s = body[COS, i], body[SIN, i]
+        vx, vy = u[0] - u[2] * body[Y, i] + body[VX, i], u[1] + u[2] * body[X, i] + body[VY, i]
         found = connector_friction(
-            vx * c + vy * s, vy * c - vx * s, u[2] + body[i, SPIN], mass[i] * GRAVITY, floor
+            vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i], mass[i] * GRAVITY, floor
         )
         force[i, 0], force[i, 1], force[i, 2] = found[0], found[1], found[2]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.plants import kernels, observation
+from srs_twin.plants import kernels, observation, step_control
 from srs_twin.plants.base import Pose
 from srs_twin.plants.floor import Floor
 from srs_twin.plants.kinematics import Solid
@@ -67,7 +67,7 @@ class Body(ABC):
 
         Args:
             steps: step lengths, shape (steps,), s.
-            trace: what the chambers do at each step's two stages, 2 · steps rows.
+            trace: what the chambers do at the start and at each step's two stages, 1 + 2 · steps rows.
             marks: numbers of steps after which to look, ascending, shape (samples,).
 
         Returns:
@@ -82,29 +82,29 @@ class Body(ABC):
     def seen(self, done: int, marks: np.ndarray) -> tuple[int, np.ndarray]:
         """Return how many marks were reached in `done` steps, and the rows of the trace that belong there."""
         reached = int(np.searchsorted(marks, done, side="right"))
-        return reached, 2 * marks[:reached] - 1
+        return reached, 2 * marks[:reached]
 
 
 class GivenBends(Body):
     """`complete` and `simplified`: the bends are the free ones of Eq. 14, whatever the load."""
 
-    def __init__(self, solid: Solid, floor: Floor, *, turning: bool) -> None:
+    def __init__(self, solid: Solid, floor: Floor, *, turning: bool, tolerance: float) -> None:
         super().__init__(solid, floor)
-        self._turning = turning
+        self._turning, self._tolerance = turning, tolerance
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
         self.state = np.zeros(kernels.STATES)
         self.state[:3] = pose
         self.velocity = np.zeros(3)
+        self._slope = np.zeros(kernels.STATES)
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
         """See `Body.move`."""
-        bends, rates = (values.reshape(len(steps), 2, -1) for values in (trace.bend, trace.bend_rate))
         states, velocities = np.empty((len(marks), kernels.STATES)), np.empty((len(marks), 3))
-        done: int = kernels.advance(
-            self.state, steps, bends, rates, marks, self.solid, self.floor, self._turning, self.velocity,
-            states, velocities,
+        done, _ = step_control.advance(
+            self.state, self._slope, steps, trace.bend, trace.bend_rate, marks, self.solid, self.floor,
+            self._turning, self._tolerance, self.velocity, states, velocities,
         )  # fmt: skip
         reached, at = self.seen(done, marks)
         return done, self.look(states[:reached], velocities[:reached], trace.at(at))

@@ -5,8 +5,6 @@ Both are in the frame of the mean heading, about the centre of mass; `complete`,
 """
 
 from __future__ import annotations
-
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +13,12 @@ from srs_twin import shape
 from srs_twin.compiled import compiled
 
 COS, SIN, SPIN, X, Y, VX, VY = range(7)
-"""Columns of a posed body: heading (its cosine and sine) and its rate, place (m), velocity (m/s)."""
+"""Rows of a posed body, which has one column a connector: heading (its cosine and sine) and its rate, place (m), velocity (m/s)."""
 
-COLUMNS = 7
+ROWS = 7
 
-_chords = compiled(shape.chords)
+_half_turn = compiled(shape.half_turn)
+_spans = compiled(shape.spans)
 
 
 class Solid(NamedTuple):
@@ -42,10 +41,13 @@ class Solid(NamedTuple):
 
 @compiled
 def chord_terms(q, solid):  # type: ignore[no-untyped-def]
-    """Return L, dL/dq and d²L/dq² of a segment with bend q."""
-    span, slope, curvature = _chords(q, solid.length, solid.gap)
+    """Return cos q/2 and sin q/2, L, dL/dq and d²L/dq² of a segment with bend q."""
+    turn = _half_turn(q)
+    span, slope, curvature = _spans(turn, solid.length, solid.gap)
     yields = 1.0 - solid.frozen
     return (
+        turn[0],
+        turn[1],
         yields * span + solid.frozen * (solid.length + solid.gap),
         yields * slope,
         yields * curvature,
@@ -54,47 +56,76 @@ def chord_terms(q, solid):  # type: ignore[no-untyped-def]
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill `out` (N, COLUMNS); return the moment of inertia I (kg·m²) and h (kg·m²/s), see `kernels`.
+    """Fill `out`; return the moment of inertia I (kg·m²) and h (kg·m²/s), see `kernels`.
 
     Args:
         q: bends, shape (segments,), rad.
         rate: their rates, rad/s.
         solid: the body.
-        out: the posed body, shape (N, COLUMNS).
+        out: the posed body, shape (ROWS, N).
     """
     mass = solid.mass
     n = mass.shape[0]
+    cosine, sine, place, stretching = out[COS], out[SIN], out[X], out[VX]
     lead = lead_rate = 0.0  # of the head over the mean heading
     for j in range(n - 1):
+        # What depends on one segment alone, kept in the body's own memory: several segments at a time.
+        half_c, half_s, span, slope, _ = chord_terms(q[j], solid)
+        cosine[j + 1], sine[j + 1], place[j + 1], stretching[j + 1] = half_c, half_s, span, slope * rate[j]
         share = (n - 1 - j) / n
         lead += share * q[j]
         lead_rate += share * rate[j]
-    c, s, spin = math.cos(lead), math.sin(lead), lead_rate
+    # From the head to the tail, in the frame of the head.
+    c, s, spin = 1.0, 0.0, 0.0
     x = y = vx = vy = 0.0
     total = cx = cy = cvx = cvy = 0.0
     for i in range(n):
         if i > 0:
             # A chord lies half a bend from either end's heading.
-            bend = q[i - 1]
-            half_c, half_s = math.cos(bend / 2), math.sin(bend / 2)
-            span, slope, _ = chord_terms(bend, solid)
-            stretch, turn = slope * rate[i - 1], spin - rate[i - 1] / 2
+            half_c, half_s, span, stretch = cosine[i], sine[i], place[i], stretching[i]
+            turn = spin - rate[i - 1] / 2
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
             x, y = x - span * c, y - span * s
             vx, vy = vx - stretch * c + span * turn * s, vy - stretch * s - span * turn * c
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
             spin -= rate[i - 1]
-        out[i, COS], out[i, SIN], out[i, SPIN] = c, s, spin
-        out[i, X], out[i, Y], out[i, VX], out[i, VY] = x, y, vx, vy
+        out[COS, i], out[SIN, i], out[SPIN, i] = c, s, spin
+        out[X, i], out[Y, i], out[VX, i], out[VY, i] = x, y, vx, vy
         m = mass[i]
         total, cx, cy, cvx, cvy = total + m, cx + m * x, cy + m * y, cvx + m * vx, cvy + m * vy
     cx, cy, cvx, cvy = cx / total, cy / total, cvx / total, cvy / total
+    return _turn_to_mean(out, solid, (cx, cy, cvx, cvy), lead, lead_rate)
+
+
+@compiled
+def _turn_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
+    """Refer a body posed in the frame of its head to the centre of mass and the mean heading.
+
+    Args:
+        out: the body, in place, shape (ROWS, N).
+        solid: the body.
+        centre: centre of mass (m) and its velocity (m/s) in the frame of the head.
+        lead: heading of the head over the mean heading, rad.
+        lead_rate: its rate, rad/s.
+
+    Returns:
+        I and h, see `pose_body`.
+    """
+    mass, own = solid.mass, solid.inertia
+    cosine, sine, spinning = out[COS], out[SIN], out[SPIN]
+    place_x, place_y, rate_x, rate_y = out[X], out[Y], out[VX], out[VY]
+    cx, cy, cvx, cvy = centre
+    a, b, _, _, _ = _half_turn(2 * lead)
     inertia = moment = 0.0
-    for i in range(n):
-        x, y, vx, vy = out[i, X] - cx, out[i, Y] - cy, out[i, VX] - cvx, out[i, VY] - cvy
-        out[i, X], out[i, Y], out[i, VX], out[i, VY] = x, y, vx, vy
-        inertia += mass[i] * (x * x + y * y) + solid.inertia[i]
-        moment += mass[i] * (x * vy - y * vx) + solid.inertia[i] * out[i, SPIN]
+    for i in range(mass.shape[0]):
+        c, s, spin = cosine[i], sine[i], spinning[i] + lead_rate
+        x, y = place_x[i] - cx, place_y[i] - cy
+        vx, vy = rate_x[i] - cvx - lead_rate * y, rate_y[i] - cvy + lead_rate * x
+        cosine[i], sine[i], spinning[i] = a * c - b * s, b * c + a * s, spin
+        place_x[i], place_y[i] = a * x - b * y, b * x + a * y
+        rate_x[i], rate_y[i] = a * vx - b * vy, b * vx + a * vy
+        inertia += mass[i] * (x * x + y * y) + own[i]
+        moment += mass[i] * (x * vy - y * vx) + own[i] * spin
     return inertia, moment
 
 
@@ -103,7 +134,7 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
     """Fill how each connector's motion depends on the velocities u, and how fast that changes.
 
     Args:
-        body: what `pose_body` filled, shape (N, COLUMNS).
+        body: what `pose_body` filled, shape (ROWS, N).
         q: bends, shape (segments,), rad.
         u: velocity of the centre of mass in the frame of the mean heading (m/s), yaw rate and bend rates
             (rad/s), shape (3 + segments,).
@@ -117,12 +148,11 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
     rates[0, :2, 3:] = 0.0
     for i in range(1, n):
         j = i - 1
-        spin = u[2] + 0.5 * (body[j, SPIN] + body[i, SPIN])
-        span, slope, curvature = chord_terms(q[j], solid)
+        spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, i])
         # Direction of the chord: half a bend behind the heading of its front end.
-        half_c, half_s = math.cos(q[j] / 2), math.sin(q[j] / 2)
-        c = body[j, COS] * half_c + body[j, SIN] * half_s
-        s = body[j, SIN] * half_c - body[j, COS] * half_s
+        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
+        c = body[COS, j] * half_c + body[SIN, j] * half_s
+        s = body[SIN, j] * half_c - body[COS, j] * half_s
         stretch, bulge = slope * u[3 + j], curvature * u[3 + j]
         for k in range(n - 1):
             # Bend k turns all behind it by −1, and everything by this much, so that the mean stays.
@@ -137,12 +167,12 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
     _centre(mass, rows, rates)
     for i in range(n):
         row, rate = rows[i], rates[i]
-        row[0, 0], row[0, 1], row[0, 2] = 1.0, 0.0, -body[i, Y]
-        row[1, 0], row[1, 1], row[1, 2] = 0.0, 1.0, body[i, X]
+        row[0, 0], row[0, 1], row[0, 2] = 1.0, 0.0, -body[Y, i]
+        row[1, 0], row[1, 1], row[1, 2] = 0.0, 1.0, body[X, i]
         rate[0, 0] = rate[0, 1] = rate[1, 0] = rate[1, 1] = 0.0
-        rate[0, 2] = -body[i, VY] - u[2] * body[i, X]
-        rate[1, 2] = body[i, VX] - u[2] * body[i, Y]
-        c, s = body[i, COS], body[i, SIN]
+        rate[0, 2] = -body[VY, i] - u[2] * body[X, i]
+        rate[1, 2] = body[VX, i] - u[2] * body[Y, i]
+        c, s = body[COS, i], body[SIN, i]
         for k in range(n + 2):
             row[0, k], row[1, k] = row[0, k] * c + row[1, k] * s, row[1, k] * c - row[0, k] * s
             rate[0, k], rate[1, k] = rate[0, k] * c + rate[1, k] * s, rate[1, k] * c - rate[0, k] * s

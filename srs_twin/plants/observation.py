@@ -11,7 +11,7 @@ from srs_twin.plants.floor import fill_forces
 from srs_twin.plants.kernels import HEADING
 from srs_twin.plants.kernels import X as STATE_X
 from srs_twin.plants.kernels import Y as STATE_Y
-from srs_twin.plants.kinematics import COLUMNS, SPIN, VX, VY, X, Y, fill_rows, pose_body
+from srs_twin.plants.kinematics import ROWS, SPIN, VX, VY, X, Y, fill_rows, pose_body
 
 
 @compiled
@@ -31,7 +31,7 @@ def observe(states, velocities, bends, rates, solid, floor, position, theta, for
         energy: out, kinetic, shape (samples,), J.
     """
     n = solid.mass.shape[0]
-    body, pushed = np.empty((n, COLUMNS)), np.empty((n, 3))
+    body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
     for k in range(states.shape[0]):
         u = velocities[k]
         pose_body(bends[k], rates[k], solid, body)
@@ -45,14 +45,14 @@ def observe(states, velocities, bends, rates, solid, floor, position, theta, for
         for i in range(n):
             angle -= bends[k, i - 1] if i > 0 else 0.0
             theta[k, i] = angle
-            x, y = body[i, X], body[i, Y]
+            x, y = body[X, i], body[Y, i]
             position[k, i, 0] = states[k, STATE_X] + c * x - s * y
             position[k, i, 1] = states[k, STATE_Y] + s * x + c * y
             along_c, along_s = math.cos(angle), math.sin(angle)
             force[k, i, 0] = pushed[i, 0] * along_c - pushed[i, 1] * along_s
             force[k, i, 1] = pushed[i, 0] * along_s + pushed[i, 1] * along_c
-            vx, vy = u[0] - u[2] * y + body[i, VX], u[1] + u[2] * x + body[i, VY]
-            spin = u[2] + body[i, SPIN]
+            vx, vy = u[0] - u[2] * y + body[VX, i], u[1] + u[2] * x + body[VY, i]
+            spin = u[2] + body[SPIN, i]
             energy[k] += (solid.mass[i] * (vx * vx + vy * vy) + solid.inertia[i] * spin * spin) / 2
 
 
@@ -75,7 +75,7 @@ def inverse_dynamics(velocities, bends, rates, accelerations, solid, floor, turn
     """
     n = solid.mass.shape[0]
     size = n + 2
-    body, pushed, load = np.empty((n, COLUMNS)), np.empty((n, 3)), np.empty((n, 3))
+    body, pushed, load = np.empty((ROWS, n)), np.empty((n, 3)), np.empty((n, 3))
     rows, row_rates = np.empty((n, 3, size)), np.empty((n, 2, size))
     u = np.empty(size)
     weight = np.empty(3)
