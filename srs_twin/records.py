@@ -15,7 +15,9 @@ def joined(parts: Sequence[Record]) -> Record:
     """Return several records of one kind, one after the other, as one.
 
     Args:
-        parts: one or more; like fields have like shapes but for the samples.
+        parts: one or more; like fields have like shapes but for the samples. One alone is returned itself.
     """
+    if len(parts) == 1:
+        return parts[0]
     kind: Any = type(parts[0])
     return kind(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(kind)))

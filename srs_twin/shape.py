@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+
 def half_turn(bend):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
 

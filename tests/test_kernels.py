@@ -13,6 +13,7 @@ from srs_twin.friction import LAWS
 from srs_twin.plants import kernels, kinematics, step_control
 from srs_twin.plants.floor import Floor, fill_forces, floor_forces
 from srs_twin.plants.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
+from srs_twin.shape import body_shape, relative_headings
 
 GRAVITY = 9.81
 
@@ -47,20 +48,23 @@ def by_kernel(swim: Swim, duration: float, step: float, tolerance: float = math.
     return run(swim, duration, step, tolerance)[0]
 
 
-def run(swim: Swim, duration: float, step: float, tolerance: float) -> tuple[np.ndarray, int]:
-    """Return the kernel's final state, and in how many parts it made the steps."""
+def run(
+    swim: Swim, duration: float, step: float, tolerance: float, across: float = 0.0
+) -> tuple[np.ndarray, int]:
+    """Return the final state of a body that starts with a velocity across, and in how many parts."""
     count = round(duration / step)
     starts = step * np.arange(count)
     stages = np.stack([starts + kernels.GAMMA * step, starts + step], axis=1).ravel()
     bends, rates = swim.bends(np.append(0.0, stages))
     state, slope = np.zeros((2, kernels.STATES))
+    state[kernels.VY] = across
     mass = np.array(swim.mass)
     solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
     floor = Floor(LAWS.index(swim.law), swim.track, swim.mu_t, swim.mu_n, swim.slip)
     none = np.empty((0, kernels.STATES))
     done, parts = step_control.advance(
         state, slope, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True,
-        tolerance, np.zeros(3), none, none,
+        tolerance, np.array([0.0, across, 0.0]), none, none,
     )  # fmt: skip
     assert done == count
     return state, parts
@@ -243,6 +247,17 @@ def test_posed_body_moves_at_the_rates_it_says():
     assert moment == pytest.approx((solid.mass * cross + own * now[SPIN]).sum())
 
 
+def test_headings_of_a_coil_of_several_turns_have_their_mean_at_zero():
+    """One rad in each of 40 segments: the head stands 20 rad, three turns, ahead of the mean."""
+    bend = np.ones(40)
+    solid = Solid(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
+    body, phi = posed(solid, bend, 0 * bend), relative_headings(bend)
+    assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
+    assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)
+    place = body_shape(bend, solid.mass, solid.length, solid.gap)
+    assert body[X : Y + 1].T == pytest.approx(place, abs=1e-12)
+
+
 def test_frozen_chords_keep_the_straight_length():
     solid, bend, rate = draw(4, 5)
     now = posed(solid._replace(frozen=1.0), bend, rate)
@@ -254,3 +269,60 @@ def test_frozen_chords_keep_the_straight_length():
     whole = posed(solid, bend, rate)
     arcs = np.diff(whole[X : Y + 1], axis=1)
     assert np.arctan2(*links) == pytest.approx(np.arctan2(*arcs), abs=1e-12)
+
+
+TOLERANCE = 0.0002  # m/s, the default
+
+
+def test_smooth_friction_needs_no_cuts_and_keeps_the_order():
+    swim = Swim((0.03, 0.05, 0.02, 0.04), "viscous", mu_t=1.0, mu_n=10.0)
+    exact = by_kernel(swim, 0.8, 2e-5)
+    errors = []
+    for step in (2e-3, 1e-3, 5e-4):
+        state, parts = run(swim, 0.8, step, TOLERANCE)
+        assert parts == round(0.8 / step)
+        errors.append(np.linalg.norm((state - exact)[:3]))
+    assert np.diff(np.log(errors)) / np.log(0.5) == pytest.approx([2, 2], abs=0.2)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.0633, 0.11, 0.173])
+def test_a_glide_that_ends_inside_a_step_ends_where_it_should(speed):
+    """v̇ = −μ g v/√(v² + ε²) from v₀ to rest: μ g s = ½ [v₀ √(v₀² + ε²) + ε² asinh(v₀/ε)]."""
+    swim = Swim((0.03,) * 4, "axis", amplitude=0.0, slip=0.00025)
+    root = math.hypot(speed, swim.slip)
+    way = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
+    state, parts = run(swim, 0.2, 5e-3, TOLERANCE, speed)
+    assert state[kernels.Y] == pytest.approx(way, abs=2e-6)
+    assert parts < 2 * 40
+    # The energy that the floor took is that of the throw.
+    assert state[kernels.SPENT] == pytest.approx(0.06 * speed**2, rel=2e-3)
+
+
+def test_cut_steps_err_several_times_less_where_friction_turns():
+    """Over many kinks, against steps of 10 µs: the same longest step with and without cuts."""
+    whole, cut = [], []
+    for amplitude in (0.7, 0.8, 0.9, 1.0, 1.1):
+        swim = Swim((0.03,) * 5, "axis", slip=0.00025, amplitude=amplitude)
+        exact = by_kernel(swim, 1.0, 1e-5)[:2]
+        whole.append(by_kernel(swim, 1.0, 2e-3)[:2] - exact)
+        state, parts = run(swim, 1.0, 2e-3, TOLERANCE)
+        cut.append(state[:2] - exact)
+        assert 500 < parts < 1500
+    assert np.linalg.norm(cut) < np.linalg.norm(whole) / 3
+
+
+def test_bends_between_the_stages_are_cubics():
+    def cubic(t: float) -> np.ndarray:
+        return np.array([1 + t - 3 * t**2 + 2 * t**3, t**3])
+
+    def rate(t: float) -> np.ndarray:
+        return np.array([1 - 6 * t + 6 * t**2, 3 * t**2])
+
+    h = 0.3
+    at = (0.0, kernels.GAMMA * h, h)
+    bends, rates = np.array([cubic(t) for t in at]), np.array([rate(t) for t in at])
+    for share in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
+        q, r = np.empty((2, 2))
+        step_control.bend_within(share, h, bends, rates, q, r)
+        assert q == pytest.approx(cubic(share * h), abs=1e-14)
+        assert r == pytest.approx(rate(share * h), abs=1e-13)

@@ -104,7 +104,7 @@ def _of_connector(contacts, law, floor, given):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]  # noqa: D417
     """Sum the friction on a body whose shape changes as given.
 
     Args:

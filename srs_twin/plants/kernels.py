@@ -19,8 +19,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from srs_twin.compiled import compiled
 from srs_twin.plants.floor import floor_forces
 from srs_twin.plants.kinematics import pose_body
@@ -68,7 +66,7 @@ def _turned(c, s, angle):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stage(known, a, q, rate, turn, model, u, k, body):  # type: ignore[no-untyped-def]
+def _stage(known, a, q, rate, turn, model, u, k, body):  # type: ignore[no-untyped-def]  # noqa: D417
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y).
 
     Args:
@@ -132,7 +130,7 @@ def _stage(known, a, q, rate, turn, model, u, k, body):  # type: ignore[no-untyp
 
 
 @compiled
-def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type: ignore[no-untyped-def]
+def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type: ignore[no-untyped-def]  # noqa: D417
     """Make one step of SDIRK2.
 
     Args:

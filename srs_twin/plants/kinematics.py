@@ -5,6 +5,8 @@ Both are in the frame of the mean heading, about the centre of mass; `complete`,
 """
 
 from __future__ import annotations
+
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +15,8 @@ from srs_twin import shape
 from srs_twin.compiled import compiled
 
 COS, SIN, SPIN, X, Y, VX, VY = range(7)
-"""Rows of a posed body, which has one column a connector: heading (its cosine and sine) and its rate, place (m), velocity (m/s)."""
+"""Rows of a posed body, which has one column a connector: heading (its cosine and sine) and its rate, place
+(m), velocity (m/s)."""
 
 ROWS = 7
 
@@ -115,7 +118,7 @@ def _turn_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyp
     cosine, sine, spinning = out[COS], out[SIN], out[SPIN]
     place_x, place_y, rate_x, rate_y = out[X], out[Y], out[VX], out[VY]
     cx, cy, cvx, cvy = centre
-    a, b, _, _, _ = _half_turn(2 * lead)
+    a, b = math.cos(lead), math.sin(lead)  # of a long coil several turns: no series
     inertia = moment = 0.0
     for i in range(mass.shape[0]):
         c, s, spin = cosine[i], sine[i], spinning[i] + lead_rate

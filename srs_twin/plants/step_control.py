@@ -1,17 +1,17 @@
 r"""Step control of `complete` and `simplified`: short steps where the friction turns, long ones elsewhere.
 
 Where the slip of a connector changes its sign, its friction turns from one side to the other within a few
-times ε, mostly far less than a step. A step that takes such a turn at the wrong moment errs by an impulse. The
-three rates of momentum that a step knows anyhow, k₀ at its start (the last stage of the step before), k₁ and
-k₂, tell: as long as they change evenly, k₁ lies on the line between the other two. What it lies off, over the
-step, as a velocity,
+times ε, mostly far less than a step. A step that takes such a turn at the wrong moment errs by an impulse.
+The three rates of momentum that a step knows anyhow, k₀ at its start (the last stage of the step before),
+k₁ and k₂, tell: as long as they change evenly, k₁ lies on the line between the other two. What it lies off,
+over the step, as a velocity,
 
-$$ \\eta = \\frac{h}{M}\\,\\bigl|\\,k_1 - (1-\\gamma)\\,k_0 - \\gamma\\,k_2\\,\\bigr|, $$
+$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
-bounds the error of a turn wherever in the step it falls, and is of third order in h where friction is smooth.
-The moment of momentum counts by the radius of gyration of a straight body. A step with η above the tolerance
-is made anew in halves, each of which may be halved again; parts that fall well below it are doubled again.
-Bends between the stages, where the chambers have told them, are cubics through bends and rates.
+is at least 0.7 of the error of a turn wherever in the step it falls, and of third order in h where friction
+is smooth. The moment of momentum counts by the radius of gyration of a straight body. A step with η above the
+tolerance is made anew in halves, each of which may be halved again; parts that fall well below it are doubled
+again. Bends between the stages, where the chambers have told them, are cubics through bends and rates.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _cubic(at, span, q0, q1, r0, r1, q, r):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _bend(at, h, bends, rates, q, r):  # type: ignore[no-untyped-def]
+def bend_within(at, h, bends, rates, q, r):  # type: ignore[no-untyped-def]
     """Fill bends and rates at the share `at` of a step from those at its start, first stage and end."""
     if at < GAMMA:
         _cubic(at / GAMMA, GAMMA * h, bends[0], bends[1], rates[0], rates[1], q, r)
@@ -59,6 +59,13 @@ def _unevenness(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
     y = k1[VY] - (1 - GAMMA) * k0[VY] - GAMMA * k2[VY]
     turning = (k1[MOMENT] - (1 - GAMMA) * k0[MOMENT] - GAMMA * k2[MOMENT]) / (weight * arm)
     return h * math.sqrt(x * x + y * y + turning * turning)
+
+
+@compiled
+def _copy(values, out):  # type: ignore[no-untyped-def]
+    """Copy one array into another: a loop, for a slice is checked for overlap each time."""
+    for j in range(out.shape[0]):
+        out[j] = values[j]
 
 
 @compiled
@@ -98,17 +105,16 @@ def advance(  # type: ignore[no-untyped-def]
         done, size = 0, PARTS
         while done < PARTS:
             h = steps[i] * size / PARTS
-            guess[:], pace[:] = u, drift
+            _copy(u, guess)
+            _copy(drift, pace)
             if size == PARTS:
                 stage_bends, stage_rates = given_bends[1:], given_rates[1:]
             else:
                 for k, share in ((0, GAMMA), (1, 1.0)):
                     at = (done + share * size) / PARTS
-                    _bend(at, steps[i], given_bends, given_rates, own_bends[k], own_rates[k])
+                    bend_within(at, steps[i], given_bends, given_rates, own_bends[k], own_rates[k])
                 stage_bends, stage_rates = own_bends, own_rates
-            solved = step(
-                state, h, stage_bends, stage_rates, model, guess, pace, k1, k2, after, body
-            )
+            solved = step(state, h, stage_bends, stage_rates, model, guess, pace, k1, k2, after, body)
             parts += 1
             eta = _unevenness(h, slope, k1, k2, weight, arm)
             if size > 1 and not (solved and eta < tolerance):
@@ -117,7 +123,10 @@ def advance(  # type: ignore[no-untyped-def]
             # Not a number fails every comparison.
             if not (solved and abs(after[VX]) < SPEED_LIMIT and abs(after[VY]) < SPEED_LIMIT):
                 return i, parts
-            state[:], slope[:], u[:], drift[:] = after, k2, guess, pace
+            _copy(after, state)
+            _copy(k2, slope)
+            _copy(guess, u)
+            _copy(pace, drift)
             done += size
             if size < PARTS and eta < _NEAR * tolerance and done % (2 * size) == 0:
                 size *= 2
