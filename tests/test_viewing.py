@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html.parser
 import io
+import os
 import re
 import subprocess
 import sys
@@ -449,3 +450,17 @@ def test_without_vulkan_the_message_says_what_to_install(recording, monkeypatch)
         monkeypatch.setenv(name, "/nonexistent")
     with pytest.raises(InputError, match="no Vulkan driver .* apt-get install mesa-vulkan-drivers"):
         screenshots(recording, [1.0])
+
+
+def test_recordings_leave_no_threads_behind(tmp_path):
+    """Each of Rerun's streams has two; those of finished recordings would pile up over a long run."""
+    runs = pair()
+
+    def threads():
+        return len(os.listdir("/proc/self/task"))
+
+    write_recording(tmp_path / "r.rrd", spec=robot(), trajectories=runs)
+    before = threads()
+    for _ in range(4):
+        write_recording(tmp_path / "r.rrd", spec=robot(), trajectories=runs)
+    assert threads() <= before

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+from rerun.blueprint import Blueprint
 
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -26,6 +27,7 @@ from srs_twin.viewing.signals import forward_speed, gait_period, period_speed, p
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison
 
+APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
 """Shapes are kept at most this often; plots keep every sample."""
 
@@ -51,13 +53,20 @@ def write_recording(
         InputError: there is no trajectory, or one of them is empty.
     """
     check_drawable(trajectories)
-    log = rr.RecordingStream("srs_twin")
+    Path(path).write_bytes(_recorded(spec, trajectories, comparison, title))
+    # A stream that nobody refers to any more keeps its threads and what went through it until it is told.
+    rr.bindings.flush_and_cleanup_orphaned_recordings()
+
+
+def _recorded(
+    spec: RobotSpec, trajectories: Mapping[str, Trajectory], comparison: Comparison | None, title: str
+) -> bytes:
+    log = rr.RecordingStream(APPLICATION)
     low, high = _extent(trajectories, spec)
     layout = _layout(trajectories, spec, comparison is not None)
     # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
     recording = log.memory_recording()
-    # Active, not only default: a viewer that has shown another robot before must not keep its layout.
-    log.send_blueprint(run_blueprint(layout), make_active=True, make_default=True)
+    _send_blueprint(log, run_blueprint(layout))
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title or spec.title)
@@ -74,8 +83,27 @@ def write_recording(
             (("shape", comparison.shape_error), ("path", comparison.path_error))
         ):
             _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
-    Path(path).write_bytes(recording.drain_as_bytes())
+    content: bytes = recording.drain_as_bytes()
     log.disconnect()
+    return content
+
+
+def _send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
+    """Send a blueprint as `log.send_blueprint` does, but end the stream that carries it.
+
+    Rerun 0.41 forgets to: every recording of a process would leave two threads and two megabytes.
+    """
+    carrier = rr.RecordingStream._from_native(
+        rr.bindings.new_blueprint(
+            application_id=APPLICATION, make_default=False, make_thread_default=False, default_enabled=True
+        )
+    )
+    carrier.set_time("blueprint", sequence=0)
+    blueprint._log_to_stream(carrier)
+    content = carrier.memory_recording()
+    # Active, not only default: a viewer that has shown another robot before must not keep its layout.
+    rr.bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
+    carrier.disconnect()
 
 
 def thinned(trajectory: Trajectory, rate_hz: float) -> Trajectory:
