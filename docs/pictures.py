@@ -2,8 +2,8 @@
 
     uv run python docs/pictures.py
 
-`plan.png`, `why.png` and `fig31.png` need nothing; `hero.png` is a screenshot of Rerun's viewer and needs a Vulkan driver
-(on a machine without a graphics card Debian's mesa-vulkan-drivers).
+`plan.png`, `why.png` and `fig31.png` need nothing; `hero.png` is a screenshot of Rerun's viewer and needs a
+Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers).
 """
 
 from __future__ import annotations
