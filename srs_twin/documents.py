@@ -19,6 +19,7 @@ from typing import Any
 from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.reader import ReaderError
+from ruamel.yaml.representer import SafeRepresenter
 
 from srs_twin.errors import InputFileError
 from srs_twin.files import read_text, shown
@@ -28,6 +29,8 @@ Position = tuple[int, int]
 
 MAX_DEPTH = 16
 MAX_NODES = 10_000
+
+_UNUSUAL = re.compile("[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]")
 
 _CORE: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
@@ -154,6 +157,7 @@ def parse_yaml(text: str, name: str) -> Document:
 def dump_yaml(data: Any) -> str:
     """Return plain data as YAML text that `parse_yaml` reads back as equal data."""
     yaml = YAML(typ="safe", pure=True)
+    yaml.Representer = _Representer
     yaml.default_flow_style = False
     yaml.allow_unicode = True
     yaml.width = 110
@@ -293,6 +297,18 @@ class _Builder:
     def _refuse(self, message: str) -> None:
         self.document.problems.append((self.last, message))
         self.document.refused.add(self.last)
+
+
+class _Representer(SafeRepresenter):
+    """Writes text with unusual characters in quotes, escaped: U+0085 would come back as a blank."""
+
+
+def _text(representer: SafeRepresenter, text: str) -> Any:
+    style = '"' if _UNUSUAL.search(text) else None
+    return representer.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Representer.add_representer(str, _text)
 
 
 def _plain(text: str) -> Any:

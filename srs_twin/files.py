@@ -54,7 +54,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     """
     given = os.fspath(name_or_path)
     if isinstance(name_or_path, os.PathLike) or "/" in given or os.sep in given or given.endswith(_SUFFIXES):
-        return _existing(Path(given))
+        return existing(Path(given))
     names = shipped_names(kind)
     if given not in names:
         raise UnknownNameError(kind, given, names)
@@ -80,7 +80,7 @@ def read_text(path: Path) -> str:
         InputError: missing, a folder, not readable, too large or not UTF-8.
     """
     try:
-        with _existing(path).open("rb") as stream:
+        with existing(path).open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
@@ -124,24 +124,35 @@ def _remove(part: Path) -> None:
         return
 
 
-def _existing(path: Path) -> Path:
-    """Return the path if it is a file that can be read; say what it is instead if not."""
+def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "") -> Path:
+    """Return the path if it is a regular file: devices and pipes might never end.
+
+    Args:
+        path: as a person gave it.
+        suffix: of the files that were perhaps meant.
+        remedy: what to say besides where there is none.
+
+    Raises:
+        InputError: it is something else, or not there.
+    """
     try:
         if path.is_file():
             return path
         if path.is_dir():
-            inside = sorted(p.name for p in path.glob("*.yaml"))
+            inside = sorted(p.name for p in path.glob(f"*{suffix}"))
             hint = f", such as {path / inside[0]}" if inside else ""
             raise InputError(f"{shown(path)}: a folder; give one file{hint}")
         if path.exists():
             raise InputError(f"{shown(path)}: not a regular file")
+        if path.is_symlink():
+            raise InputError(f"{shown(path)}: a link that leads to no file")
     except (OSError, ValueError) as error:
         # ValueError: a NUL in the name; OSError: a name too long, a folder that may not be entered.
         raise InputError(f"{shown(path)!r}: cannot be read ({error})") from error
-    raise InputError(f"{shown(path)}: no such file{_sibling(path)}")
+    raise InputError(f"{shown(path)}: no such file{_sibling(path, suffix) or remedy}")
 
 
-def _sibling(path: Path) -> str:
-    """Return a did-you-mean over the YAML files in the same folder."""
-    siblings = [str(path.with_name(p.name)) for p in path.parent.glob("*.yaml")] if path.name else []
+def _sibling(path: Path, suffix: str) -> str:
+    """Return a did-you-mean over the files of this kind in the same folder."""
+    siblings = [str(path.with_name(p.name)) for p in path.parent.glob(f"*{suffix}")] if path.name else []
     return did_you_mean(str(path), siblings)

@@ -9,6 +9,9 @@ that the floor's load is shared. Chamber pressures are the controls, in Pa: actu
 Where the hinges stand: with n hinges that share a bend q equally, n ≥ 2, the chord agrees with the arc's
 l·sin(q/2)/(q/2) through order q² when the first and last lie 1/(2(n+1)) of the length from the ends and
 the others evenly between them.
+
+On a bench (`Numerics.base` "clamped") the head is fixed to the world and there is no floor: no wheels, no
+preload, no hinges out of the plane, in which gravity does no work.
 """
 
 from __future__ import annotations
@@ -58,10 +61,12 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     _set_options(mj, numerics)
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
     add_classes(mj, spec, numerics, limit_pa=limit)
-    middle = root_connector(spec)
+    free = numerics.base == "free"
+    middle = root_connector(spec) if free else 1
     place = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
     root = mj.worldbody.add_body(name=f"connector_{middle}", pos=[place, 0, spec.geometry.com_height])
-    root.add_freejoint(name="root")
+    if free:
+        root.add_freejoint(name="root")
     _add_connector(mj, root, spec, middle, numerics)
     for step, end in ((1, spec.geometry.connectors), (-1, 1)):
         body = root
@@ -72,8 +77,9 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
         _add_muscles(mj, j, numerics)
         if numerics.constant_curvature:
             _bend_alike(mj, j, numerics)
-    add_preload(mj, spec, numerics)
-    add_feet(mj, spec)
+    if free:
+        add_preload(mj, spec, numerics)
+        add_feet(mj, spec)
     _add_home(mj)
     return mj
 
@@ -85,7 +91,9 @@ def scene_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     """
     mj = robot_mjcf(spec, numerics, supply_pa=supply_pa)
     add_surroundings(mj, spec.geometry.body_length)
-    add_contacts(mj, spec, numerics)
+    if numerics.base == "free":
+        add_contacts(mj, spec, numerics)
+    mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
     return mj
 
 
@@ -143,7 +151,8 @@ def _add_connector(
     links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
     _set_inertia(body, mass - 2 * spec.mass.wheel - links, *fixed_inertia(spec, numerics))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
-    add_wheels(mj, body, spec, i, numerics)
+    if numerics.base == "free":
+        add_wheels(mj, body, spec, i, numerics)
 
 
 def _add_segment(
@@ -168,7 +177,7 @@ def _add_segment(
         parent_origin = origins[k]
         anchor = ahead * (hinges[k] - origins[k])
         _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
-        if k == n // 2:
+        if k == n // 2 and numerics.base == "free":
             for kind in ("pitch", "roll"):
                 _add_joint(mj, body, kind, f"{kind}_{j}", ahead * (g.pitch / 2 - origins[k]), ahead)
         if last:
@@ -221,5 +230,6 @@ def _bend_alike(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
 def _add_home(mj: mujoco.MjSpec) -> None:
     """Add keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
     root = mj.worldbody.first_body()
-    others = [0.0] * (len(mj.joints) - 1)  # each of them a hinge
-    mj.add_key(name="home", qpos=[*root.pos, 1, 0, 0, 0, *others], ctrl=[0.0] * len(mj.actuators))
+    free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints)
+    pose, hinges = ([*root.pos, 1, 0, 0, 0], len(mj.joints) - 1) if free else ([], len(mj.joints))
+    mj.add_key(name="home", qpos=[*pose, *[0.0] * hinges], ctrl=[0.0] * len(mj.actuators))

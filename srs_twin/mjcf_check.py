@@ -12,21 +12,25 @@ import os
 import subprocess
 import sys
 import tempfile
-import xml.etree.ElementTree as ElementTree
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.files import existing
+from srs_twin.mjcf_scan import scan_mjcf
 
 TIME_LIMIT_S = 30
 MEMORY_LIMIT_BYTES = 4 << 30
-SIZE_LIMIT_BYTES = 20 << 20
 CONTROL_S = 1.0
+TIMESTEPS_S = (1e-5, 0.1)
+MAX_ITERATIONS = 10_000
 _REDRAW_S = 0.02
-_PATHS = ("file", "assetdir", "meshdir", "texturedir")
+_PATIENCE_S = 0.5  # of random control, until it is judged how long it will take
+_ITERATIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations", "sdf_iterations")
+_NOT_NEGATIVE = ("geom_friction", "pair_friction", "dof_damping", "dof_frictionloss", "body_mass")
 
 
 @dataclass(frozen=True)
@@ -52,11 +56,12 @@ def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
     Raises:
         InputError: there is no such file.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give an MJCF file or the name of a shipped robot")
-    if path.stat().st_size > SIZE_LIMIT_BYTES:
-        return ModelReport((f"over {SIZE_LIMIT_BYTES >> 20} MB of XML",))
-    command = [sys.executable, "-m", "srs_twin.mjcf_check", str(path.resolve()), str(time_limit_s)]
+    remedy = "; give an MJCF file or the name of a shipped robot"
+    model = existing(path, suffix=".xml", remedy=remedy).resolve()
+    faults = scan_mjcf(model)
+    if faults:
+        return ModelReport(tuple(faults))
+    command = [sys.executable, "-m", "srs_twin.mjcf_check", str(model), str(time_limit_s)]
     # No window system is needed, and threads of numpy's would count as memory.
     env = {**os.environ, "MUJOCO_GL": "disabled", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as room:  # MuJoCo leaves its log file where it runs
@@ -66,51 +71,52 @@ def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
             )
         except subprocess.TimeoutExpired:
             return ModelReport((f"did not finish within {time_limit_s} s",))
+    said = child.stderr.strip().splitlines()
+    return verdict(child.stdout, said[-1] if said else f"exit status {child.returncode}", time_limit_s)
+
+
+def verdict(found: str, ending: str, time_limit_s: int) -> ModelReport:
+    """Return what a child found, or that it broke.
+
+    Args:
+        found: what it wrote.
+        ending: its last words, or how it ended.
+        time_limit_s: most that it might take, s.
+    """
     try:
-        found = json.loads(child.stdout)
+        report = json.loads(found)
     except ValueError:
-        said = child.stderr.strip().splitlines()
-        reason = said[-1] if said else f"exit status {child.returncode}"
-        return ModelReport(
-            (f"broke MuJoCo or a limit ({MEMORY_LIMIT_BYTES >> 30} GB, {time_limit_s} s): {reason}",)
-        )
-    return ModelReport(tuple(found["faults"]), found["sizes"])
-
-
-def _stray_paths(path: Path, folder: Path, seen: set[Path]) -> list[str]:
-    """Return a fault for each path in a file, and in what it includes, that leads out of the folder."""
-    seen.add(path)
-    try:
-        tree = ElementTree.parse(path)
-    except (ElementTree.ParseError, UnicodeDecodeError, OSError) as error:
-        return [f"{path.name}: not readable as XML ({error})"]
-    faults = []
-    for element in tree.iter():
-        for given in filter(None, (element.get(name) for name in _PATHS)):
-            target = (folder / given).resolve()
-            if not target.is_relative_to(folder):
-                faults.append(f"{path.name}: <{element.tag}> names '{given}', outside the model's folder")
-            elif element.tag == "include" and target not in seen and target.is_file():
-                faults += _stray_paths(target, folder, seen)
-    return faults
+        limits = f"{MEMORY_LIMIT_BYTES >> 30} GB, {time_limit_s} s"
+        return ModelReport((f"broke MuJoCo or a limit ({limits}): {ending}",))
+    return ModelReport(tuple(report["faults"]), report["sizes"])
 
 
 def _bad_numbers(model: Any) -> list[str]:
     """Return a fault for each number that MuJoCo compiles but no body can have."""
     faults = []
-    if not (np.isfinite(model.opt.timestep) and model.opt.timestep > 0):
-        faults.append(f"timestep {model.opt.timestep} is not allowed; it must be finite and above 0")
-    for name in ("geom_friction", "pair_friction", "dof_damping", "dof_frictionloss", "body_mass"):
-        if (getattr(model, name) < 0).any():
-            faults.append(f"{name} has a negative value")
+    low, high = TIMESTEPS_S
+    if not low <= model.opt.timestep <= high:
+        faults.append(f"timestep {model.opt.timestep:g} s is not allowed; it must be {low:g} to {high:g} s")
+    for name in _ITERATIONS:
+        if getattr(model.opt, name) > MAX_ITERATIONS:
+            faults.append(f"{name} {getattr(model.opt, name)} are not allowed; at most {MAX_ITERATIONS}")
+    for name in _NOT_NEGATIVE:
+        values = getattr(model, name)
+        if (values < 0).any():
+            faults.append(f"{name}{_first(values < 0)} has a negative value")
     for name in dir(model):
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not np.isfinite(value).all():
-            faults.append(f"{name} has a value that is not finite")
+            faults.append(f"{name}{_first(~np.isfinite(value))} has a value that is not finite")
     return faults
 
 
-def _shake(model: Any) -> list[str]:
+def _first(wrong: np.ndarray) -> str:
+    """Return the row of the first True, as it is indexed."""
+    return f"[{np.argwhere(np.atleast_1d(wrong))[0][0]}]"
+
+
+def _shake(model: Any, time_limit_s: float) -> list[str]:
     """Simulate `CONTROL_S` under random control; return what MuJoCo warned of."""
     import mujoco
 
@@ -120,10 +126,16 @@ def _shake(model: Any) -> list[str]:
     rng = np.random.default_rng(0)
     low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
     redraw = max(1, round(_REDRAW_S / model.opt.timestep))
-    for step in range(max(1, round(CONTROL_S / model.opt.timestep))):
+    steps = max(1, round(CONTROL_S / model.opt.timestep))
+    begun = time.monotonic()
+    for step in range(steps):
         if step % redraw == 0:
             data.ctrl[:] = rng.uniform(low, high)
         mujoco.mj_step(model, data)
+        spent = time.monotonic() - begun
+        if spent > _PATIENCE_S and spent / (step + 1) * steps > time_limit_s:
+            ahead = spent / (step + 1) * steps
+            return [f"{CONTROL_S:g} s of random control would take {ahead:.0f} s; at most {time_limit_s} s"]
     faults = [
         f"{CONTROL_S:g} s of random control raised the warning {name.removeprefix('mjWARN_')}"
         for name, kind in mujoco.mjtWarning.__members__.items()
@@ -134,17 +146,15 @@ def _shake(model: Any) -> list[str]:
     return faults
 
 
-def _examine(path: Path) -> dict[str, Any]:
+def examine(path: Path, time_limit_s: int) -> dict[str, Any]:
+    """Compile a model and shake it, in this process; return faults and sizes, as in `ModelReport`."""
     import mujoco
 
-    faults = _stray_paths(path, path.parent, set())
-    if faults:
-        return {"faults": faults, "sizes": {}}
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
+    except (ValueError, MemoryError) as error:
         return {"faults": [f"does not compile: {' '.join(str(error).split())}"], "sizes": {}}
-    faults = _bad_numbers(model) or _shake(model)
+    faults = _bad_numbers(model) or _shake(model, time_limit_s)
     sizes = {
         "bodies": model.nbody - 1,
         "joints": model.njnt,
@@ -160,7 +170,7 @@ def _child(path: str, time_limit_s: str) -> None:
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT_BYTES, MEMORY_LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (int(time_limit_s), int(time_limit_s)))
-    json.dump(_examine(Path(path)), sys.stdout)
+    json.dump(examine(Path(path), int(time_limit_s)), sys.stdout)
 
 
 if __name__ == "__main__":

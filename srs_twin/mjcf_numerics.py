@@ -30,6 +30,7 @@ class Numerics:
         link_share: mass between the hinges of a segment, as a share of the lightest connector's; the text
             lumps all of it at the connectors.
         wheel_spin: the wheels' inertia about their axles, as a multiple of what they have.
+        base: "free", or "clamped": the head is held, the rest hangs in the air and bends in the plane only.
         constant_curvature: force the hinges of a segment to bend alike, as the analytical model has it; left
             alone a segment under load takes the shape of an S besides.
     """
@@ -44,3 +45,4 @@ class Numerics:
     link_share: float = 0.02
     wheel_spin: float = 1.0
     constant_curvature: bool = False
+    base: str = "free"

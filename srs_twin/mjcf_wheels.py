@@ -63,9 +63,10 @@ def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
 def fixed_inertia(spec: RobotSpec, numerics: Numerics) -> tuple[float, np.ndarray]:
     """Return the mass (kg) and the moments of inertia (3,) (kg·m²) that a connector's skids add to its own.
 
-    They have the mass of the wheels whose place they take. Wheels are bodies of their own: 0.
+    They have the mass of the wheels whose place they take. Wheels are bodies of their own: 0. On a bench
+    nothing rolls: wheels are fixed there as well.
     """
-    if numerics.wheels == "rolling":
+    if numerics.wheels == "rolling" and numerics.base == "free":
         return 0.0, np.zeros(3)
     across = 2 * spec.mass.wheel * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
     return 2 * spec.mass.wheel, np.array([across, spec.mass.wheel * spec.geometry.wheel_radius**2, across])
@@ -133,7 +134,7 @@ def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None
     """Add the pairs of all wheels or skids with the floor, and sensors of what happens there.
 
     Sensors: the floor's force on each (world frame, N), the velocity of the point of the connector above it
-    (world, m/s), and the kinetic energy of all bodies (J).
+    (world, m/s).
     """
     name = "wheel_on_floor" if numerics.wheels == "rolling" else "skid_on_floor"
     default = mj.add_default(name, mj.default)
@@ -155,7 +156,6 @@ def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None
             name=f"velocity_{foot}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
             objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot,
         )  # fmt: skip
-    mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
 
 
 def _slower(mj: mujoco.MjSpec, spec: RobotSpec) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.plants.base import Plant, Pose, SnakeState
+from srs_twin.plants.divergence import believed, refuse_wild
 from srs_twin.pneumatics.schedule import Schedule
 from srs_twin.trajectory import Event, Trajectory
 
@@ -49,11 +50,18 @@ def rollout(
         The samples from t = 0 on; where `until` ends the run between two, its last state as well.
 
     Raises:
-        InputError: duration, tick, time step and record_hz do not fit together.
-        DivergedError: the plant diverged; its `trajectory` holds what was recorded until then.
+        InputError: duration, tick, time step and record_hz do not fit together, or the controller cannot
+            drive these valves.
+        DivergedError: the plant or the controller diverged; the error's `trajectory` holds what was recorded
+            until then.
     """
     ticks = whole_steps("duration", duration, "tick", plant.tick)
     samples, stride = sampling(plant.tick, record_hz)
+    if plant.layout not in controller.layouts:
+        raise InputError(
+            f"controller '{controller.kind}' drives valves of layout {', '.join(controller.layouts)}; "
+            f"the {plant.name} plant has {plant.layout} (layout in_out can hold, 3/2 cannot)"
+        )
     state = plant.reset(pose=pose, seed=seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
     recorder = Recorder(plant, controller, record_hz, duration)
@@ -61,7 +69,9 @@ def rollout(
     watchers = tuple(observers)
     script = None if until is not None or watchers else controller.script(ticks * plant.tick)
     try:
-        if script is None or not _follow(plant, script, ticks, samples, stride, recorder, progress):
+        if script is None or not _follow(
+            plant, controller, script, ticks, samples, stride, recorder, progress
+        ):
             _meet(plant, controller, ticks, samples, stride, recorder, state, until, watchers, progress)
     except DivergedError as error:
         if error.history is not None and len(error.history.time):
@@ -73,6 +83,7 @@ def rollout(
 
 def _follow(
     plant: Plant,
+    controller: Controller,
     script: Schedule,
     ticks: int,
     samples: int,
@@ -90,9 +101,11 @@ def _follow(
     while begun < ticks:
         now = min(stretch, (recorded if begun < recorded else ticks) - begun)
         part = script.part(begun * plant.tick, (begun + now) * plant.tick)
+        refuse_wild(_named(controller), begun * plant.tick, part.states)
         history = plant.play(part, now * samples // stride if begun < recorded else 1)
         if history is None:
             return False
+        believed(plant.name, history)
         if begun < recorded:
             recorder.add(history)
         begun += now
@@ -117,7 +130,11 @@ def _meet(
     for watch in watchers:
         watch(state)
     for k in range(1, ticks + 1):
-        states = plant.advance(controller.step(state), samples)
+        valves = controller.step(state)
+        refuse_wild(_named(controller), (k - 1) * plant.tick, valves)
+        states = plant.advance(valves, samples)
+        for sample in states:
+            believed(plant.name, sample)
         state = states[-1]
         ends = until is not None and until(state)
         if k % stride == 0 or ends:
@@ -130,6 +147,10 @@ def _meet(
             progress(k * plant.tick)
         if ends:
             break
+
+
+def _named(controller: Controller) -> str:
+    return f"controller '{controller.kind}'"
 
 
 def sampling(tick: float, record_hz: float) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,12 +12,15 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.parquet import read_table
 
 _UNITS = {
     "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
     "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
     "valve_minus": "1", "torque": "N·m", "work": "J", "air": "J", "qpos": "mixed",
 }  # fmt: skip
+
+_OURS = "a trajectory written by srs-twin"
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ class Trajectory:
             schema=pa.schema(fields, metadata=about),
         )
         pq.write_table(
-            table, path, compression="zstd", use_dictionary=False,
+            table, path, compression="zstd", use_dictionary=False, write_page_checksum=True,
             column_encoding={n: "BYTE_STREAM_SPLIT" for n in self.columns},
         )  # fmt: skip
 
@@ -127,31 +131,52 @@ class Trajectory:
         """Read what `to_parquet` wrote.
 
         Raises:
-            InputError: not a Parquet file, or not one of a trajectory.
+            InputError: not a Parquet file, not one of a trajectory, damaged, or beyond all bounds.
         """
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+        table = read_table(path, _OURS)
+        about = table.schema.metadata or {}
         try:
-            # One file: pq.read_table would take a folder and join whatever lies in it.
-            with pq.ParquetFile(path) as file:
-                table = file.read()
-            about = table.schema.metadata or {}
             if not {b"srs_twin.events", b"srs_twin.metadata"} <= about.keys():
                 raise TypeError("a Parquet file of something else")
-            events = tuple(Event(**e) for e in json.loads(about[b"srs_twin.events"]))
+            events = tuple(_event(each) for each in json.loads(about[b"srs_twin.events"]))
             metadata = json.loads(about[b"srs_twin.metadata"])
-            columns = {n: table.column(n).to_numpy() for n in table.column_names}
             units = {f.name: (f.metadata or {}).get(b"unit", b"1").decode() for f in table.schema}
             if not isinstance(metadata, dict):
                 raise TypeError("its metadata is no mapping")
-            for f in table.schema:
-                if f.type != pa.float64():
-                    raise TypeError(f"column {f.name} holds {f.type}, not float64")
-        except FileNotFoundError as error:
-            raise InputError(f"{path}: no such file") from error
-        except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: not a trajectory written by srs-twin ({error})") from error
+            columns = {name: _numbers(name, table.column(name)) for name in table.column_names}
+        except (TypeError, ValueError, RecursionError) as error:
+            raise InputError(f"{path}: not {_OURS} ({error})") from error
         if "time" not in columns:
             raise InputError(f"{path}: a trajectory needs a column 'time'")
+        time = columns["time"]
+        if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+            raise InputError(f"{path}: column time: must be finite and rise from sample to sample")
         return cls(columns, units, events, metadata)
+
+
+def _numbers(name: str, column: Any) -> np.ndarray:
+    """Return a Parquet column as an array.
+
+    Raises:
+        TypeError: it holds something else than numbers, or gaps.
+    """
+    if str(column.type) != "double":
+        raise TypeError(f"column {name} holds {column.type}, not float64")
+    if column.null_count:
+        raise TypeError(f"column {name} has {column.null_count} gaps")
+    values: np.ndarray = column.to_numpy()
+    return values
+
+
+def _event(given: Any) -> Event:
+    """Return an event as it was written.
+
+    Raises:
+        TypeError, ValueError: it is none.
+    """
+    event = Event(**given)
+    if not (isinstance(event.kind, str) and isinstance(event.text, str)):
+        raise TypeError("an event's kind and text must be text")
+    if isinstance(event.time, bool) or not math.isfinite(event.time):
+        raise ValueError("an event's time must be finite")
+    return event

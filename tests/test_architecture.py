@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 # From left to right; a module imports only from its own step or from steps to its left.
 ORDER = (
     ("errors", "compiled", "plausible", "records", "threads", "processes"),
-    ("files", "documents", "validation"),
+    ("files", "folders", "documents", "validation", "parquet"),
     ("spec", "robots", "robot_file", "world"),
     ("trajectory",),
     ("shape", "friction", "pneumatics", "sensing"),
@@ -25,6 +25,7 @@ ORDER = (
         "mjcf_wheels",
         "mjcf",
         "mjcf_export",
+        "mjcf_scan",
         "mjcf_check",
     ),
     ("plants", "control"),

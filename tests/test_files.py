@@ -25,7 +25,7 @@ def lines(text: str, name: str = "f.yaml") -> tuple[str, ...]:
 
 
 def test_shipped_names():
-    assert shipped_names("robot") == ROBOTS
+    assert shipped_names("robot") == [*ROBOTS, "gen4_module"]
     assert "gen2_straight" in shipped_names("scenario")
 
 

@@ -171,5 +171,5 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.parquet: no such file"):
         Trajectory.from_parquet(tmp_path / "none.parquet")
     Snake(duration=0.1).trajectory().to_parquet(tmp_path / "run.parquet")
-    with pytest.raises(InputError, match="is a directory"):
+    with pytest.raises(InputError, match="a folder; give one file, such as .*run.parquet"):
         Trajectory.from_parquet(tmp_path)

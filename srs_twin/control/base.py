@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.pneumatics.schedule import Schedule
+from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Event
 
@@ -23,10 +23,12 @@ class Controller(ABC):
     Attributes:
         kind: the name of this controller in scenario files.
         frequency: gait frequency in Hz, None where nothing is periodic.
+        layouts: the valve layouts that it can drive, of `LAYOUTS`.
     """
 
     kind: str
     frequency: float | None = None
+    layouts: tuple[str, ...] = tuple(LAYOUTS)
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:

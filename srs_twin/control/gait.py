@@ -34,6 +34,7 @@ class Gait(Controller):
 
     kind = "gait"
     frequency: float
+    layouts = ("3/2", "in_out")
 
     def __init__(
         self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None

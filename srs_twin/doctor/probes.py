@@ -86,7 +86,7 @@ def kernels() -> Iterator[dict[str, Any]]:
     arguments = (0.02, -0.1, 0.4, 0.05, 0.3, 1e-3)
     compiled = njit(friction.wheel)(*arguments)
     yield {"agrees": bool(np.allclose(compiled, friction.wheel(*arguments), rtol=1e-12))}
-    from srs_twin.plants.kernels import advance
+    from srs_twin.plants.step_control import advance
 
     kernel: Any = advance
     yield {"cache": kernel._cache.cache_path}

@@ -10,12 +10,16 @@ import numpy as np
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.friction import AT_TRACK, LAWS
 from srs_twin.plants import kernels, observation
-from srs_twin.plants.base import Plant, Pose, SnakeState
+from srs_twin.plants.base import BASES, Plant, Pose, SnakeState
+from srs_twin.plants.clamped import ClampedBends
+from srs_twin.plants.divergence import believed
 from srs_twin.plants.floor import Floor
 from srs_twin.plants.given import Body, GivenBends, Motion
 from srs_twin.plants.kinematics import Solid
+from srs_twin.plausible import implausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.records import joined
+from srs_twin.sensing import Sensor, make_sensor
 from srs_twin.spec import RobotSpec
 
 MODELS = ("complete", "simplified", "compliant")
@@ -53,6 +57,8 @@ class AnalyticalSnake(Plant):
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
         track: float | None = None,
+        base: str = "free",
+        sensor: str | Sensor = "ideal",
     ) -> None:
         """Build the model.
 
@@ -77,6 +83,8 @@ class AnalyticalSnake(Plant):
             pneumatics: "lag", "orifice", or chambers of one's own.
             track: where the two contacts of a connector stand, m; default the robot's half track for a law
                 that acts at the wheels and 0, one contact, for the others.
+            base: "free", or "clamped": held at the head, in the air (not with "compliant").
+            sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
 
         Raises:
             InputError: an unknown model, law, inertia or layout, a tick, time step or tolerance that is not
@@ -84,11 +92,14 @@ class AnalyticalSnake(Plant):
         """
         for kind, given, known in (
             ("model", model, MODELS), ("friction law", friction, LAWS), ("inertia", inertia, INERTIAS),
+            ("base", base, BASES),
         ):  # fmt: skip
             if given not in known:
                 raise InputError(f"{kind} '{given}' is unknown; allowed: {', '.join(known)}")
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
+        if base == "clamped" and model == "compliant":
+            raise InputError("model 'compliant' is for a free snake; on a bench 'complete' and the twin run")
         for name, value, unit in (
             ("tick", tick, "s"), ("time step", timestep, "s"), ("tolerance", tolerance, "m/s"),
         ):  # fmt: skip
@@ -96,8 +107,10 @@ class AnalyticalSnake(Plant):
                 raise InputError(f"{name} {value!r} {unit} is not allowed; it must be finite and above 0")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
         self._model, self._inertia, self._turning = model, inertia, friction_torque
+        self.base = base
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
+        self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
         if track is None:
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction
@@ -107,9 +120,9 @@ class AnalyticalSnake(Plant):
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight, at rest, chambers empty. Nothing is random here: `seed` is unused."""
+        """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
         self.pneumatics.reset()
-        self._ticks = 0
+        self._ticks, self._seed = 0, seed
         self._body.reset(pose)
         body, trace = self._body, self.pneumatics.resting()
         now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
@@ -125,6 +138,10 @@ class AnalyticalSnake(Plant):
         """Follow a schedule; see `Plant.play`."""
         self.pneumatics.check(schedule.states)
         ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        wrong = implausible([*self._body.state, *self._body.velocity])
+        if wrong is not None:
+            what = f"its state held {wrong:g} before the step, which no snake reaches"
+            raise DivergedError(self.name, self._ticks * self.tick, what)
         ends, marks = self._step_ends(self.pneumatics.effective(schedule), samples)
         done, motion, trace = self._drive(schedule, ends, marks)
         begun = self._ticks * self.tick
@@ -134,11 +151,12 @@ class AnalyticalSnake(Plant):
             raise DivergedError(
                 self.name,
                 begun + ends[done],
-                f"step {done + 1} of {len(ends)} found no plausible solution, state {self._body.state}",
+                f"step {done + 1} of {len(ends)} found no plausible solution, state "
+                f"{', '.join(f'{value:.4g}' for value in self._body.state)}",
                 history=history,
             )
         self._ticks += ticks
-        return history
+        return believed(self.name, history)
 
     def _drive(self, schedule: Schedule, ends: np.ndarray, marks: np.ndarray) -> tuple[int, Motion, Trace]:
         """Advance chambers and body; return the steps made, and what was at the marks that were reached.
@@ -174,8 +192,11 @@ class AnalyticalSnake(Plant):
         """Return the settings worth recording."""
         return super().describe() | {
             "model": self._model,
+            "base": self.base,
             "friction": self.friction,
             "pneumatics": self.pneumatics.describe(),
+            "layout": self.layout,
+            "sensor": self.sensor.describe(),
             "friction_torque": self._turning,
             "inertia": self._inertia,
             "track_m": self._floor.track,
@@ -190,6 +211,8 @@ class AnalyticalSnake(Plant):
         solid = Solid(
             self.spec.mass.array(), self._own_inertia(), g.segment_length, g.rigid_gap, frozen
         )  # fmt: skip
+        if self.base == "clamped":
+            return ClampedBends(solid, self._floor)
         if self._model != "compliant":
             return GivenBends(solid, self._floor, turning=self._turning, tolerance=self._tolerance)
         # Its kernels take a second to load: not before they are asked for.
@@ -259,7 +282,7 @@ class AnalyticalSnake(Plant):
             bend_rate=motion.bend_rate,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=motion.bend.copy(),
+            sensed=self.sensor.read(motion.bend, time, self._seed),
             contact_force=force,
             torque=motion.torque,
             work=energy + motion.states[:, kernels.SPENT],

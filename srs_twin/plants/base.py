@@ -16,6 +16,9 @@ from srs_twin.spec import RobotSpec
 
 Pose = tuple[float, float, float]
 
+BASES = ("free", "clamped")
+"""How a chain is held: not at all, or at its head, in the air, as on a bench."""
+
 
 @dataclass(frozen=True)
 class SnakeState:
@@ -61,8 +64,8 @@ class SnakeState:
     air: float | np.ndarray
     qpos: np.ndarray
 
-    def at(self, k: int) -> SnakeState:
-        """Return moment k of a history."""
+    def at(self, k: int | slice) -> SnakeState:
+        """Return moment k of a history, or a part of it."""
         return SnakeState(**{f.name: getattr(self, f.name)[k] for f in fields(self)})
 
     @staticmethod
@@ -83,12 +86,14 @@ class Plant(ABC):
         spec: the robot.
         tick: control tick, s; a multiple of the plant's time step.
         stretch: how much of a script it likes to follow at a time, s.
+        layout: its valves, one of `pneumatics.schedule.LAYOUTS`.
     """
 
     name: str
     spec: RobotSpec
     tick: float
     stretch: float = 1.0
+    layout: str = "3/2"
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:

@@ -29,6 +29,7 @@ import numpy as np
 
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Pose, SnakeState
+from srs_twin.plants.divergence import refuse_wild
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.spec import RobotSpec
@@ -123,7 +124,7 @@ class TwinBatch:
         return self.state
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick.
+        """Advance all runs by one tick; a run whose commands have diverged ends.
 
         Args:
             valves: see `step`.
@@ -137,14 +138,19 @@ class TwinBatch:
         """
         if len(valves) != len(self):
             raise InputError(f"valves: {len(valves)} were given for {len(self)} runs; give one array a run")
-        pairs = zip(self.twins, valves, strict=True)
-        return self.play([twin.pneumatics.schedule(own, self.tick) for twin, own in pairs], samples)
+        errors = [self.errors[k] or self._wild(k, own) for k, own in enumerate(valves)]
+        schedules = [
+            None if error else twin.pneumatics.schedule(own, self.tick)
+            for twin, own, error in zip(self.twins, valves, errors, strict=True)
+        ]
+        self.errors = errors
+        return self.play(schedules, samples)
 
-    def play(self, schedules: Sequence[Schedule], samples: int) -> list[SnakeState | None]:
+    def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
         """Follow schedules that no feedback changes.
 
         Args:
-            schedules: of each run, over a whole number of ticks.
+            schedules: of each run, over a whole number of ticks; None for one that has ended.
             samples: how many equally spaced samples to return of each run, the last at its end.
 
         Returns:
@@ -162,8 +168,16 @@ class TwinBatch:
         self.state = SnakeState.history(last)
         return histories
 
-    def _play(self, k: int, schedule: Schedule, samples: int) -> SnakeState | None:
-        if self.errors[k] is not None:
+    def _wild(self, k: int, valves: np.ndarray) -> DivergedError | None:
+        """Return what ends a run whose commands have diverged."""
+        try:
+            refuse_wild("policy", float(np.asarray(self.state.time)[k]), valves)
+        except DivergedError as error:
+            return error.with_traceback(None)
+        return None
+
+    def _play(self, k: int, schedule: Schedule | None, samples: int) -> SnakeState | None:
+        if schedule is None or self.errors[k] is not None:
             return None
         try:
             return self.twins[k].play(schedule, samples)

@@ -123,12 +123,13 @@ class SnakePhysics(dm.Physics):
     def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
         raw = self.model.ptr
         self._pneumatics = pneumatics
-        self._preload = preload_force(spec, numerics)
+        self._free = numerics.base == "free"
+        self._preload = preload_force(spec, numerics) * self._free
         self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
-        feet = treads(spec)
+        feet = treads(spec) if self._free else []
         self._force_columns = self._sensor_columns([f"floor_force_{foot}" for foot in feet])
         self._foot_columns = self._sensor_columns([foot.replace("tread", "velocity_foot") for foot in feet])
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
@@ -138,11 +139,12 @@ class SnakePhysics(dm.Physics):
             for k in range(numerics.hinges_per_segment):
                 hinge = raw.joint(f"hinge_{j + 1}_{k + 1}")
                 self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
-        self._floor_force = np.zeros((*self._preload.shape, 3))
+        self._no_force = np.zeros((*self._preload.shape, 3))
+        self._floor_force = self._no_force
 
     def _sensor_columns(self, names: list[str]) -> np.ndarray:
         """Return where the three numbers of each wheel's sensor stand, shape (N, 2, 3)."""
-        first = np.array([self.model.ptr.sensor(name).adr[0] for name in names])
+        first = np.array([self.model.ptr.sensor(name).adr[0] for name in names], dtype=int)
         columns: np.ndarray = (first[:, None] + np.arange(3)).reshape(-1, 2, 3)
         return columns
 
@@ -150,15 +152,17 @@ class SnakePhysics(dm.Physics):
         """Reset to a straight snake at rest with its centre of mass at x, y (m) and heading (rad)."""
         x, y, heading = pose
         with self.reset_context():
-            offset = self.data.qpos[0] - self.data.subtree_com[0][0]
-            self.data.qpos[:2] = x + offset * np.cos(heading), y + offset * np.sin(heading)
-            self.data.qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
+            if self._free:
+                offset = self.data.qpos[0] - self.data.subtree_com[0][0]
+                self.data.qpos[:2] = x + offset * np.cos(heading), y + offset * np.sin(heading)
+                self.data.qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
         self.refresh()
         self._pneumatics.reset()
         self._schedule = self._pneumatics.schedule(self._pneumatics.valves, 1.0)
-        # At rest every wheel carries its share of the weight, and its preload.
-        self._floor_force = np.zeros((*self._preload.shape, 3))
-        self._floor_force[..., 2] = self._preload + self._rest_load
+        self._floor_force = self._no_force.copy()
+        if self._free:
+            # At rest every wheel carries its share of the weight, and its preload.
+            self._floor_force[..., 2] = self._preload + self._rest_load
 
     def set_control(self, control: np.ndarray) -> None:
         """Command the valves for the next `step`: (segments, 2) or (slots, segments, 2)."""
@@ -197,11 +201,15 @@ class SnakePhysics(dm.Physics):
         )  # fmt: skip
         self.refresh()
         stretch = Stretch(
-            states[0], sensed[0][:, self._force_columns], sensed[0][:, self._foot_columns],
-            sensed[0][:, self._energy_column],
+            states[0], self._at_feet(sensed[0], self._force_columns),
+            self._at_feet(sensed[0], self._foot_columns), sensed[0][:, self._energy_column],
         )  # fmt: skip
         self._floor_force = stretch.floor_force.mean(axis=0)
         return stretch
+
+    def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return what is sensed at the feet, shape (steps, N, 2, 3); 0 where nothing stands on a floor."""
+        return sensed[:, columns] if self._free else np.zeros((len(sensed), *self._no_force.shape))
 
     def refresh(self) -> None:
         """Bring places and velocities to the state's; contacts stay those of the last step's beginning."""

@@ -9,10 +9,13 @@ import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
-from srs_twin.plants.base import Plant, Pose, SnakeState
+from srs_twin.plants.base import BASES, Plant, Pose, SnakeState
+from srs_twin.plants.divergence import believed
 from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
+from srs_twin.plausible import implausible, plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.records import joined
+from srs_twin.sensing import Sensor, make_sensor
 from srs_twin.spec import RobotSpec
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
@@ -48,6 +51,8 @@ class TwinSnake(Plant):
         link_share: float = Numerics.link_share,
         wheel_spin: float = Numerics.wheel_spin,
         constant_curvature: bool = Numerics.constant_curvature,
+        base: str = Numerics.base,
+        sensor: str | Sensor = "ideal",
     ) -> None:
         """Build and compile the twin.
 
@@ -67,6 +72,8 @@ class TwinSnake(Plant):
             link_share: mass between a segment's hinges over the lightest connector's.
             wheel_spin: multiple of the wheels' inertia about their axles.
             constant_curvature: force the hinges of a segment to bend alike.
+            base: "free", or "clamped": held at the head, in the air.
+            sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
 
         Raises:
             InputError: an unknown wheel or layout, a tick that is no multiple of the time step, or a time
@@ -74,6 +81,8 @@ class TwinSnake(Plant):
         """
         if wheels not in WHEELS:
             raise InputError(f"wheels '{wheels}' are unknown; allowed: {', '.join(WHEELS)}")
+        if base not in BASES:
+            raise InputError(f"base '{base}' is unknown; allowed: {', '.join(BASES)}")
         whole_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep, self.wheels = spec, tick, timestep, wheels
         self._numerics = Numerics(
@@ -86,9 +95,11 @@ class TwinSnake(Plant):
             link_share=link_share,
             wheel_spin=wheel_spin,
             constant_curvature=constant_curvature,
+            base=base,
         )
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
+        self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
         if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
             raise InputError(
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
@@ -99,10 +110,10 @@ class TwinSnake(Plant):
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight, at rest, chambers empty. Nothing is random here: `seed` is unused."""
+        """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
         physics = self.physics
         physics.lay_down(pose)
-        self._ticks = 0
+        self._ticks, self._seed = 0, seed
         self._spent = 0.0
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
         self._last_push = np.zeros((self.spec.geometry.connectors, 2, 2))
@@ -134,7 +145,7 @@ class TwinSnake(Plant):
                 error.history = SnakeState.history(kept) if kept else None
                 raise
         self._ticks += ticks
-        return SnakeState.history(parts)
+        return believed(self.name, SnakeState.history(parts))
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""
@@ -145,6 +156,8 @@ class TwinSnake(Plant):
         return super().describe() | {
             "wheels": self.wheels,
             "pneumatics": self.pneumatics.describe(),
+            "layout": self.layout,
+            "sensor": self.sensor.describe(),
             "timestep_s": self.timestep,
             "hinges_per_segment": self._numerics.hinges_per_segment,
             "slip_time_s": self._numerics.slip_time,
@@ -153,12 +166,18 @@ class TwinSnake(Plant):
             "link_share": self._numerics.link_share,
             "wheel_spin": self._numerics.wheel_spin,
             "constant_curvature": self._numerics.constant_curvature,
+            "base": self._numerics.base,
         }
 
     def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
         """Follow a schedule for some samples of so many steps each."""
         HEARD.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
+        if not plausible(before, self._theta, self._spent):
+            # Before the engine sees it: it would take a quaternion of any length for a direction.
+            wrong = implausible([*before, *self._theta, self._spent])
+            what = f"its state held {wrong:g} before the step, which no snake reaches"
+            raise DivergedError(self.name, begun + self.timestep, what)
         trace, stretch = self._drive(schedule, samples * steps)
         interval = schedule.span / samples
         times = begun + interval * np.arange(1, samples + 1)
@@ -206,7 +225,7 @@ class TwinSnake(Plant):
         # Unwrap against the last sample: a connector turns by far less than π in between.
         theta = np.unwrap(np.concatenate([self._theta[None], seen.headings]), axis=0)[1:]
         if len(theta):
-            self._theta = theta[-1]
+            self._theta = theta[-1].copy()  # what was handed out is no longer ours
         bending = self.spec.bending
         air = bending.stiffness * self.spec.actuator.gain * (trace.pressure[..., 0] - trace.pressure[..., 1])
         return SnakeState(
@@ -220,7 +239,7 @@ class TwinSnake(Plant):
             bend_rate=seen.bend_rates,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=seen.bends.copy(),
+            sensed=self.sensor.read(seen.bends, times, self._seed),
             contact_force=force.sum(axis=2),
             torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
             work=work,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import DivergedError, InputError
+from srs_twin.plausible import implausible, plausible
 from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
 from srs_twin.spec import RobotSpec
 
@@ -80,7 +81,7 @@ class Pneumatics(ABC):
         if layout not in LAYOUTS:
             raise InputError(f"valve layout '{layout}' is unknown; allowed: {', '.join(LAYOUTS)}")
         not_negative(valve_delay_s=valve_delay_s)
-        self._layout, self._delay = layout, valve_delay_s
+        self.layout, self._delay = layout, valve_delay_s
         self._segments = spec.segments
         self.reset()
 
@@ -90,6 +91,7 @@ class Pneumatics(ABC):
         self.pressure = np.zeros(shape)
         self.bend = np.zeros(self._segments)
         self.air = 0.0
+        self._elapsed = 0.0
         self.openings = np.zeros(shape, dtype=int)
         self.valves = np.full(shape, -1, dtype=np.int8)
         self._coming = Schedule(self._delay, np.zeros(1), self.valves[None])
@@ -129,13 +131,13 @@ class Pneumatics(ABC):
         Raises:
             InputError: there is one.
         """
-        known = LAYOUTS[self._layout]
+        known = LAYOUTS[self.layout]
         possible = states == known[0]
         for state in known[1:]:
             possible |= states == state
         if not possible.all():
             raise InputError(
-                f"valve state {states[~possible][0]} is not possible with layout {self._layout}; "
+                f"valve state {states[~possible][0]} is not possible with layout {self.layout}; "
                 f"allowed: {known}"
             )
 
@@ -161,7 +163,13 @@ class Pneumatics(ABC):
             bend: the segments' actual bends at the start, shape (segments,), rad; only chambers that
                 feel them take notice. None: the free ones, throughout.
             bend_rate: their rates, shape (segments,), rad/s; over the stretch they are taken to go on.
+
+        Raises:
+            DivergedError: pressures, free bends or air drawn are not finite and plausible.
         """
+        self._refuse_implausible()
+        if schedule.states.dtype != np.int8:
+            schedule = replace(schedule, states=schedule.states.astype(np.int8))
         happening = self.effective(schedule)
         if self._delay:
             whole = self._coming.then(schedule)
@@ -170,7 +178,18 @@ class Pneumatics(ABC):
         before = np.concatenate([self.valves[None], happening.states[:-1]])
         self.openings = self.openings + ((happening.states == 1) & (before != 1)).sum(axis=0)
         self.valves = happening.states[-1]
+        self._elapsed += schedule.span
         return trace
+
+    def _refuse_implausible(self) -> None:
+        """Refuse to go on from a state that no chambers have."""
+        if plausible(self.pressure, self.bend, self.air):
+            return
+        for name, values in (("pressure", self.pressure), ("free bend", self.bend), ("air drawn", self.air)):
+            wrong = implausible(values)
+            if wrong is not None:
+                what = f"{name} is {wrong:g}, which no chamber reaches"
+                raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, what)
 
     @abstractmethod
     def _follow(

@@ -138,6 +138,24 @@ def test_a_file_of_something_else(tmp_path, content):
     assert (tmp_path / FILE).read_bytes() == content
 
 
+@given(damage=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=20))
+def test_a_damaged_file_is_read_or_refused(tmp_path_factory, damage):
+    folder = tmp_path_factory.mktemp("damaged")
+    with RowStore(folder) as store:
+        for row in ROWS:
+            store.add(row)
+    content = bytearray((folder / FILE).read_bytes())
+    for place, value in damage:
+        content[int(place * (len(content) - 1))] = value
+    (folder / FILE).write_bytes(content)
+    try:
+        with RowStore(folder) as store:
+            for row in store.rows():
+                assert isinstance(row, Row)
+    except InputError as error:
+        assert FILE in str(error)
+
+
 def test_rows_that_somebody_else_wrote(tmp_path):
     with RowStore(tmp_path) as store:
         store.add(ROWS[0])

@@ -1,0 +1,199 @@
+"""YAML that nobody may write, whatever the file is for: structure, size, characters, numbers."""
+
+# ruff: noqa: E501 - one malformed file a line, as a table
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+
+from harness import Malformed
+from hypothesis import strategies as st
+
+# U+2028 and U+0085 end lines in YAML 1.1 only.
+CONFUSABLES = {
+    "cyrillic o in robot": ("r\u043ebot", "unknown key"),
+    "full-width colon": ("robot\uff1a gen2", ""),
+    "zero-width space in a key": ("robo\u200bt", "unknown key"),
+    "right-to-left override": ("\u202erobot", "unknown key"),
+    "combining accent": ("robo\u0301t", "unknown key"),
+}
+
+
+def laughs() -> bytes:
+    """Ten levels of lists that each name the one before nine times: a billion entries."""
+    lines = ["a0: &a0 [lol]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
+    return "\n".join(lines).encode()
+
+
+STRUCTURE: tuple[Malformed, ...] = (
+    Malformed("comment only", b"# nothing\n", ": must be a block of keys ("),
+    Malformed("plain text", b"just text\n", ":1:1: must be a block of keys ("),
+    Malformed("a list", b"- 1\n- 2\n", ":1:1: must be a block of keys ("),
+    Malformed("a number", b"1e999\n", ":1:1: must be a block of keys ("),
+    Malformed("no keys", b"{}", ": missing; it must be"),
+    Malformed("UTF-16 with its mark", "title: x\n".encode("utf-16"), ": not UTF-8 text (byte 1 is 0xff)"),
+    Malformed("UTF-16, big end first", b"\xfe\xff" + "title: x\n".encode("utf-16-be"), ": not UTF-8 text (byte 1"),
+    Malformed("UTF-16 without its mark", "title: x\n".encode("utf-16-le"), ":1:2: not YAML: unusable character U+0000"),
+    Malformed("UTF-32 with its mark", "title: x\n".encode("utf-32"), ": not UTF-8 text (byte 1 is 0xff)"),
+    Malformed("UTF-32, big end first", b"\0\0\xfe\xff" + "a: b".encode("utf-32-be"), ": not UTF-8 text (byte 3 is 0xfe"),
+    Malformed("UTF-7", b"+AHQ-itle: x\n", ":1:1: +AHQ-itle: unknown key"),
+    Malformed("Latin-1", "title: größe\n".encode("latin-1"), ": not UTF-8 text (byte 10 is 0xf6); save it as UTF-8"),
+    Malformed("overlong UTF-8", b"title: \xc0\xaf\n", ": not UTF-8 text (byte 8 is 0xc0)"),
+    Malformed("surrogate in UTF-8", b"title: \xed\xa0\x80\n", ": not UTF-8 text (byte 8 is 0xed)"),
+    Malformed("half a surrogate pair", b'title: "\\uD800"\n', ":1:8: half a surrogate pair is no character"),
+    Malformed("no character at all", b'title: "\\UFFFFFFFF"\n', ":1:1: not YAML:"),
+    Malformed("unknown escape", b'title: "\\q"\n', ":1:10: not YAML:"),
+    Malformed("a byte order mark inside", "title: x\n\ufefftitle: y\n".encode(), ":2:1: "),
+    Malformed("two byte order marks", "\ufeff\ufefftitle: x\n".encode(), ":1:"),
+    Malformed("NUL", b"title: a\0b\n", ":1:9: not YAML: unusable character U+0000"),
+    Malformed("bell", b"\x07title: x", ":1:1: not YAML: unusable character U+0007"),
+    Malformed("delete", b"title: \x7f\n", ":1:8: not YAML: unusable character U+007F"),
+    Malformed("escape sequence of a terminal", b"title: \x1b[2J\n", ":1:8: not YAML: unusable character U+001B"),
+    Malformed("not a character", "title: \ufffe\n".encode(), ":1:8: not YAML: unusable character U+FFFE"),
+    Malformed("more than 64 kB", b"a: " + b"x" * 70_000, ": larger than 64 kB"),
+    Malformed("64 kB of comments", b"#\n" * 40_000, ": larger than 64 kB"),
+    Malformed("64 kB of blanks", b" " * 65_000, ": must be a block of keys ("),
+    Malformed("64 kB of line ends", b"\r\n" * 32_000, ": must be a block of keys ("),
+    Malformed("64 kB of quotes", b"title: " + b'"' * 65_000, ":1:"),
+    Malformed("64 kB of escapes", b'title: "' + b"\\n" * 32_000, ":1:64009: not YAML:"),
+    Malformed("60 kB key", b"x" * 60_000 + b": 1\n", ":1:60001: not YAML"),
+    Malformed("60 kB scalar", b"title: " + b"x" * 60_000, ":1:8: title: "),
+    Malformed("brackets without end", b"a: " + b"[" * 60_000, ":1:19: nested more than 16 deep"),
+    Malformed("braces without end", b"a: " + b"{a: " * 10_000, ":1:64: nested more than 16 deep"),
+    Malformed("dashes without end", b"- " * 30_000, ":1:33: nested more than 16 deep"),
+    Malformed("question marks without end", b"? " * 30_000, ":1:"),
+    Malformed("indentation without end", b"".join(b" " * k + b"a:\n" for k in range(300)), ":17:17: nested more than 16"),
+    Malformed("10,000 keys", b"".join(b"k%d:\n" % i for i in range(5_500)), ":5001:1: more than 10000 keys and values"),
+    Malformed("10,000 entries", b"a: [" + b"1," * 20_000 + b"]", ":1:19999: more than 10000 keys and values"),
+    Malformed("a billion laughs", laughs(), ":1:5: anchors (&a0) are not allowed"),
+    Malformed("a list that holds itself", b"a: &a [*a]\n", ":1:4: anchors (&a) are not allowed"),
+    Malformed("an alias of nothing", b"title: *nowhere\n", ":1:8: aliases (*nowhere) are not allowed"),
+    Malformed("anchor on a key", b"&k title: x\n", ":1:1: anchors (&k) are not allowed"),
+    Malformed("Python tag", b"title: !!python/object/apply:os.system [id]\n", ":1:8: tags (tag:yaml.org,2002:python/object/"),
+    Malformed("binary tag", b"title: !!binary aGk=\n", ":1:8: tags (tag:yaml.org,2002:binary) are not allowed"),
+    Malformed("tag of a float", b"title: !!float 1\n", ":1:8: tags (tag:yaml.org,2002:float) are not allowed"),
+    Malformed("verbatim tag", b"title: !<x> 1\n", ":1:8: tags (x) are not allowed"),
+    Malformed("directive", b"%YAML 1.1\n---\ntitle: x\n", ":2:1: YAML directives are not allowed"),
+    Malformed("tag directive", b"%TAG ! tag:x,2000:\n---\ntitle: !a x\n", ":2:1: YAML directives are not allowed"),
+    Malformed("YAML 9.9", b"%YAML 9.9\n---\ntitle: x\n", ":1:1: not YAML"),
+    Malformed("second document", b"title: x\n---\ntitle: y\n", ":2:1: a second document begins here"),
+    Malformed("merge key", b"<<: {title: x}\n", ":1:1: merge keys (<<) are not allowed"),
+    Malformed("merge of aliases", b"a: &a {title: x}\n<<: [*a, *a]\n", ":2:1: merge keys (<<) are not allowed"),
+    Malformed("key given twice", b"title: x\ntitle: y\n", ":2:1: title: given twice; the first is in line 1"),
+    Malformed("key given twice in braces", b"{title: x, 'title': y}", ":1:12: title: given twice"),
+    Malformed("a list as key", b"? [a, b]\n: 1\n", ":1:3: a key must be plain text"),
+    Malformed("a block as key", b"{? {a: b} : 1}", ":1:4: a key must be plain text"),
+    Malformed("tab as indentation", b"a:\n\tb: 1\n", ":2:1: not YAML:"),
+    Malformed("brace too many", b"title: x\nworld: {}}\n", ":2:10: not YAML:"),
+    Malformed("bracket of the wrong kind", b"a: [1, 2}\n", ":1:9: not YAML:"),
+    Malformed("quote without end", b"title: 'x\n", ":2:1: not YAML:"),
+    Malformed("two colons", b"a: b: c\n", ":1:5: not YAML:"),
+    Malformed("carriage returns only", b"title: x\rtitle: y\r", ":2:1: title: given twice"),
+    Malformed("line ends of all kinds", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"),
+    Malformed("on is a key, not true", b"on: x\n", ":1:1: on: unknown key"),
+    Malformed("a number as key", b"1: x\n", ":1:1: 1: unknown key"),
+    Malformed("nothing as key", b": x\n", ":1:1: "),
+    Malformed("__class__", b"__class__: x\n", ":1:1: __class__: unknown key"),
+    *(
+        Malformed(name, f"{key}: x\n".encode(), words)
+        for name, (key, words) in CONFUSABLES.items()
+    ),
+)  # fmt: skip
+
+# What a person or a fuzzer writes where a number belongs → how the message calls it.
+NO_NUMBERS: dict[str, str] = {
+    ".nan": "NaN", ".inf": "infinity", "-.inf": "infinity", "1e999": "infinity", "-1e999": "infinity",
+    "9" * 5000: "infinity", "0x" + "f" * 300: "infinity", "1." + "0" * 3000 + "e400": "infinity",
+    "NaN": "text 'NaN'", "inf": "text 'inf'", "0b1": "text '0b1'", "1_000": "text '1_000'", "1,5": "",
+    "'2.0'": "text '2.0'", "true": "true", "yes": "text 'yes'", "~": "nothing", "": "nothing", "[2]": "a list of 1",
+    "{a: 1}": "a block of keys", "2Hz": "text '2Hz'", "1:30": "text '1:30'", "\u0662": "text '\u0662'",
+    "\uff12": "text '\uff12'", "2000-01-01": "text '2000-01-01'", "+-1": "text '+-1'", "1e": "text '1e'",
+    "0o9": "text '0o9'", "-0x1": "text '-0x1'", "--1": "text '--1'", "1e308": "infinity",
+}  # fmt: skip
+
+
+def no_numbers(good: bytes, key: str, loc: str) -> tuple[Malformed, ...]:
+    """Return files in which the number of a key is none.
+
+    Args:
+        good: a good file.
+        key: as it stands in the file, once, with a plain number after it.
+        loc: the key's path in messages.
+    """
+    text = good.decode()
+    found = re.search(rf"\b{key}: ([-+.0-9e]+)", text)
+    assert found, key
+    line = text.count("\n", 0, found.start(1)) + 1
+    return tuple(
+        Malformed(
+            f"{key}: {written[:20] or 'nothing'}",
+            (text[: found.start(1)] + written + text[found.end(1) :]).encode(),
+            f":{line}:" if not said else f"{loc}: must be a ",
+        )
+        for written, said in NO_NUMBERS.items()
+    )
+
+
+def edited(good: bytes, edits: dict[str, tuple[str, str, str]]) -> tuple[Malformed, ...]:
+    """Return files with one thing changed each: name → (old, new, words of the message)."""
+    text = good.decode()
+    for old, _, _ in edits.values():
+        assert old in text, old
+    return tuple(
+        Malformed(name, text.replace(old, new, 1).encode("utf-8", "surrogatepass"), words)
+        for name, (old, new, words) in edits.items()
+    )
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+def anything_anywhere(data: dict[str, object], keys: Callable[[], list[str]]) -> st.SearchStrategy[bytes]:
+    """Return files in which values anywhere, at any depth, are arbitrary.
+
+    Args:
+        data: of a good file.
+        keys: names that may be put in besides.
+    """
+    paths = list(_paths(data))
+
+    def put(changes: list[tuple[tuple[str | int, ...], object]], extra: dict[str, object]) -> bytes:
+        changed = _copy(data)
+        for path, value in changes:
+            target = changed
+            for part in path[:-1]:
+                target = target[part] if _has(target, part) else None
+            if target is not None and _has(target, path[-1]):
+                target[path[-1]] = value
+        # JSON is YAML, but for numbers that it does not have, and written ten times as fast.
+        text = json.dumps({**changed, **extra}, indent=1)
+        return text.replace("NaN", ".nan").replace("Infinity", ".inf").encode()
+
+    changes = st.lists(st.tuples(st.sampled_from(paths), plain), max_size=3)
+    extra = st.dictionaries(st.sampled_from(keys()) | st.text(max_size=8), plain, max_size=2)
+    return st.builds(put, changes, extra)
+
+
+def _has(value: object, part: object) -> bool:
+    if isinstance(value, dict):
+        return part in value
+    return isinstance(value, list) and isinstance(part, int) and part < len(value)
+
+
+def _copy(value):
+    if isinstance(value, dict):
+        return {key: _copy(each) for key, each in value.items()}
+    return [_copy(each) for each in value] if isinstance(value, list) else value
+
+
+def _paths(value, here=()):
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for part, each in parts:
+        yield (*here, part)
+        yield from _paths(each, (*here, part))

@@ -1,0 +1,183 @@
+"""All parsers of files from outside. A new one joins `PARSERS`, and with that every test and the fuzzer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import hostile_mjcf
+import hostile_parquet
+import warm
+from harness import Identity, Malformed, Parser
+from hostile_yaml import STRUCTURE, anything_anywhere, edited, no_numbers
+from hypothesis import strategies as st
+
+from srs_twin.documents import dump_yaml, parse_yaml
+from srs_twin.files import shipped_folder
+from srs_twin.mjcf_check import check_mjcf
+from srs_twin.robot_file import RobotFile
+from srs_twin.robots import load_robot_file
+from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.file import ScenarioFile
+from srs_twin.sweep import load_sweep
+from srs_twin.sweep.file import SweepFile
+from srs_twin.trajectory import Trajectory
+
+SCENARIO = b"""\
+title: Generation 2, straight
+robot: gen2
+duration_s: 1
+supply: {pressure_kpa: 48.3}
+controller: {kind: gait, frequency_hz: 2.0, offset: 0.0}
+world: {}
+plants:
+  analytical: {model: complete, friction: axis}
+  twin: {wheels: rolling}
+expect:
+  - {metric: com_speed_m_s, plant: twin, near: 0.214, rel: 0.15, source: Table 10}
+"""
+SWEEP = b"""\
+title: Speed over frequency
+scenario: gen2_straight
+plants: [analytical]
+periods: 8
+fixed: {record_hz: 50}
+vary:
+  controller.frequency_hz: {from: 0.5, to: 3.0, count: 6}
+  supply.pressure_kpa: [20.0, 30.0]
+plots:
+  - {kind: contour, x: controller.frequency_hz, y: supply.pressure_kpa, metric: com_speed_m_s}
+"""
+NAMES = st.characters(codec="ascii")
+ROBOT = (shipped_folder("robot") / "gen2.yaml").read_bytes()
+
+
+def plain_data(text: bytes) -> dict[str, Any]:
+    """Return what a YAML file says."""
+    data: dict[str, Any] = parse_yaml(text.decode(), "good").data
+    return data
+
+
+def robots_elsewhere(key: str, good: bytes) -> tuple[Malformed, ...]:
+    """Return files that name a robot, or a scenario, which must not be opened or is none."""
+    old = f"{key}: gen2" if key == "robot" else f"{key}: gen2_straight"
+    line = good.decode().split(old)[0].count("\n") + 1
+    words = {
+        "/dev/zero": "not a regular file", "/dev/tty": "not a regular file", "/": "a folder; give one file",
+        "../../none/../../passwd.yaml": "no such file", "./none.yaml": "no such file",
+        "x/" * 2000 + "x.yaml": "", "/proc/self/mem": "", "gen22": f"unknown {key} 'gen22'",
+        "'a\\0b.yaml'": "", '"a\\0b.yaml"': "", "[gen2]": "", "{base: /dev/zero}": "", "~": "", "1": "",
+    }  # fmt: skip
+    edits = {f"{key}: {new[:30]}": (old, f"{key}: {new}", said) for new, said in words.items()}
+    return tuple(Malformed(each.name, each.content, each.says or f":{line}:") for each in edited(good, edits))
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> Scenario:
+    """Return any scenario of a few robots."""
+    maybe = st.booleans()
+    text = st.text(min_size=1, max_size=30).filter(lambda given: "\0" not in given)
+    data: dict[str, Any] = {
+        "robot": draw(st.sampled_from(["gen1", "gen2", "gen3", "gen4"])),
+        "duration_s": draw(st.integers(1, 3600)),
+        "seed": draw(st.integers(0, 2**31)),
+        "title": draw(text),
+        "allow_overpressure": True,
+        "supply": {"pressure_kpa": draw(st.floats(0.1, 2000))},
+        "controller": {
+            "kind": "gait", "frequency_hz": draw(st.floats(0.01, 50)), "offset": draw(st.floats(-0.95, 0.95)),
+            "phase_rad": draw(st.floats(-6.3, 6.3)),
+        },
+        "start": {"x_m": draw(st.floats(-1000, 1000)), "heading_rad": draw(st.floats(-6.3, 6.3))},
+        "pneumatics": draw(
+            st.sampled_from([{}, {"kind": "orifice"}, {"leak_per_s": 1e-5, "valve_delay_s": 1e-9}])
+        ),
+        "plants": {"analytical": draw(st.sampled_from([{}, {"model": "compliant", "friction": "wheel"}]))},
+    }  # fmt: skip
+    if draw(maybe):
+        data["plants"]["twin"] = {"hinges_per_segment": draw(st.integers(1, 4))}
+    if draw(maybe):
+        data["world"] = {"goal": {"x_m": draw(st.floats(-1000, 1000)), "y_m": 0.0}}
+    return parse_scenario(
+        data, name=draw(st.from_regex(r"[a-z][\w .+=-]{0,20}", fullmatch=True, alphabet=NAMES))
+    )
+
+
+@st.composite
+def robots(draw: st.DrawFn) -> RobotFile:
+    """Return gen2 with other words and numbers."""
+    data = plain_data(ROBOT)
+    for section, key, low, high in (
+        ("friction", "mu_t", 0.0, 10.0), ("friction", "mu_n", 0.0, 10.0),
+        ("bending", "stiffness_nm_per_rad", 1e-4, 1e6), ("actuator", "tau_fill_s", 1e-6, 100.0),
+    ):  # fmt: skip
+        data[section][key]["value"] = draw(st.floats(low, high))
+        data[section][key]["source"] = draw(st.text(min_size=1, max_size=40))
+    data["title"] = draw(st.text(min_size=1, max_size=40))
+    return RobotFile.model_validate(data)
+
+
+def yaml_bytes(data: Any) -> bytes:
+    """Return what we would write."""
+    return dump_yaml(data).encode("utf-8", "surrogatepass")
+
+
+PARSERS: tuple[Parser, ...] = (
+    Parser(
+        name="scenario",
+        suffix=".yaml",
+        good=SCENARIO,
+        parse=load_scenario,
+        malformed=STRUCTURE + no_numbers(SCENARIO, "frequency_hz", "controller.frequency_hz")
+        + robots_elsewhere("robot", SCENARIO),
+        values=anything_anywhere(plain_data(SCENARIO), lambda: list(ScenarioFile.model_fields)),
+        command=("run", "{}"),
+        identity=Identity(scenarios(), lambda scenario: yaml_bytes(scenario.document)),
+    ),
+    Parser(
+        name="robot",
+        suffix=".yaml",
+        good=ROBOT,
+        parse=load_robot_file,
+        malformed=STRUCTURE + no_numbers(ROBOT, r"damping_time_s: \{value", "bending.damping_time_s.value"),
+        values=anything_anywhere(plain_data(ROBOT), lambda: list(RobotFile.model_fields)),
+        command=("models", "export", "{}"),
+        identity=Identity(robots(), lambda robot: yaml_bytes(robot.model_dump(mode="json"))),
+    ),
+    Parser(
+        name="sweep",
+        suffix=".yaml",
+        good=SWEEP,
+        parse=load_sweep,
+        malformed=STRUCTURE + no_numbers(SWEEP, "from", "vary.controller.frequency_hz.from")
+        + robots_elsewhere("scenario", SWEEP),
+        values=anything_anywhere(plain_data(SWEEP), lambda: list(SweepFile.model_fields)),
+        command=("sweep", "{}"),
+    ),
+    Parser(
+        name="trajectory",
+        suffix=".parquet",
+        good=hostile_parquet.GOOD,
+        parse=Trajectory.from_parquet,
+        function="srs_twin.trajectory:Trajectory.from_parquet",
+        malformed=hostile_parquet.MALFORMED,
+        values=hostile_parquet.VALUES,
+        identity=Identity(hostile_parquet.trajectories(), hostile_parquet.content),
+        same=hostile_parquet.same,
+    ),
+    Parser(
+        name="mjcf",
+        suffix=".xml",
+        good=hostile_mjcf.GOOD,
+        parse=lambda path: warm.refused(path, check_mjcf(path)),
+        malformed=hostile_mjcf.MALFORMED,
+        values=hostile_mjcf.VALUES,
+        command=("models", "check", "{}"),
+        quick=lambda path: warm.refused(path, warm.check(path)),
+    ),
+)  # fmt: skip
+
+
+def path_of(parser: Parser, folder: Path) -> Path:
+    """Return where a file of this kind is put for a test."""
+    return folder / f"x{parser.suffix}"

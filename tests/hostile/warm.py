@@ -1,0 +1,84 @@
+"""`check_mjcf` thousands of times: every file still gets a process of its own, forked from a warm one."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.files import existing, shown
+from srs_twin.mjcf_check import ModelReport, verdict
+from srs_twin.mjcf_scan import scan_mjcf
+
+LIMIT_S = 10
+
+SERVER = """
+import json, os, select, signal, sys, tempfile, time
+from pathlib import Path
+import mujoco
+from srs_twin import mjcf_check
+
+os.chdir(tempfile.mkdtemp())
+for line in sys.stdin:
+    path, limit = json.loads(line)
+    source, sink = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(source)
+        os.dup2(sink, 1)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        mjcf_check._child(path, str(limit))
+        sys.stdout.flush()
+        os._exit(0)
+    os.close(sink)
+    said, until = b"", time.monotonic() + limit
+    while select.select([source], [], [], max(0.0, until - time.monotonic()))[0]:
+        piece = os.read(source, 65536)
+        if not piece:
+            break
+        said += piece
+    else:
+        os.kill(child, signal.SIGKILL)
+    os.close(source)
+    _, status = os.waitpid(child, 0)
+    print(json.dumps([said.decode(), f"exit status {os.waitstatus_to_exitcode(status)}"]), flush=True)
+"""
+
+
+@cache
+def _server() -> subprocess.Popen[str]:
+    server = subprocess.Popen(
+        [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    atexit.register(server.kill)
+    return server
+
+
+def check(path: Path) -> ModelReport:
+    """Return what `check_mjcf` would."""
+    model = existing(path, suffix=".xml").resolve()
+    faults = scan_mjcf(model)
+    if faults:
+        return ModelReport(tuple(faults))
+    server = _server()
+    assert server.stdin is not None and server.stdout is not None
+    server.stdin.write(json.dumps([str(model), LIMIT_S]) + "\n")
+    server.stdin.flush()
+    return verdict(*json.loads(server.stdout.readline()), LIMIT_S)
+
+
+def refused(path: Path, report: ModelReport) -> ModelReport:
+    """Return a report without faults.
+
+    Raises:
+        InputError: there are faults, said as the command line says them.
+    """
+    if report.faults:
+        raise InputFileError([f"{shown(path)}: {fault}" for fault in report.faults])
+    if not report.sizes:
+        raise InputError(f"{shown(path)}: measured nothing")
+    return report

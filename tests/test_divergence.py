@@ -1,0 +1,360 @@
+"""NaN, infinity and 1e15 put into running snakes: found within a tick, and what came before is kept."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from snakes import robot, vented
+
+from srs_twin import (
+    AnalyticalSnake,
+    Controller,
+    DivergedError,
+    Gait,
+    InputError,
+    Job,
+    Plant,
+    SnakeState,
+    Trajectory,
+    TwinBatch,
+    TwinSnake,
+    rollout,
+    run_batch,
+    run_many,
+)
+from srs_twin.plants import kernels
+from srs_twin.plants.compliant_kernels import BENDS
+from srs_twin.plants.divergence import believed
+from srs_twin.plausible import LARGEST, implausible, plausible
+from srs_twin.pneumatics.schedule import Schedule
+
+SPEC = robot()
+TICK, AT = 0.02, 0.04
+WILD = (np.nan, np.inf, -np.inf, 1e15, -1e15)
+
+Spoil = Callable[[Any, float], None]
+
+
+def put(path: str, index: Any = None) -> Spoil:
+    """Return what writes a value into an attribute of a plant, or into an element of it."""
+
+    def spoil(plant: Any, value: float) -> None:
+        *way, name = path.split(".")
+        for part in way:
+            plant = getattr(plant, part)
+        if index is None:
+            setattr(plant, name, value)
+        else:
+            getattr(plant, name)[index] = value
+
+    return spoil
+
+
+BODY = {
+    name: put("_body.state", getattr(kernels, name))
+    for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "SPENT")
+}
+YIELDING = {
+    "bend": put("_body.state", BENDS),
+    "last bend": put("_body.state", BENDS + 3),
+    "moment of a segment": put("_body.state", BENDS + 4),
+    "bend rate": put("_body.velocity", 3),
+}
+TWIN = {
+    "place": put("physics.data.qpos", 0),
+    "height": put("physics.data.qpos", 2),
+    "quaternion": put("physics.data.qpos", 3),
+    "hinge": put("physics.data.qpos", 8),
+    "speed": put("physics.data.qvel", 1),
+    "spin": put("physics.data.qvel", 5),
+    "hinge's rate": put("physics.data.qvel", 8),
+    "heading": put("_theta", 2),
+    "work": put("_spent"),
+}
+LAG = {
+    "pressure": put("pneumatics.pressure", (1, 0)),
+    "free bend": put("pneumatics.bend", 2),
+    "air": put("pneumatics.air"),
+}
+ORIFICE = {
+    "amount of air": put("pneumatics._state", (1, 0)),
+    "free bend": put("pneumatics._state", (1, 2)),
+    "air drawn": put("pneumatics._books", 1),
+    "pressure": put("pneumatics.pressure", (1, 0)),
+}
+CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
+    "complete": (partial(AnalyticalSnake, SPEC), BODY | LAG),
+    "complete, orifice": (partial(AnalyticalSnake, SPEC, pneumatics="orifice"), BODY | ORIFICE),
+    "simplified": (partial(AnalyticalSnake, SPEC, model="simplified"), BODY | LAG),
+    "compliant": (partial(AnalyticalSnake, SPEC, model="compliant"), BODY | YIELDING | LAG),
+    "compliant, orifice": (
+        partial(AnalyticalSnake, SPEC, model="compliant", pneumatics="orifice"), BODY | YIELDING | ORIFICE
+    ),
+    "twin": (partial(TwinSnake, SPEC), TWIN | LAG),
+    "twin on skids": (partial(TwinSnake, SPEC, wheels="skid"), TWIN | LAG),
+    "twin, orifice": (partial(TwinSnake, SPEC, pneumatics="orifice"), TWIN | ORIFICE),
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _no_numpy_warning() -> Iterator[None]:
+    """A person gets one message, none of numpy's."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def at(time: float, act: Callable[[], None]) -> Callable[[SnakeState], None]:
+    """Return an observer that acts once, when that time has come."""
+    done: list[float] = []
+
+    def observe(state: SnakeState) -> None:
+        if float(state.time) > time - 1e-9 and not done:
+            done.append(time)
+            act()
+
+    return observe
+
+
+def assert_kept(error: DivergedError, until: float) -> None:
+    """What was good, and nothing else, is in the error's trajectory."""
+    kept = error.trajectory
+    assert isinstance(kept, Trajectory)
+    assert kept.time[-1] >= until - 1e-9
+    for name, column in kept.columns.items():
+        assert (np.abs(column) < LARGEST).all(), name
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_whatever_is_spoilt_is_found_within_a_tick_and_what_was_good_is_kept(case):
+    build, spoils = CASES[case]
+    plant = build()
+    for name, spoil in spoils.items():
+        for value in WILD:
+            spoiling = at(AT, partial(spoil, plant, value))
+            with pytest.raises(DivergedError) as caught:
+                rollout(plant, Gait(2.0), 0.3, observers=[spoiling])
+            error = caught.value
+            assert error.exit_code == 3, (name, value)
+            assert AT - 1e-9 <= error.time <= AT + TICK + 1e-9, (name, value)
+            assert_kept(error, AT)
+    # The plant is fit again after a reset.
+    assert np.isfinite(rollout(plant, Gait(2.0), 0.1).com).all()
+
+
+@pytest.mark.parametrize("case", ["complete", "compliant", "twin", "twin, orifice"])
+def test_a_plant_that_follows_a_script_is_looked_at_between_stretches(case):
+    build, spoils = CASES[case]
+    plant = build()
+    plant.stretch = AT
+    for spoil in spoils.values():
+        spoiling = at(AT, partial(spoil, plant, 1e15))
+
+        def between(time: float, spoiling: Callable[[Any], None] = spoiling) -> None:
+            spoiling(SimpleMoment(time))
+
+        with pytest.raises(DivergedError) as caught:
+            rollout(plant, Gait(2.0), 0.2, progress=between)
+        assert AT - 1e-9 <= caught.value.time <= AT + TICK + 1e-9
+        assert_kept(caught.value, AT)
+
+
+class SimpleMoment:
+    """What `at` asks of a state."""
+
+    def __init__(self, time: float) -> None:
+        self.time = time
+
+
+@pytest.mark.parametrize("record_hz", [10, 50, 500])
+def test_the_last_good_samples_are_kept_however_often_is_recorded(record_hz):
+    plant = AnalyticalSnake(SPEC)
+    spoiling = at(0.2, partial(BODY["X"], plant, 1e15))
+    with pytest.raises(DivergedError) as caught:
+        rollout(plant, Gait(2.0), 0.4, record_hz=record_hz, observers=[spoiling])
+    assert caught.value.trajectory.time == pytest.approx(np.arange(0.2 * record_hz + 1) / record_hz)
+
+
+class Runaway(Controller):
+    """A controller whose commands run away after some ticks."""
+
+    kind = "runaway"
+
+    def __init__(self, valves: Any, *, after: int = 2, scripted: bool = False) -> None:
+        self._valves, self._after, self._scripted = valves, after, scripted
+
+    def reset(self, spec: Any, tick: float, *, seed: int = 0) -> None:
+        self._tick, self._count = tick, 0
+
+    def step(self, state: SnakeState) -> Any:
+        self._count += 1
+        return self._valves if self._count > self._after else vented(SPEC)
+
+    def script(self, duration: float) -> Schedule | None:
+        if not self._scripted:
+            return None
+        states = np.stack([vented(SPEC).astype(float), self._valves])
+        return Schedule(duration, np.array([0.0, self._after * self._tick]), states)
+
+
+def with_one(value: float) -> np.ndarray:
+    valves = vented(SPEC).astype(float)
+    valves[2, 1] = value
+    return valves
+
+
+@pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
+@pytest.mark.parametrize("value", WILD)
+def test_a_controller_that_runs_away_is_named_with_its_time(build, value):
+    wild = with_one(value)
+    for valves in (wild, np.stack([vented(SPEC), wild]), wild.tolist()):
+        with pytest.raises(DivergedError) as caught:
+            rollout(build(SPEC), Runaway(valves), 0.3)
+        assert str(caught.value) == (
+            f"controller 'runaway' diverged at t = {AT} s: it commands the valve state {value:g}"
+        )
+        assert_kept(caught.value, AT)
+
+
+def test_whole_numbers_run_away_too():
+    with pytest.raises(DivergedError, match=r"it commands the valve state 1e\+15"):
+        rollout(AnalyticalSnake(SPEC), Runaway(np.full((4, 2), 10**15)), 0.3)
+
+
+@pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
+def test_a_script_that_runs_away_is_refused_in_its_stretch(build):
+    plant = build(SPEC)
+    plant.stretch = TICK
+    with pytest.raises(DivergedError, match=rf"controller 'runaway' diverged at t = {AT} s") as caught:
+        rollout(plant, Runaway(with_one(np.nan), scripted=True), 0.3)
+    assert_kept(caught.value, AT)
+
+
+@pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
+def test_a_script_may_hold_floats_as_commands_may(build):
+    assert len(rollout(build(SPEC), Runaway(with_one(1.0), scripted=True), 0.1)) == 11
+
+
+@pytest.mark.parametrize(
+    ("valves", "words"),
+    [
+        (np.full((3, 2), np.int8(1)), r"valves have shape \(3, 2\)"),
+        (np.zeros((4, 2)), "valve state 0.0 is not possible with layout 3/2"),
+        (np.full((4, 2), 2), "valve state 2 is not possible"),
+        (np.full((4, 2), "open"), "valve state open is not possible"),
+    ],
+)
+def test_commands_that_are_only_wrong_stay_bad_input(valves, words):
+    for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
+        with pytest.raises(InputError, match=words):
+            rollout(plant, Runaway(valves), 0.3)
+
+
+@pytest.mark.parametrize("value", WILD)
+def test_a_person_who_commands_one_tick_is_told_what_is_possible(value):
+    for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
+        with pytest.raises(InputError, match="is not possible with layout 3/2"):
+            plant.step(with_one(value))
+
+
+@pytest.mark.parametrize("spoil", [*TWIN, *LAG])
+def test_a_spoilt_twin_ends_alone_in_its_batch(spoil):
+    batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
+    sound = run_batch(batch, lambda state: np.stack([vented(SPEC)] * 3), 0.2)
+    for value in (np.nan, np.inf, 1e15):
+        act = at(AT, partial((TWIN | LAG)[spoil], batch.twins[1], value))
+
+        def policy(state: SnakeState, act: Callable[[Any], None] = act) -> np.ndarray:
+            act(state.at(0))
+            return np.stack([vented(SPEC)] * 3)
+
+        first, error, last = run_batch(batch, policy, 0.2)
+        assert isinstance(error, DivergedError) and error.time <= AT + TICK + 1e-9
+        assert_kept(error, AT)
+        for run, before in ((first, sound[0]), (last, sound[2])):
+            assert all(np.array_equal(run[name], before[name]) for name in before.columns)
+
+
+@pytest.mark.parametrize("value", WILD)
+def test_a_policy_that_runs_away_for_one_run_ends_that_one(value):
+    batch = TwinBatch([SPEC, SPEC], threads=1)
+
+    def policy(state: SnakeState) -> np.ndarray:
+        wild = with_one(value) if state.time.max() > AT - 1e-9 else vented(SPEC).astype(float)
+        return np.stack([vented(SPEC).astype(float), wild])
+
+    first, error = run_batch(batch, policy, 0.2)
+    assert isinstance(first, Trajectory) and len(first) == 21
+    assert isinstance(error, DivergedError)
+    assert str(error) == f"policy diverged at t = {AT} s: it commands the valve state {value:g}"
+    assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
+
+
+def test_bad_input_to_a_batch_leaves_its_runs_untouched():
+    batch = TwinBatch([SPEC, SPEC], threads=1)
+    with pytest.raises(InputError, match="valve state 0.0 is not possible"):
+        batch.step(np.stack([with_one(np.nan), with_one(0.0)]))
+    assert batch.errors == [None, None]
+    assert batch.twins[0].physics.data.time == 0.0
+
+
+def test_a_job_whose_controller_runs_away_leaves_the_others():
+    jobs = [
+        Job(AnalyticalSnake(SPEC), Gait(2.0), 0.2),
+        Job(AnalyticalSnake(SPEC), Runaway(with_one(1e15)), 0.2),
+    ]
+    good, error = run_many(jobs, threads=2)
+    assert isinstance(good, Trajectory)
+    assert isinstance(error, DivergedError) and error.time == pytest.approx(AT)
+
+
+def test_the_first_implausible_sample_of_a_history_ends_it():
+    plant = AnalyticalSnake(SPEC)
+    history = SnakeState.history([plant.step(vented(SPEC)) for _ in range(4)])
+    assert believed("analytical", history) is history
+    history.com[2, 1] = -np.inf
+    with pytest.raises(DivergedError, match=r"^analytical diverged at t = 0.06 s: com is -inf") as caught:
+        believed("analytical", history)
+    assert caught.value.history.time == pytest.approx([0.02, 0.04])
+
+
+@pytest.mark.parametrize("count", [1, 10**6])
+def test_what_is_plausible_does_not_depend_on_how_many_numbers_there_are(count):
+    large = np.full(count, 0.99 * LARGEST)
+    assert plausible(large) and implausible(large) is None
+    large[-1] = LARGEST
+    assert not plausible(large) and implausible(large) == LARGEST
+
+
+SCENARIO = """\
+robot: gen2
+duration_s: 0.4
+supply: {pressure_kpa: 2000}
+allow_overpressure: true
+controller: {kind: gait, frequency_hz: 2.0}
+plants:
+  twin: {}
+  analytical: {}
+"""
+
+
+def test_a_scenario_that_diverges_exits_with_3_and_keeps_its_last_good_state(tmp_path, srs_twin):
+    (tmp_path / "burst.yaml").write_text(SCENARIO)
+    done = srs_twin("run", "--quiet", "burst.yaml", cwd=tmp_path)
+    assert done.returncode == 3, done.stderr
+    assert "burst: twin diverged at t = 0.0" in done.stderr
+    assert done.stderr.rstrip().endswith("what it did up to there is in runs/burst/twin.parquet")
+    assert "Traceback" not in done.stderr and done.stdout == ""
+    folder = tmp_path / "runs/burst"
+    assert sorted(os.listdir(folder)) == ["analytical.parquet", "scenario.resolved.yaml", "twin.parquet"]
+    kept = Trajectory.from_parquet(Path(folder / "twin.parquet"))
+    assert 0.0 < kept.time[-1] < 0.1
+    assert all(np.isfinite(column).all() for column in kept.columns.values())
+    assert Trajectory.from_parquet(folder / "analytical.parquet").time[-1] == pytest.approx(0.4)
