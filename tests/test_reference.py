@@ -1,0 +1,138 @@
+"""References: what they ask for, their rates, where they jump, and the module's range."""
+
+from __future__ import annotations
+
+import math
+from itertools import accumulate, repeat
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.control.reference import Constant, Reference, Saturated, Sine, Square, Staircase, Step
+from srs_twin.errors import InputError, UnknownNameError
+
+bends = st.floats(-1.5, 1.5)
+positive = st.floats(0.05, 1.5)
+references = st.one_of(
+    st.builds(Constant, bends),
+    st.builds(Step, bends, bends, st.floats(0, 2)),
+    st.builds(Sine, positive, st.floats(0.1, 10), bends, bends),
+    st.builds(Square, positive, st.floats(0.1, 10), bends, bends),
+    st.builds(Staircase, st.lists(bends, min_size=1, max_size=6).map(tuple), st.floats(0.05, 1)),
+)
+times = np.linspace(0, 3, 3001)
+
+
+@given(references)
+def test_never_beyond_the_peak(reference):
+    values = reference.value(times)
+    assert values.shape == times.shape
+    assert np.abs(values).max() <= reference.peak + 1e-12
+
+
+@given(references, st.floats(0, 3))
+def test_a_number_gives_a_number_and_the_same_as_an_array(reference, time):
+    for law in (reference.value, reference.rate, reference.beyond):
+        assert np.ndim(law(time)) == 0
+        assert law(np.array([time]))[0] == law(time)
+
+
+@given(references, st.floats(0.1, 0.9))
+def test_saturated_is_cut_and_beyond_exactly_where_it_is(reference, share):
+    limit = max(share * reference.peak, 1e-3)
+    cut = reference.within(limit, "saturate")
+    wanted, values, beyond = reference.value(times), cut.value(times), cut.beyond(times)
+    assert np.abs(values).max() <= limit == pytest.approx(cut.peak) or cut is reference
+    assert (values == wanted)[~beyond].all()
+    assert (np.abs(values[beyond]) == limit).all() and (np.abs(wanted[beyond]) > limit).all()
+    assert (cut.rate(times)[beyond] == 0).all()
+    assert cut.frequency_hz == reference.frequency_hz
+
+
+@given(st.builds(Sine, positive, st.floats(0.1, 10), bends, bends))
+def test_rate_of_a_sine_is_its_difference_quotient(sine):
+    h = 1e-5
+    quotient = (sine.value(times + h) - sine.value(times - h)) / (2 * h)
+    # The third derivative times h², and the rounding of values and angles over h.
+    omega, eps = 2 * math.pi * sine.frequency, np.finfo(float).eps
+    angle = omega * times[-1] + abs(sine.phase)
+    allowed = sine.amplitude * omega**3 * h**2 + 2 * eps * (sine.peak + sine.amplitude * angle) / h
+    assert np.abs(sine.rate(times) - quotient).max() <= allowed
+
+
+def test_jumps_come_with_the_tick_in_spite_of_rounding():
+    """Ticks added up miss 0.3 s by rounding, to either side."""
+    ticks = list(accumulate(repeat(0.001, 2000), initial=0.0))
+    assert ticks[300] != 0.3
+    for k in (300, 600, 900):
+        assert Step(1.0, time=k / 1000).value(ticks[k]) == 1.0
+        assert Step(1.0, time=k / 1000).value(ticks[k - 1]) == 0.0
+        stairs = Staircase((0.0, 1.0, 2.0, 3.0), 0.3)
+        assert stairs.value(ticks[k]) - stairs.value(ticks[k - 1]) == 1.0
+    square = Square(1.0, 2.0)
+    assert [square.value(ticks[k]) for k in (0, 249, 250, 499, 500, 750)] == [1, 1, -1, -1, 1, -1]
+
+
+def test_staircase_stays_on_its_last_step():
+    assert Staircase((0.1, 0.2), 0.5).value(np.array([0.0, 0.49, 0.5, 100.0])).tolist() == [
+        0.1,
+        0.1,
+        0.2,
+        0.2,
+    ]
+
+
+def test_square_has_the_sign_of_its_sine():
+    sine, square = Sine(1.0, 1.7, 0.3), Square(1.0, 1.7, 0.3)
+    assert (np.sign(sine.value(times)) == square.value(times)).all()
+
+
+def test_within_the_range_nothing_changes():
+    sine = Sine(0.6, 6.0)
+    assert sine.within(0.6) is sine
+    assert not sine.beyond(times).any()
+
+
+def test_beyond_the_range_is_refused_with_both_angles():
+    with pytest.raises(InputError, match=r"asks for 45°, but the module bends at most 41.97°.*saturate"):
+        Step(math.radians(45)).within(math.radians(41.97))
+
+
+def test_saturating_says_so_by_type():
+    assert isinstance(Constant(1.0).within(0.5, "saturate"), Saturated)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
+def test_range_must_be_one(limit):
+    with pytest.raises(InputError, match=r"range limit .* rad is not allowed"):
+        Constant(0.1).within(limit)
+
+
+def test_unknown_policy_is_told_the_known_ones():
+    with pytest.raises(UnknownNameError, match=r"'refused'; did you mean refuse\?"):
+        Constant(0.1).within(1.0, "refused")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Constant(math.nan), "level nan is not allowed"),
+        (lambda: Step(math.inf), "after inf is not allowed"),
+        (lambda: Sine(0.0, 1.0), "amplitude 0.0 is not allowed; it must be above 0"),
+        (lambda: Sine(0.5, -1.0), "frequency -1.0 is not allowed; it must be above 0"),
+        (lambda: Square(0.5, 1.0, math.nan), "phase nan is not allowed"),
+        (lambda: Staircase((), 1.0), "one or more"),
+        (lambda: Staircase((0.1, math.nan), 1.0), "all finite"),
+        (lambda: Staircase((0.1,), 0.0), "hold 0.0 s is not allowed"),
+    ],
+)
+def test_refuses_what_is_no_reference(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_reference_is_abstract():
+    with pytest.raises(TypeError):
+        Reference()  # type: ignore[abstract]

@@ -1,0 +1,475 @@
+"""Curvature sensors: magnetostatics, strip geometry, electronics, calibration and noise."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sensor as study
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from srs_twin import load_robot
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
+from srs_twin.sensing.calibration import fit_line
+from srs_twin.sensing.chamber import ROUND_AT
+from srs_twin.sensing.hall import SPAN, USED
+from srs_twin.sensing.noise import SLOT, _mixed, standard_normal
+from srs_twin.sensing.strip import MOMENT, dipole, element_place, field
+
+MU0_4PI = 1e-7
+LENGTH = 0.075
+GEN4 = load_robot("gen4")
+BENDS = np.linspace(-np.pi / 2, np.pi / 2, 361)
+
+HEIGHT = st.floats(-0.0009, 0.0009)
+STRIPS = st.builds(
+    Strip,
+    segment_length=st.floats(0.02, 0.1),
+    distance=st.floats(0.0031, 0.0046),
+    orientation=st.sampled_from(["up", "side"]),
+    moment=st.floats(1e-4, 1e-2),
+    magnet_height=HEIGHT,
+    element_height=HEIGHT,
+)
+BEND = st.floats(-np.pi / 2, np.pi / 2)
+SEED = st.integers(-(2**70), 2**70)
+
+
+def flat(orientation: str, height: float = 0.0) -> Strip:
+    return Strip(LENGTH, orientation=orientation, magnet_height=height, element_height=height)
+
+
+def potential(r: np.ndarray, moment: np.ndarray) -> float:
+    """Return the dipole's scalar potential times μ₀, of which the field is −∇."""
+    return float(MU0_4PI * moment @ r / np.linalg.norm(r) ** 3)
+
+
+def slope_along(r: np.ndarray, moment: np.ndarray, direction: np.ndarray) -> float:
+    h = 1e-4 * np.linalg.norm(r)
+    ahead, behind = potential(r + h * direction, moment), potential(r - h * direction, moment)
+    return (ahead - behind) / (2 * h)
+
+
+# The field
+
+
+@given(angle=st.floats(0, 6.28), distance=st.floats(0.001, 0.02), tilt=st.floats(0, 6.28))
+def test_dipole_is_the_gradient_of_its_potential(angle, distance, tilt):
+    r = distance * np.array([math.cos(angle), math.sin(angle)])
+    moment = MOMENT * np.array([math.cos(tilt), math.sin(tilt)])
+    found = dipole(r[0], r[1], *moment)
+    scale = MU0_4PI * MOMENT / distance**3
+    wanted = [-slope_along(r, moment, axis) for axis in np.eye(2)]
+    assert found == pytest.approx(wanted, abs=1e-6 * scale)
+
+
+def test_dipole_is_the_limit_of_a_small_current_loop():
+    """Biot–Savart around circles in the x-z plane: the difference falls with the square of the radius."""
+    place = np.array([0.004, 0.0015, 0.0])
+    turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    b_dipole = np.array(dipole(place[0], place[1], 0.0, MOMENT))
+    errors = []
+    for radius in (4e-4, 2e-4, 1e-4):
+        wire = radius * np.stack([np.sin(turn), 0 * turn, np.cos(turn)], axis=1)
+        piece = 2 * np.pi * radius / len(turn) * np.stack([np.cos(turn), 0 * turn, -np.sin(turn)], axis=1)
+        r = place - wire
+        current = MOMENT / (np.pi * radius**2)
+        b = MU0_4PI * current * np.cross(piece, r) / np.linalg.norm(r, axis=1, keepdims=True) ** 3
+        errors.append(np.abs(b.sum(axis=0)[:2] - b_dipole).max() / np.abs(b_dipole).max())
+    assert errors[-1] < 2e-3
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+    assert errors[1] / errors[2] == pytest.approx(4, rel=0.05)
+
+
+@given(strip=STRIPS, bend=st.floats(-6, 6))
+def test_the_element_is_where_walking_along_the_strip_leads(strip, bend):
+    s = (np.arange(2000) + 0.5) / 2000 * strip.distance
+    heading = bend / strip.segment_length * s
+    end = bend / strip.segment_length * strip.distance
+    foot = strip.distance * np.array([np.cos(heading).mean(), np.sin(heading).mean()])
+    normal = np.array([-math.sin(end), math.cos(end)])
+    wanted = foot + strip.element_height * normal - [0.0, strip.magnet_height]
+    x, y, theta = element_place(bend, strip)
+    assert (x, y) == (pytest.approx(wanted[0], abs=1e-9), pytest.approx(wanted[1], abs=1e-9))
+    assert theta == pytest.approx(end, abs=1e-12)
+
+
+@given(strip=STRIPS, bend=BEND)
+def test_equation_1_is_the_field_along_the_elements_normal(strip, bend):
+    x, y, theta = (float(value) for value in element_place(bend, strip))
+    moment = strip.moment * np.array([0.0, 1.0] if strip.orientation == "up" else [1.0, 0.0])
+    normal = np.array([-math.sin(theta), math.cos(theta)])
+    wanted = -slope_along(np.array([x, y]), moment, normal)
+    scale = MU0_4PI * strip.moment / math.hypot(x, y) ** 3
+    assert float(field(bend, strip)) == pytest.approx(wanted, abs=1e-6 * scale)
+
+
+@given(strip=STRIPS)
+def test_a_straight_strip_has_the_field_beside_a_dipole(strip):
+    rise = strip.element_height - strip.magnet_height
+    square = strip.distance**2 + rise**2
+    along = 3 * rise**2 - square if strip.orientation == "up" else 3 * rise * strip.distance
+    wanted = MU0_4PI * strip.moment * along / square**2.5
+    assert float(field(0.0, strip)) == pytest.approx(wanted, rel=1e-12, abs=1e-18)
+
+
+@given(strip=STRIPS, bend=BEND)
+def test_the_mirrored_strip_in_the_mirrored_bend(strip, bend):
+    """Components moved to the other side: `up` reads the same of −q, `side` the opposite."""
+    mirrored = replace(strip, magnet_height=-strip.magnet_height, element_height=-strip.element_height)
+    sign = 1 if strip.orientation == "up" else -1
+    scale = MU0_4PI * strip.moment / strip.distance**3
+    assert field(-bend, mirrored) == pytest.approx(sign * field(bend, strip), abs=1e-12 * scale)
+
+
+def test_components_in_the_neutral_axis_make_up_blind_to_the_side():
+    for orientation, sign in (("up", 1), ("side", -1)):
+        b = field(BENDS, flat(orientation))
+        assert b == pytest.approx(sign * b[::-1], abs=1e-18)
+    with pytest.raises(InputError, match=r"cannot be calibrated over ±1.5708 rad: a line explains 0\.0%"):
+        calibrate(HallSensor.trimmed(flat("up")))
+
+
+@pytest.mark.parametrize("height", [0.0002, 0.00045, 0.0007])
+def test_slopes_of_small_bends(height):
+    """First order in θ = κL: −3 k h/L⁴ with north up, −k/(2 L³) to the side, k = μ₀ m/4π."""
+    h, k = 1e-4, MU0_4PI * MOMENT
+    for orientation, slope in (("up", -3 * k * height / 0.0031**4), ("side", -k / (2 * 0.0031**3))):
+        b = field(np.array([-h, h]), flat(orientation, height))
+        assert (b[1] - b[0]) / (2 * h) * LENGTH / 0.0031 == pytest.approx(slope, rel=1e-6)
+
+
+def test_field_scales_with_the_magnet_and_with_size():
+    strip = Strip(LENGTH)
+    twice = Strip(2 * LENGTH, 0.0062, "up", 8 * MOMENT, 2 * strip.magnet_height, 2 * strip.element_height)
+    assert field(BENDS, replace(strip, moment=3 * MOMENT)) == pytest.approx(
+        3 * field(BENDS, strip), rel=1e-12
+    )
+    assert field(BENDS, twice) == pytest.approx(field(BENDS, strip), rel=1e-12)
+
+
+# The electronics
+
+
+def plain(**changes: object) -> HallSensor:
+    return HallSensor.trimmed(Strip(LENGTH), **changes)
+
+
+@given(bend=BEND, bits=st.integers(1, 16))
+def test_readings_stand_on_the_converters_steps(bend, bits):
+    smooth, stepped = plain(bits=None), plain(bits=bits)
+    read = float(stepped.voltage(bend))
+    assert stepped.step == 5 / 2**bits
+    assert read / stepped.step - 0.5 == pytest.approx(round(read / stepped.step - 0.5), abs=1e-9)
+    assert abs(read - float(smooth.voltage(bend))) <= stepped.step / 2 * (1 + 1e-9)
+
+
+def test_a_trimmed_amplifier_uses_its_share_of_the_rails():
+    for strip in (Strip(LENGTH), Strip(0.037, orientation="side"), Strip(LENGTH, chamber="rectangular")):
+        sensor = HallSensor.trimmed(strip, bits=None)
+        volts = sensor.voltage(np.linspace(-SPAN, SPAN, 181))
+        assert np.abs(volts - 2.5).max() == pytest.approx(USED * 2.5, rel=1e-12)
+        assert sensor.voltage(0.0) == 2.5
+
+
+def test_rails_and_converter_hold_the_reading():
+    loud = replace(plain(bits=None), gain=1e5, rails=(0.3, 4.6))
+    assert set(loud.voltage(np.array([-1.0, 1.0]))) == {0.3, 4.6}
+    narrow = replace(loud, bits=8, converter_range=(1.0, 3.0))
+    step = 2 / 256
+    assert narrow.voltage(np.array([-1.0, 1.0])) == pytest.approx([3 - step / 2, 1 + step / 2], abs=1e-12)
+
+
+@given(bias=st.floats(-0.2, 0.2), bend=BEND)
+def test_bias_moves_the_angle_by_the_calibrations_slope(bias, bend):
+    fresh = CurvatureSensor.calibrated(plain(bits=None, noise=0.0))
+    drifted = CurvatureSensor.calibrated(plain(bits=None, noise=0.0, bias=bias))
+    assert drifted.calibration == fresh.calibration
+    moved = drifted.read(np.array([bend]), 0.0, 0) - fresh.read(np.array([bend]), 0.0, 0)
+    assert moved == pytest.approx([fresh.calibration.slope * bias], abs=1e-12)
+
+
+def test_gain_error_stretches_the_voltage_about_its_offset():
+    fresh, drifted = plain(bits=None), plain(bits=None, gain_error=0.1)
+    assert drifted.gain == fresh.gain
+    assert drifted.voltage(BENDS) - 2.5 == pytest.approx(1.1 * (fresh.voltage(BENDS) - 2.5), abs=1e-12)
+
+
+def test_what_is_no_bend_is_no_reading():
+    sensor = make_sensor("hall", GEN4)
+    bend = np.array([[0.3, np.nan, -0.2, np.inf], [1e9, 0.1, -np.inf, 0.0]])
+    read = sensor.read(bend, np.array([0.1, 0.2]), 3)
+    assert np.isnan(read).tolist() == [[False, True, False, True], [True, False, True, False]]
+    alone = sensor.read(np.array([[0.3, 0.0, -0.2, 0.0]]), np.array([0.1]), 3)
+    assert read[0, [0, 2]].tolist() == alone[0, [0, 2]].tolist()
+    assert math.isnan(IdealSensor().read(np.array([np.nan]), 0.0, 0)[0])
+
+
+# The chambers
+
+
+@pytest.mark.parametrize("robot", ["gen1", "gen2", "gen3", "gen4"])
+def test_only_semicircular_chambers_leave_the_reading_monotonic(robot):
+    spec = load_robot(robot)
+    good = make_sensor("hall", spec, bits=None)
+    bad = make_sensor("hall", spec, bits=None, chamber="rectangular")
+    assert (np.diff(good.hall.voltage(BENDS)) < 0).all()
+    assert good.calibration.monotonic
+    assert not bad.calibration.monotonic
+    turned = np.abs(BENDS[1:][np.diff(bad.hall.voltage(BENDS)) > 0])
+    # tanh'(q/q_c) = 1/2 at 0.88 q_c: there the reading turns; the field's own curvature moves it a little.
+    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * ROUND_AT, abs=0.02)
+    assert bad.calibration.r_squared < good.calibration.r_squared
+    assert bad.calibration.worst_error > good.calibration.worst_error
+
+
+def test_a_round_chamber_presses_no_further():
+    good, bad = Strip(LENGTH), Strip(LENGTH, chamber="rectangular")
+    shift = 2 * ROUND_AT
+    far = np.linspace(1.2, 2.0, 9)
+    assert field(far, bad) == pytest.approx(field(far - shift, good), rel=1e-6)
+    assert field(-far, bad) == pytest.approx(field(-far + shift, good), rel=1e-6)
+    assert field(0.0, bad) == field(0.0, good)
+
+
+# The calibration
+
+
+@given(slope=st.floats(0.01, 100), sign=st.sampled_from([-1, 1]), intercept=st.floats(-3, 3))
+def test_a_line_is_recovered(slope, sign, intercept):
+    angle = np.linspace(-1.2, 0.9, 40)
+    voltage = (angle - intercept) / (sign * slope)
+    found = fit_line(voltage, angle)
+    assert found.slope == pytest.approx(sign * slope, rel=1e-9)
+    assert found.intercept == pytest.approx(intercept, abs=1e-9)
+    assert found.r_squared == pytest.approx(1, abs=1e-9)
+    assert found.worst_error < 1e-9
+    assert found.monotonic
+    assert found.span == 1.2
+
+
+def test_a_scattered_line_is_fitted_as_scipy_fits_it():
+    rng = np.random.default_rng(1)
+    angle = np.linspace(-1, 1, 60)
+    voltage = 2 - 0.4 * angle + 0.05 * rng.standard_normal(60)
+    found, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
+    assert (found.slope, found.intercept) == pytest.approx((theirs.slope, theirs.intercept), rel=1e-9)
+    assert found.r_squared == pytest.approx(theirs.rvalue**2, rel=1e-9)
+    assert found.worst_error == pytest.approx(np.abs(found.angle(voltage) - angle).max(), rel=1e-9)
+    assert not found.monotonic
+
+
+@given(share=st.floats(-1, 1), span=st.floats(0.2, 1.6), bits=st.sampled_from([None, 8, 10, 12]))
+def test_no_reading_within_the_span_errs_more_than_the_calibration_says(share, span, bits):
+    """A monotonic reading between two held angles lies between theirs: their spacing is all that can add."""
+    sensor = make_sensor("hall", GEN4, span=span, bits=bits, noise=0.0)
+    error = sensor.read(np.array([share * span]), 0.0, 0) - share * span
+    assert sensor.calibration.monotonic
+    assert np.abs(error) <= sensor.calibration.worst_error + 2 * span / 180 + 1e-12
+
+
+def test_a_sensor_that_tells_the_side_only_has_three_quarters_of_a_line():
+    """One bit: sgn q against q, whose squared correlation over an even span is 3/4."""
+    sign = make_sensor("hall", GEN4, gain=1e9, bits=1)
+    assert sign.calibration.r_squared == pytest.approx(0.75, abs=0.01)
+
+
+def test_a_shorter_span_is_read_better():
+    whole, bench = make_sensor("hall", GEN4), make_sensor("hall", GEN4, span=0.7326)
+    assert bench.calibration.worst_error < 0.5 * whole.calibration.worst_error
+    assert bench.calibration.r_squared > whole.calibration.r_squared
+
+
+def test_what_the_study_finds():
+    """Beside Section 2.2.2: L as the text has it, and side-facing the straighter one (docs/sensor.md)."""
+    near, far = 3.1, 4.6
+    for heights in ((0.45, 0.45), (0.45, 0.7), (0.7, 0.7)):
+        up = [study.strip(d, heights, "up") for d in (near, far)]
+        side = [study.strip(d, heights, "side") for d in (near, far)]
+        assert study.reach(up[0]) > 2.5 * study.reach(up[1])
+        assert study.reach(side[0]) > study.reach(side[1])
+        assert study.line(up[0]).r_squared > study.line(up[1]).r_squared > 0.99
+        assert min(study.line(s).r_squared for s in side) > study.line(up[0]).r_squared
+    assert study.reach(study.strip(3.1, (0.45, 0.7), "up")) > study.reach(
+        study.strip(3.1, (0.45, 0.7), "side")
+    )
+    assert study.reach(study.strip(3.1, (0.45, 0.45), "up")) < study.reach(
+        study.strip(3.1, (0.45, 0.45), "side")
+    )
+
+
+def test_a_cylinder_far_away_is_a_dipole():
+    ratios = []
+    for distance in (3.1, 12.4):
+        strip = study.strip(distance, (0.45, 0.7), "up")
+        ratios.append(study.of_cylinder(strip).mean() / field(BENDS, strip).mean())
+    # What is left out falls with the square of the distance.
+    assert abs(ratios[0] - 1) < 0.06
+    assert (ratios[1] - 1) / (ratios[0] - 1) == pytest.approx(1 / 16, rel=0.2)
+
+
+def test_the_study_prints_and_draws(tmp_path, monkeypatch, capsys):
+    picture = tmp_path / "sensor.png"
+    monkeypatch.setattr(sys, "argv", ["sensor.py", "--out", str(picture)])
+    study.main()
+    said = capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert said.count("\n| --- |") == 5
+    assert "| θ = q | up |" in said
+    assert "nan" not in said
+
+
+# The noise
+
+
+def test_splitmix64_gives_the_numbers_of_its_reference():
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    states = np.arange(1, 4, dtype=np.uint64) * golden  # seed 0
+    assert [int(word) for word in _mixed(states)] == [
+        0xE220A8397B1DCDAF,
+        0x6E789E6AA1B965F4,
+        0x06C45D188009454F,
+    ]
+
+
+@pytest.mark.parametrize("seed", [0, 1, -1, 2**64 - 2, 12345678901234567890123])
+def test_noise_is_standard_normal_and_white(seed):
+    n = 40_000
+    z = standard_normal(seed, np.arange(n) * SLOT, 4)
+    assert z.shape == (n, 4)
+    assert np.abs(z.mean(axis=0)).max() < 5 / math.sqrt(n)
+    assert np.abs(z.std(axis=0) - 1).max() < 5 / math.sqrt(2 * n)
+    assert min(stats.kstest(column, "norm").pvalue for column in z.T) > 1e-4
+    across = np.corrcoef(z.T) - np.eye(4)
+    assert np.abs(across).max() < 5 / math.sqrt(n)
+    for lag in (1, 2, 10, 100):
+        assert np.abs((z[lag:] * z[:-lag]).mean(axis=0)).max() < 5 / math.sqrt(n)
+        assert np.abs((z[lag:, :3] * z[:-lag, 1:]).mean(axis=0)).max() < 5 / math.sqrt(n)
+        # Not merely uncorrelated: sizes do not depend on each other either. RMS of z² − 1 is √2.
+        size = (z**2 - 1) / math.sqrt(2)
+        for before, after in ((z, size), (size, z), (size, size)):
+            assert np.abs((after[lag:] * before[:-lag]).mean(axis=0)).max() < 5 / math.sqrt(n)
+
+
+def test_seeds_and_segments_share_nothing():
+    time = np.arange(20_000) * 1e-3
+    every = np.concatenate([standard_normal(seed, time, 3) for seed in range(6)], axis=1)
+    assert np.abs(np.corrcoef(every.T) - np.eye(18)).max() < 5 / math.sqrt(len(time))
+    assert len(np.unique(every)) == every.size
+
+
+@given(seed=SEED, cuts=st.lists(st.integers(0, 60), max_size=4), order=st.permutations(range(12)))
+def test_noise_is_the_same_whoever_asks_and_in_whichever_order(seed, cuts, order):
+    time = np.arange(60) * 1e-3
+    bend = np.sin(np.arange(60)[:, None] + np.arange(2))
+    sensor = make_sensor("hall", GEN4)
+    whole = sensor.read(bend, time, seed)
+    edges = [0, *sorted(cuts), 60]
+    parts = [sensor.read(bend[a:b], time[a:b], seed) for a, b in zip(edges, edges[1:], strict=False)]
+    assert np.concatenate(parts).tolist() == whole.tolist()
+    for k in order:
+        assert sensor.read(bend[k], float(time[k]), seed).tolist() == whole[k].tolist()
+        assert sensor.read(bend[k, :1], time[k], seed).tolist() == whole[k, :1].tolist()
+
+
+def test_noise_knows_a_moment_to_a_slot():
+    ticks = np.arange(1, 5000)
+    summed = np.cumsum(np.full(4999, 1e-3))  # off by rounding, as a plant's clock is
+    assert (standard_normal(1, summed, 1) == standard_normal(1, ticks * 1e-3, 1)).all()
+    assert standard_normal(1, 0.0001, 1) != standard_normal(1, 0.0002, 1)
+    assert (standard_normal(2**64 + 7, ticks, 2) == standard_normal(7, ticks, 2)).all()
+    for time in (math.nan, math.inf, 1e300):
+        with pytest.raises(InputError, match="sensor noise has no time"):
+            standard_normal(0, time, 1)
+
+
+def test_noise_reaches_the_angle_with_its_rms():
+    sensor = make_sensor("hall", GEN4, bits=None)
+    time = np.arange(20_000) * 1e-3
+    read = sensor.read(np.full((20_000, 1), 0.4), time, 5)
+    wanted = abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
+    assert read.std() == pytest.approx(wanted, rel=0.03)
+    assert math.radians(0.5) < wanted < math.radians(0.8)
+    quiet = make_sensor("hall", GEN4, bits=None, noise=0.0).read(np.array([0.4]), 0.0, 5)
+    assert read.mean() == pytest.approx(float(quiet[0]), abs=5 * wanted / math.sqrt(len(time)))
+
+
+# What a person asks for
+
+
+def test_sensors_by_name():
+    ideal, hall = make_sensor("ideal", GEN4), make_sensor("hall", GEN4, orientation="side", bits=12)
+    bend = np.array([[0.1, -0.2]])
+    read = ideal.read(bend, 0.0, 1)
+    read[0, 0] = 9
+    assert bend.tolist() == [[0.1, -0.2]]
+    assert hall.hall.strip.orientation == "side"
+    assert hall.hall.strip.segment_length == GEN4.geometry.segment_length
+    assert make_sensor(hall, GEN4) is hall
+    assert make_sensor("hall", GEN4, gain=300.0).hall.gain == 300.0
+    for sensor in (ideal, hall):
+        assert json.loads(json.dumps(sensor.describe(), allow_nan=False))["kind"] == sensor.kind
+    assert hall.describe()["calibration"]["r_squared"] > 0.99
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"kind": "halll"}, "unknown sensor 'halll'; did you mean hall?"),
+        ({"kind": "ideal", "bits": 8}, "this sensor takes no options; given: bits"),
+        ({"bit": 8}, "unknown option of sensor 'hall' 'bit'; did you mean bits?"),
+        ({"orientation": "upp"}, "unknown magnet orientation 'upp'; did you mean up?"),
+        (
+            {"chamber": "round"},
+            "unknown chamber cross-section 'round' (available: rectangular, semicircular)",
+        ),
+        ({"distance": 0.0}, "distance 0.0 is not allowed; it must be finite and above 0"),
+        ({"moment": math.nan}, "moment nan is not allowed"),
+        ({"distance": 0.2}, "distance 0.2 m from magnet to element is not allowed; the segment is 0.075 m"),
+        (
+            {"element_height": 0.001},
+            "element_height 0.001 m is not allowed; at this distance it must be within",
+        ),
+        ({"magnet_height": math.nan}, "magnet_height nan m is not allowed"),
+        ({"gain": 0.0}, "gain 0.0 is not allowed; it must be finite and above 0"),
+        ({"noise": -1e-6}, "noise -1e-06 is not allowed; it must be finite and 0 V or more"),
+        ({"gain_error": -1.0}, "gain_error -1.0 is not allowed; it must be finite and above -1"),
+        ({"bias": math.inf}, "bias inf is not allowed; it must be finite and a voltage"),
+        ({"sensitivity": 0.0}, "sensitivity 0.0 is not allowed"),
+        ({"bits": 0}, "bits 0 is not allowed; it must be 1 to 32, or none"),
+        ({"rails": (5.0, 0.0)}, "rails 5.0 to 0.0 V is not allowed; it must be a finite range"),
+        ({"offset": 5.0}, "offset 5.0 is not allowed; it must be finite and between the rails, 0 and 5 V"),
+        ({"offset": 0.1}, "no gain suits this sensor: its element swings by"),
+        ({"gain": 1e-9, "offset": 2.501}, "no line from 2.50244 to 2.50244 V to these angles"),
+        ({"span": -1.0, "gain": 500.0}, "calibration span -1.0 rad is not allowed"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, words):
+    options = {"kind": "hall", **options}
+    with pytest.raises(InputError) as error:
+        make_sensor(options.pop("kind"), GEN4, **options)
+    assert words in str(error.value)
+    if "unknown" in words:
+        assert isinstance(error.value, UnknownNameError)
+
+
+@pytest.mark.parametrize(
+    ("voltage", "angle", "words"),
+    [
+        ([1.0, 2.0], [0.0, 1.0], "a line needs 3 or more pairs"),
+        ([1.0, 2.0, 3.0], [0.0, 1.0], "a line needs 3 or more pairs"),
+        ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "finite voltages and angles only"),
+        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "no line from 1 to 1 V to these angles: the voltage must change"),
+        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles ascend"),
+    ],
+)
+def test_pairs_without_a_line_are_refused(voltage, angle, words):
+    with pytest.raises(InputError, match=words):
+        fit_line(np.array(voltage), np.array(angle))

@@ -1,0 +1,405 @@
+"""The sliding mode controllers of Chapter 4 against mock plants that share no code with the project's."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from module_law import Module
+from scipy import signal
+from snakes import chain
+
+from srs_twin import InputError, RobotSpec
+from srs_twin.comparison.tracking import tracking_metrics
+from srs_twin.control.base import Controller
+from srs_twin.control.direct_smc import DirectSMC
+from srs_twin.control.iterative_smc import EQ_29, EQ_30, IterativeSMC
+from srs_twin.control.reference import Constant, Reference, Sine, Square, Step
+from srs_twin.control.sliding import SlidingMode
+from srs_twin.control.velocity import VelocityFilter
+from srs_twin.errors import UnknownNameError
+from srs_twin.pneumatics.schedule import LAYOUTS
+
+TICK = 1e-3
+DEGREE = math.pi / 180
+BOTH = [DirectSMC, IterativeSMC]
+# What a broken sensor may say, with what a good one says more often.
+readings = st.floats(-1.5, 1.5) | st.floats(allow_nan=True, allow_infinity=True)
+MODULES, EXAMPLES = 200, 25  # 2 controllers × 25 × 200 = 10,000 histories
+
+
+def robot(segments: int) -> RobotSpec:
+    return chain((0.03,) * (segments + 1))
+
+
+def state(time: float, sensed: Any) -> Any:
+    """Return a state that holds nothing else: reading anything true would fail."""
+    return SimpleNamespace(time=time, sensed=np.atleast_1d(np.asarray(sensed, dtype=float)))
+
+
+def ready(controller: SlidingMode, segments: int = 1) -> SlidingMode:
+    controller.reset(robot(segments), TICK)
+    return controller
+
+
+def fed(controller: SlidingMode, sensed: np.ndarray, *, start: int = 0) -> list[np.ndarray]:
+    """Return the valves of ticks with these readings, shape (ticks, segments)."""
+    return [controller.step(state(TICK * (start + k), row)) for k, row in enumerate(sensed)]
+
+
+def signals(controller: Controller) -> dict[str, np.ndarray]:
+    return {name: np.asarray(value) for name, value in controller.signals().items()}
+
+
+# --- any bounded sensed input: 10,000 histories -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@settings(max_examples=EXAMPLES)
+@given(
+    arrays(float, (12, MODULES), elements=readings, fill=st.floats(-1.5, 1.5)),
+    st.integers(1, 60),
+    st.sampled_from([Constant(0.3), Sine(0.6, 6.0), Square(0.6, 2.0), Step(0.4, -0.4, 0.01)]),
+)
+def test_whatever_is_sensed_valves_and_signals_stay_sound_and_nothing_winds_up(kind, rows, hold, reference):
+    """Each row lasts some ticks; then the bend stands 0.1 rad short, and the controller must push upwards."""
+    controller = ready(kind(reference), MODULES)
+    history = np.repeat(rows, hold, axis=0)
+    for k, row in enumerate(history):
+        valves = controller.step(state(TICK * k, row))
+        assert valves.dtype == np.int8 and valves.shape[-2:] == (MODULES, 2)
+        assert np.isin(valves, LAYOUTS[kind.layouts[0]]).all()
+        now = signals(controller)
+        assert all(np.isfinite(each).all() for each in now.values())
+        assert all(each.shape == (MODULES,) for each in now.values())
+        if kind is IterativeSMC:
+            assert (np.abs(now["mu"]) <= 1).all()
+            assert ((now["duty_plus"] >= 0) & (now["duty_plus"] <= 1)).all()
+            assert now["duty_plus"] + now["duty_minus"] == pytest.approx(1.0)
+    # Δμ is K D e an update and the way no longer than 2; the filter forgets within some of its lags.
+    updates = math.ceil(2 / (0.042 * 16 * 0.1)) + 3
+    ticks = math.ceil(updates / 60 / TICK) if kind is IterativeSMC else 150
+    for k in range(len(history), len(history) + ticks):
+        valves = controller.step(state(TICK * k, np.full(MODULES, reference.value(TICK * k) - 0.1)))
+    if kind is IterativeSMC:
+        assert signals(controller)["mu"] == pytest.approx(1.0)
+    elif reference.frequency_hz is None:
+        assert (valves == [1, -1]).all()
+
+
+@settings(max_examples=10)
+@given(arrays(float, (20, MODULES), elements=st.floats(-1.5, 1.5)), st.sampled_from([1, 7, 40]))
+def test_direct_holds_once_the_error_is_gone(rows, hold):
+    controller = ready(DirectSMC(Constant(0.3)), MODULES)
+    fed(controller, np.repeat(rows, hold, axis=0))
+    assert (fed(controller, np.full((200, MODULES), 0.3))[-1] == 0).all()
+
+
+def test_iterative_leaves_its_bound_at_once_however_long_it_was_there():
+    after = []
+    for ticks in (200, 5000):
+        controller = ready(IterativeSMC(Constant(0.3)))
+        fed(controller, np.zeros((ticks, 1)))
+        assert signals(controller)["mu"] == 1.0
+        fed(controller, np.full((34, 1), 0.35), start=ticks)
+        after.append(float(signals(controller)["mu"][0]))
+    assert after[0] < 0.5 and after[1] == pytest.approx(after[0], abs=0.05)
+
+
+# --- mock plants --------------------------------------------------------------------------------------------
+
+
+def integrator(controller: SlidingMode, seconds: float, speed: float) -> np.ndarray:
+    """Return the bend of a perfect module: it turns at one speed or stands still, at once."""
+    bend = [0.0]
+    for k in range(round(seconds / TICK)):
+        bend.append(bend[-1] + TICK * speed * controller.step(state(TICK * k, bend[-1]))[0, 0])
+    return np.array(bend)
+
+
+@pytest.mark.parametrize("reference", [Constant(0.4), Step(-0.4, 0.2, 0.5), Sine(0.4, 0.5), Sine(0.4, 1.0)])
+def test_direct_follows_with_a_perfect_module_within_its_dead_zone(reference):
+    bend = integrator(ready(DirectSMC(reference)), 3.0, speed=6.0)
+    time = TICK * np.arange(len(bend))
+    jump = getattr(reference, "time", 0.0)
+    late = (time > 0.4) & ((time < jump) | (time > jump + 0.4))
+    # ε/D, what the filter sees late of one tick's push, and the bend's curvature over the filter's lag.
+    lag = VelocityFilter(16.0, TICK).lag
+    bend_over = 0.4 * (2 * math.pi * (reference.frequency_hz or 0)) ** 2 * lag**2
+    allowed = 84 * DEGREE / 58 + 3 * TICK * 6.0 + bend_over
+    assert np.abs(bend - reference.value(time))[late].max() <= allowed
+
+
+def test_iterative_leaves_no_error_with_a_module_of_one_lag():
+    """q̇ = (q_max (2d − 1) − q)/τ, d the mean duty of each tick."""
+    controller, bend = ready(IterativeSMC(Constant(0.4))), 0.0
+    for k in range(3000):
+        drive = controller.step(state(TICK * k, bend))[:, 0, 0].mean()
+        bend += TICK * (0.7326 * drive - bend) / 0.1107
+        if k >= 3000 - 50:
+            assert bend == pytest.approx(0.4, abs=0.03)
+    error = controller.signals()["mu"] * 0.7326 - 0.4
+    assert abs(error[0]) < 0.01
+
+
+@pytest.mark.parametrize("off", [0.9, -0.9, 1.1, -1.1])
+def test_dead_zone_is_epsilon_over_d_at_rest(off):
+    controller = ready(DirectSMC(Constant(0.2), D=50.0, epsilon=0.5))
+    valves = fed(controller, np.full((100, 1), 0.2 - off * 0.5 / 50.0))
+    expected = 0 if abs(off) < 1 else int(np.sign(off))
+    assert valves[-1].tolist() == [[expected, -expected]]
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_mirrored_world_mirrored_valves(kind):
+    rng = np.random.default_rng(0)
+    sensed = rng.uniform(-0.8, 0.8, (300, 5))
+    one = fed(ready(kind(Sine(0.5, 3.0)), 5), sensed)
+    other = fed(ready(kind(Sine(0.5, 3.0, math.pi)), 5), -sensed)
+    agree = np.mean([(a == b[..., ::-1]).mean() for a, b in zip(one, other, strict=True)])
+    if kind is DirectSMC:
+        assert agree == 1.0
+    else:  # the chambers' pulses stand at opposite ends of a period: the same shares, elsewhere
+        filling = [np.concatenate(v) for v in (one, other)]
+        assert filling[0][..., 0].mean(axis=0) == pytest.approx(filling[1][..., 1].mean(axis=0), abs=0.02)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_segments_do_not_know_of_each_other(kind):
+    sensed = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
+    together = fed(ready(kind(Constant(0.1)), 3), sensed)
+    for j in range(3):
+        alone = fed(ready(kind(Constant(0.1))), sensed[:, j : j + 1])
+        assert all((a[..., j, :] == b[..., 0, :]).all() for a, b in zip(together, alone, strict=True))
+
+
+def test_gains_may_differ_from_segment_to_segment():
+    sensed = np.random.default_rng(2).uniform(0.0, 0.4, (200, 1))
+    many = DirectSMC(Constant(0.2), D=np.array([20.0, 60.0]), epsilon=np.array([1.0, 2.0]))
+    together = fed(ready(many, 2), np.repeat(sensed, 2, axis=1))
+    for j, (d, e) in enumerate([(20.0, 1.0), (60.0, 2.0)]):
+        alone = fed(ready(DirectSMC(Constant(0.2), D=d, epsilon=e)), sensed)
+        assert all((a[j] == b[0]).all() for a, b in zip(together, alone, strict=True))
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_reset_begins_anew(kind):
+    sensed = np.random.default_rng(3).uniform(-1, 1, (150, 1))
+    controller = ready(kind(Sine(0.5, 2.0)))
+    first = fed(controller, sensed)
+    controller.reset(robot(1), TICK)
+    assert all((a == b).all() for a, b in zip(first, fed(controller, sensed), strict=True))
+
+
+# --- lost readings, events, signals -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@pytest.mark.parametrize("lost", [math.nan, math.inf, -math.inf, 7.0])
+def test_a_lost_reading_is_the_last_good_one(kind, lost):
+    sensed = np.linspace(0, 0.2, 100)[:, None].repeat(2, axis=1)
+    held, broken = sensed.copy(), sensed.copy()
+    held[40:60, 1], broken[40:60, 1] = sensed[39, 1], lost
+    controller = ready(kind(Constant(0.3)), 2)
+    valves = fed(controller, broken)
+    same = fed(ready(kind(Constant(0.3)), 2), held)
+    assert all((a == b).all() for a, b in zip(valves, same, strict=True))
+    events = controller.events()
+    assert [(e.kind, round(e.time, 9)) for e in events] == [("reading_lost", 0.04), ("reading_back", 0.06)]
+    assert events[0].text == f"segment 2: reading lost; the last good one, {sensed[39, 1]:.4g} rad, is held"
+    assert controller.events() == []
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_saturated_reference_says_so_once(kind):
+    controller = ready(kind(Sine(0.6, 2.0).within(0.5, "saturate")))
+    fed(controller, np.zeros((1000, 1)))
+    (event,) = controller.events()
+    first = math.asin(0.5 / 0.6) / (2 * math.pi * 2.0)
+    assert event.kind == "saturation" and first < event.time <= first + TICK
+    assert "cut at 0.5 rad" in event.text
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_signals_have_the_same_names_before_the_first_tick(kind):
+    controller = ready(kind(Step(0.3)), 2)
+    before = signals(controller)
+    assert before["reference"].tolist() == [0.3, 0.3]
+    fed(controller, np.zeros((3, 2)))
+    assert signals(controller).keys() == before.keys() >= {"reference", "error", "sigma"}
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_recorded_reference_is_that_of_the_sample_at_the_end_of_the_tick(kind):
+    sine = Sine(0.6, 6.0)
+    controller = ready(kind(sine))
+    fed(controller, np.zeros((20, 1)))
+    assert signals(controller)["reference"][0] == pytest.approx(sine.value(20 * TICK))
+
+
+# --- the law of Eq. 30, and what is refused -----------------------------------------------------------------
+
+
+def test_both_forms_are_one_law():
+    sensed = np.random.default_rng(4).uniform(0.0, 0.4, (300, 1))
+    each = fed(ready(IterativeSMC(Constant(0.2), K=0.05, D=16.0, form=EQ_29)), sensed)
+    first = fed(ready(IterativeSMC(Constant(0.2), K=0.05, D=0.8, form=EQ_30)), sensed)
+    assert all((a == b).all() for a, b in zip(each, first, strict=True))
+
+
+def test_mu_is_proportional_and_integral():
+    """μ = (K/T) e + (K D/T) ∫ e dt for an error that grows straight, T the carrier period."""
+    gain, slope, rise = 0.002, 5.0, 0.5
+    controller = ready(IterativeSMC(Constant(0.0), K=gain, D=slope))
+    ticks = 500
+    sensed = -rise * TICK * np.arange(ticks)
+    fed(controller, sensed[:, None])
+    last = math.floor((ticks - 1) * TICK * 60) / 60  # the last period began here
+    expected = gain * 60 * rise * (last + slope * last**2 / 2)
+    assert signals(controller)["mu"][0] == pytest.approx(expected, rel=0.01)
+
+
+def test_layouts_are_those_that_the_valves_have():
+    assert DirectSMC.layouts == ("in_out",) and IterativeSMC.layouts == ("3/2",)
+    assert set(Controller.layouts) == set(LAYOUTS)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (DirectSMC, "D"),
+        (DirectSMC, "epsilon"),
+        (DirectSMC, "cutoff_hz"),
+        (IterativeSMC, "K"),
+        (IterativeSMC, "D"),
+    ],
+)
+def test_refuses_gains_that_are_none(kind, name, bad):
+    with pytest.raises(
+        InputError, match=rf"{kind.kind}: {name} .* is not allowed; it must be finite and above 0"
+    ):
+        kind(Constant(0.1), **{name: bad})
+
+
+def test_refuses_gains_for_other_segments():
+    controller = DirectSMC(Constant(0.1), D=np.array([1.0, 2.0]))
+    with pytest.raises(
+        InputError, match=r"direct_smc: D has shape \(2,\); give one number, or one for each of"
+    ):
+        controller.reset(robot(3), TICK)
+
+
+def test_unknown_form_is_told_the_known_ones():
+    with pytest.raises(UnknownNameError, match=r"unknown form of Eq. 30 'K\(de \+ De\)'; did you mean"):
+        IterativeSMC(Constant(0.1), form="K(de + De)")
+
+
+# --- the velocity filter ------------------------------------------------------------------------------------
+
+
+def filtered(cutoff: float, values: np.ndarray, tick: float = TICK) -> tuple[np.ndarray, np.ndarray]:
+    law = VelocityFilter(cutoff, tick)
+    out = []
+    for value in values:
+        law.step(np.array([value]))
+        out.append((law.value[0], law.rate[0]))
+    return np.array(out).T
+
+
+@pytest.mark.parametrize("cutoff", [5.0, 16.0, 80.0, 400.0])
+def test_filter_is_the_analog_butterworth_filter_between_straight_readings(cutoff):
+    """scipy integrates the same transfer function by matrix exponentials, its input straight in between."""
+    time = TICK * np.arange(800)
+    values = np.cumsum(np.random.default_rng(5).standard_normal(800)) * 0.01
+    values -= values[0]
+    numerator, denominator = signal.butter(2, 2 * math.pi * cutoff, analog=True)
+    for outcome, top in zip(filtered(cutoff, values), (numerator, [*numerator, 0.0]), strict=True):
+        _, expected, _ = signal.lsim((top, denominator), values, time, interp=True)
+        assert outcome == pytest.approx(expected, abs=1e-7 * max(1.0, np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("cutoff", [8.0, 25.0])
+def test_filter_leaves_as_much_noise_as_stated(cutoff):
+    noise = np.random.default_rng(6).standard_normal(400_000) * 0.2
+    law = VelocityFilter(np.full(400, cutoff), TICK)
+    rates = []
+    for k, row in enumerate(noise.reshape(1000, 400)):
+        law.step(row)
+        if k > 200:
+            rates.append(law.rate.copy())
+    # What one reading adds to all rates after it: scipy's response to a triangle two ticks wide.
+    triangle = np.zeros(400)
+    triangle[1] = 1.0
+    numerator, denominator = signal.butter(2, 2 * math.pi * cutoff, analog=True)
+    _, adds, _ = signal.lsim(([*numerator, 0.0], denominator), triangle, TICK * np.arange(400))
+    assert np.std(rates) == pytest.approx(0.2 * np.linalg.norm(adds), rel=0.02)
+    stated = 0.2 * math.sqrt((2 * math.pi * cutoff) ** 3 * TICK / math.sqrt(8))
+    assert 0.93 * stated < np.std(rates) < stated < 0.05 * 0.2 * math.sqrt(2) / TICK  # plain differences
+
+
+def test_filter_comes_late_by_its_lag_and_no_more():
+    time = TICK * np.arange(1000)
+    value, rate = filtered(16.0, 3.0 * time)
+    lag = float(VelocityFilter(16.0, TICK).lag)
+    assert rate[-1] == pytest.approx(3.0, rel=1e-9)
+    assert value[-1] == pytest.approx(3.0 * (time[-1] - lag), rel=1e-9)
+    assert lag == pytest.approx(math.sqrt(2) / (2 * math.pi * 16.0))
+
+
+def test_filter_takes_the_first_reading_to_be_at_rest():
+    value, rate = filtered(16.0, np.full(50, 0.7))
+    assert (value == 0.7).all() and (rate == 0.0).all()
+
+
+@pytest.mark.parametrize("bad", [0.0, -5.0, math.nan])
+def test_filter_refuses_cutoffs_that_are_none(bad):
+    with pytest.raises(InputError, match="cutoff_hz"):
+        VelocityFilter(bad, TICK)
+
+
+# --- what must come out, on one module as Eq. 14 has it -----------------------------------------------------
+
+
+def followed(kind: type[SlidingMode], reference: Reference, seconds: float, **module: Any) -> dict[str, Any]:
+    controller: Any = kind
+    return tracking_metrics(Module(**module).follow(controller(reference), seconds)[0])
+
+
+def test_step_direct_settles_first_and_iterative_overshoots():
+    """Section 4.2, Fig. 42: 0.2 s without overshoot against 0.4 s with 40 % (here far less)."""
+    step = Step(25 * DEGREE, time=0.1)
+    direct, iterative = (followed(kind, step, 1.1) for kind in BOTH)
+    assert direct["settling_5_s"] <= 0.25
+    assert direct["overshoot_rad"] < direct["sensed_ripple_pp_rad"]
+    assert iterative["overshoot_rel"] > 0.03 and iterative["settling_5_s"] > direct["settling_5_s"]
+
+
+def test_sine_of_6_hz_direct_has_more_amplitude_less_lag_and_fewer_openings():
+    """Fig. 43 to 45: 15 % more, 0.5 rad less, at most 0.5 rad, 67 against 349 openings."""
+    direct, iterative = (followed(kind, Sine(34.3 * DEGREE, 6.0), 4.0) for kind in BOTH)
+    assert direct["amplitude_rel"] > 1.05 * iterative["amplitude_rel"]
+    assert direct["phase_lag_rad"] <= 0.5 < iterative["phase_lag_rad"] - 0.5
+    assert iterative["inlet_openings"] >= 3.5 * direct["inlet_openings"]
+
+
+def test_square_of_2_hz_direct_opens_its_valves_far_less():
+    """Fig. 46: 26 against 213 openings."""
+    direct, iterative = (followed(kind, Square(34.3 * DEGREE, 2.0), 4.0) for kind in BOTH)
+    assert iterative["inlet_openings"] >= 6 * direct["inlet_openings"]
+
+
+def test_at_rest_direct_stops_switching_and_a_leak_makes_it_worse_than_iterative():
+    """Fig. 46 and Section 4.3."""
+    hold = Constant(25 * DEGREE)
+    tight, leaking = followed(DirectSMC, hold, 3.0), followed(DirectSMC, hold, 3.0, leak_per_s=0.5)
+    assert tight["inlet_openings"] <= 3 and tight["ripple_pp_rad"] < 0.05 * DEGREE
+    assert leaking["ripple_pp_rad"] > 0.5 * DEGREE and leaking["inlet_openings"] > 10
+    iterative = followed(IterativeSMC, hold, 3.0, leak_per_s=0.5)
+    assert leaking["steady_rms_rad"] > 1.5 * iterative["steady_rms_rad"]

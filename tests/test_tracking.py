@@ -1,0 +1,226 @@
+"""Metrics of following a reference, against responses known in closed form."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin.comparison.sines import fit_sine, frequency_of
+from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
+from srs_twin.errors import InputError
+from srs_twin.trajectory import Trajectory
+
+TICK = 1e-3
+REST = {"steady_error_rad", "steady_rms_rad", "ripple_pp_rad", "ripple_rms_rad"}
+STEP = {"rise_time_s", "overshoot_rel", "overshoot_rad", "settling_2_s", "settling_5_s"}
+SINE = {
+    "amplitude_rel", "amplitude_spread_rel", "phase_lag_rad", "phase_lag_spread_rad", "fit_residual_rad",
+}  # fmt: skip
+
+
+def run(reference: Any, bend: Any, *, duration: float = 4.0, **metadata: Any) -> Trajectory:
+    """Return a trajectory from two laws of time."""
+    time = TICK * np.arange(round(duration / TICK) + 1)
+    columns = {"time": time, "reference_1": reference(time) + 0 * time, "bend_1": bend(time) + 0 * time}
+    return Trajectory(columns, metadata=metadata)
+
+
+def step_to(after: float, *, at: float = 0.5, before: float = 0.0) -> Any:
+    return lambda t: np.where(t >= at - 1e-9, after, before)
+
+
+def second_order(after: float, zeta: float, omega: float, at: float) -> Any:
+    """Return the response of an underdamped second order law to a step from 0."""
+    damped = omega * math.sqrt(1 - zeta**2)
+
+    def response(t: np.ndarray) -> np.ndarray:
+        s = np.maximum(t - at, 0.0)
+        swing = np.cos(damped * s) + zeta * omega / damped * np.sin(damped * s)
+        return after * (1 - np.exp(-zeta * omega * s) * swing)
+
+    return response
+
+
+def named(metrics: dict[str, float | None]) -> set[str]:
+    return {name for name, value in metrics.items() if value is not None}
+
+
+@settings(max_examples=25)
+@given(st.floats(0.2, 0.8), st.floats(15, 60), st.sampled_from([0.436, -0.6, 0.05]))
+def test_second_order_step_has_its_textbook_overshoot_and_rise(zeta, omega, after):
+    found = tracking_metrics(run(step_to(after), second_order(after, zeta, omega, 0.5)))
+    overshoot = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
+    assert found["overshoot_rel"] == pytest.approx(overshoot, abs=1e-3)
+    assert found["overshoot_rad"] == pytest.approx(overshoot * abs(after), abs=1e-3 * abs(after))
+    fine = np.linspace(0, 3.5, 350_001)
+    share = second_order(1.0, zeta, omega, 0.0)(fine)
+    rise = fine[np.argmax(share >= 0.9)] - fine[np.argmax(share >= 0.1)]
+    assert found["rise_time_s"] == pytest.approx(rise, abs=2e-5)
+    for name, band in (("settling_2_s", 0.02), ("settling_5_s", 0.05)):
+        left = fine[np.flatnonzero(np.abs(share - 1) > band)[-1]]
+        # A swing that only touches the band may fall between two samples.
+        peaks = np.exp(-zeta / math.sqrt(1 - zeta**2) * math.pi * np.arange(1, 30))
+        if np.abs(peaks - band).min() > 1e-3:
+            assert found[name] == pytest.approx(left, abs=1e-4)
+
+
+def test_first_order_lag_never_overshoots():
+    tau, after = 0.05, 0.4
+    law = lambda t: after * (1 - np.exp(-np.maximum(t - 0.5, 0) / tau))  # noqa: E731
+    found = tracking_metrics(run(step_to(after), law))
+    assert found["overshoot_rel"] == pytest.approx(0.0, abs=1e-12)
+    assert found["rise_time_s"] == pytest.approx(tau * math.log(9), abs=1e-5)
+    assert found["settling_2_s"] == pytest.approx(tau * math.log(50), abs=1e-5)
+    assert found["settling_5_s"] == pytest.approx(tau * math.log(20), abs=1e-5)
+
+
+def test_a_constant_reference_is_a_step_from_where_the_bend_starts():
+    tau = 0.05
+    found = tracking_metrics(run(lambda t: 0.4, lambda t: 0.4 - 0.3 * np.exp(-t / tau)))
+    assert found["rise_time_s"] == pytest.approx(tau * math.log(9), abs=1e-5)
+    assert found["overshoot_rel"] == 0.0
+    held = tracking_metrics(run(lambda t: 0.4, lambda t: 0.4))
+    assert named(held) == REST | {"error_rms_rad"}
+
+
+def test_what_is_never_reached_is_none():
+    short = tracking_metrics(run(step_to(0.4), lambda t: 0.2 * (t > 0.6)))
+    assert short["rise_time_s"] is None and short["settling_5_s"] is None and short["settling_2_s"] is None
+    assert short["overshoot_rel"] == 0.0
+    near = tracking_metrics(run(step_to(0.4), lambda t: 0.388 * (t > 0.6)))
+    assert near["settling_2_s"] is None and near["settling_5_s"] == pytest.approx(0.1, abs=2 * TICK)
+
+
+def test_rest_is_the_second_half_after_the_step():
+    """A ripple of whole periods about an offset, drowned before by something wild."""
+
+    def bend(t: np.ndarray) -> np.ndarray:
+        calm = 0.4 + 0.01 + 0.02 * np.sin(2 * np.pi * 10 * t)
+        return np.where(t < 2.25, np.sin(40 * t), calm)
+
+    trajectory = run(step_to(0.4), bend, duration=4.25 - TICK)
+    found = tracking_metrics(trajectory)
+    assert found["steady_error_rad"] == pytest.approx(0.01, abs=2e-4)
+    assert found["ripple_pp_rad"] == pytest.approx(0.04, abs=1e-5)
+    assert found["ripple_rms_rad"] == pytest.approx(0.02 / math.sqrt(2), rel=1e-2)
+    assert found["steady_rms_rad"] == pytest.approx(math.hypot(0.01, 0.02 / math.sqrt(2)), rel=1e-2)
+    assert found["sensed_ripple_pp_rad"] is None
+    sensed = {**trajectory.columns, "sensed_1": 3 * trajectory["bend_1"]}
+    assert tracking_metrics(Trajectory(sensed))["sensed_ripple_pp_rad"] == pytest.approx(0.12, abs=1e-4)
+
+
+@settings(max_examples=60)
+@given(
+    st.floats(0.3, 40), st.floats(0.1, 2), st.floats(-3, 3), st.floats(0.01, 1.5), st.floats(-3.1, 3.1),
+    st.floats(-0.5, 0.5),
+)  # fmt: skip
+def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, offset):
+    """Periods are no multiple of the samples', the bend has its own offset, lags go all the way round."""
+    reference = lambda t: 0.1 + asked * np.sin(2 * np.pi * f * t + phase)  # noqa: E731
+    bend = lambda t: offset + share * asked * np.sin(2 * np.pi * f * t + phase - lag)  # noqa: E731
+    found = tracking_metrics(run(reference, bend, duration=round(5 / f + 0.1, 3)))
+    assert found["amplitude_rel"] == pytest.approx(share, rel=1e-6)
+    assert found["phase_lag_rad"] == pytest.approx(lag, abs=1e-6)
+    assert found["amplitude_spread_rel"] == pytest.approx(0, abs=1e-6)
+    assert found["phase_lag_spread_rad"] == pytest.approx(0, abs=1e-6)
+    assert found["fit_residual_rad"] == pytest.approx(0, abs=1e-6)
+    assert named(found) >= SINE and not named(found) & (STEP | REST)
+
+
+def test_the_lowest_frequency_of_the_experiments_is_found_exactly():
+    time = TICK * np.arange(16001)
+    for f in (0.25, 0.5, 1, 2, 4, 6, 123.0):
+        assert frequency_of(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(f, rel=1e-9)
+
+
+def test_only_pure_sines_count_as_sines():
+    time = TICK * np.arange(4001)
+    sine = np.sin(2 * np.pi * 2 * time)
+    assert frequency_of(time, np.sign(sine)) is None
+    assert frequency_of(time, np.clip(sine, -0.95, 0.95)) is None
+    assert frequency_of(time, sine + 0.01 * np.sin(2 * np.pi * 7 * time)) is None
+    assert frequency_of(time, time) is None
+    assert frequency_of(time, np.full_like(time, 0.2)) is None
+
+
+def test_spread_and_residual_tell_noise_from_a_clean_sine():
+    rng = np.random.default_rng(1)
+    clean = lambda t: 0.6 * np.sin(2 * np.pi * 2 * t)  # noqa: E731
+    noisy = tracking_metrics(run(clean, lambda t: clean(t) + 0.02 * rng.standard_normal(len(t)), duration=40))
+    assert noisy["fit_residual_rad"] == pytest.approx(0.02, rel=0.05)
+    # A fit to n samples has a standard deviation of s √(2/n) in amplitude, that over the amplitude in phase.
+    expected = 0.02 * math.sqrt(2 / 500) / 0.6
+    assert noisy["amplitude_spread_rel"] == pytest.approx(expected, rel=0.3)
+    assert noisy["phase_lag_spread_rad"] == pytest.approx(expected, rel=0.3)
+
+
+def test_warm_up_is_left_out():
+    """Two periods at half the amplitude before five at the full one."""
+    sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
+    found = tracking_metrics(run(sine, lambda t: sine(t) * np.where(t < 2, 0.5, 1.0), duration=7.0))
+    assert found["amplitude_rel"] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_fewer_than_two_periods_have_no_fit_and_two_no_spread():
+    sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
+    assert not named(tracking_metrics(run(sine, sine, duration=1.9))) & SINE
+    two = tracking_metrics(run(sine, sine, duration=2.0))
+    assert two["amplitude_rel"] == pytest.approx(1.0)
+    assert two["amplitude_spread_rel"] is None and two["phase_lag_spread_rad"] is None
+
+
+def test_a_square_has_its_error_and_openings_only():
+    square = lambda t: 0.6 * np.sign(np.sin(2 * np.pi * 2 * t + 1e-6))  # noqa: E731
+    found = tracking_metrics(run(square, lambda t: 0.0, valve_switches=[[20, 22]]))
+    assert named(found) == {"error_rms_rad", "inlet_openings"}
+    assert found["error_rms_rad"] == pytest.approx(0.6) and found["inlet_openings"] == 21
+
+
+def test_outlets_are_counted_of_valves_that_hold_at_every_tick():
+    trajectory = run(lambda t: 0.4, lambda t: 0.4, duration=0.01, tick_s=TICK, valve_switches=[[2, 0]])
+    plus = np.array([-1, 1, 1, 0, -1, -1, 0, -1, 1, 0, 0], dtype=float)
+    minus = np.array([-1, -1, 0, 0, -1, -1, 0, 0, 0, 0, -1], dtype=float)
+    columns = {**trajectory.columns, "valve_plus_1": plus, "valve_minus_1": minus}
+    assert tracking_metrics(Trajectory(columns, metadata=trajectory.metadata))["outlet_openings"] == 2.0
+    seldom = Trajectory({n: c[::2] for n, c in columns.items()}, metadata=trajectory.metadata)
+    assert tracking_metrics(seldom)["outlet_openings"] is None
+    both = {"valve_plus_1": np.where(plus == 0, 1.0, plus), "valve_minus_1": np.ones(11)}
+    never = Trajectory({**columns, **both}, metadata=trajectory.metadata)
+    assert tracking_metrics(never)["outlet_openings"] is None
+
+
+def test_every_metric_has_a_unit_and_is_a_plain_number():
+    found = tracking_metrics(run(step_to(0.4), second_order(0.4, 0.3, 30, 0.5), valve_switches=[[1, 2]]))
+    assert found.keys() == TRACKING_UNITS.keys()
+    assert all(value is None or type(value) is float for value in found.values())
+
+
+@pytest.mark.parametrize("missing", ["reference_1", "bend_1", "time"])
+def test_missing_columns_are_named(missing):
+    columns = {n: c for n, c in run(lambda t: 0.4, lambda t: 0.4).columns.items() if n != missing}
+    with pytest.raises(InputError, match=f"no column '{missing}'"):
+        tracking_metrics(Trajectory(columns))
+
+
+def test_fit_of_a_sine_is_the_least_squares_one():
+    """Nothing near it leaves less."""
+    rng = np.random.default_rng(0)
+    time = np.sort(rng.uniform(0, 3, 400))
+    values = 0.2 + np.sin(7 * time) + 0.3 * rng.standard_normal(400)
+    f = 7 / (2 * np.pi)
+    best = fit_sine(time, values, f)
+
+    def left(amplitude: float, phase: float, offset: float) -> float:
+        return float(np.sqrt(np.mean((values - offset - amplitude * np.sin(7 * time + phase)) ** 2)))
+
+    exact = left(best.amplitude, best.phase, best.offset)
+    assert exact == pytest.approx(best.residual, rel=1e-12)
+    for change in (-1e-3, 1e-3):
+        assert left(best.amplitude + change, best.phase, best.offset) > exact
+        assert left(best.amplitude, best.phase + change, best.offset) > exact
+        assert left(best.amplitude, best.phase, best.offset + change) > exact
