@@ -1,0 +1,66 @@
+"""How far many runs are: what is said where stderr is no terminal, and what a terminal shows."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from srs_twin.cli import counting
+from srs_twin.cli.counting import Counting
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that a test turns."""
+
+    class Clock:
+        now = 100.0
+
+        def monotonic(self):
+            return self.now
+
+    clock = Clock()
+    monkeypatch.setattr(counting, "time", clock)
+    return clock
+
+
+def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
+    with Counting("grid", 100) as done:
+        for second in range(5, 55):
+            clock.now = 100.0 + second
+            done(failed=second == 20)
+    lines = capsys.readouterr().err.splitlines()
+    # The first run is done after 5 s, then one a second: workers take a while to start.
+    assert lines == [
+        "grid: 6 of 100, 1/s, 94 s left",
+        "grid: 16 of 100, 1 failed, 1/s, 84 s left",
+        "grid: 26 of 100, 1 failed, 1/s, 74 s left",
+        "grid: 36 of 100, 1 failed, 1/s, 64 s left",
+        "grid: 46 of 100, 1 failed, 1/s, 54 s left",
+    ]
+
+
+@pytest.mark.parametrize("options", [{"quiet": True}, {}])
+def test_brief_or_quiet_ones_say_nothing(clock, capsys, options):
+    with Counting("grid", 3, **options) as done:
+        for _ in range(3):
+            clock.now += 20.0 if options else 0.5
+            done(failed=False)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_shows_a_bar(clock, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "100")
+    with Counting("grid", 4) as done:
+        for _ in range(4):
+            clock.now += 3.0
+            done(failed=False)
+    assert "grid" in terminal.getvalue() and "4/4" in terminal.getvalue() and "0.333/s" in terminal.getvalue()
