@@ -176,9 +176,10 @@ class AnalyticalSnake(Plant):
             part = schedule.part(begun, ends[last - 1]) if felt else schedule
             trace = self.pneumatics.advance(part, moments, bend=bend, bend_rate=rate)
             inside = marks[(marks > first) & (marks <= last)] - first
-            made, motion = self._body.move(steps, trace, inside)
-            motions.append(motion)
-            traces.append(trace.at(2 * inside[: len(motion.states)]))
+            made, states, velocities = self._body.move(steps, trace, inside)
+            reached = int(np.searchsorted(inside, made, side="right"))
+            traces.append(trace.at(2 * inside[:reached]))
+            motions.append(self._body.look(states[:reached], velocities[:reached], traces[-1]))
             done += made
             if made < len(steps):
                 break

@@ -35,7 +35,7 @@ class YieldingBends(Body):
         self.state[:3] = pose
         self.velocity = np.zeros(3 + self._segments)
 
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
+    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         states = np.empty((len(marks), len(self.state)))
         velocities = np.empty((len(marks), len(self.velocity)))
@@ -43,8 +43,7 @@ class YieldingBends(Body):
             self.state, steps, self._moments(trace)[1:].reshape(len(steps), 2, -1), marks, self.solid,
             self._spring, self.floor, self.velocity, states, velocities,
         )  # fmt: skip
-        reached, at = self.seen(done, marks)
-        return done, self.look(states[:reached], velocities[:reached], trace.at(at))
+        return done, states, velocities
 
     def bends(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Body.bends`."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.plants import kernels, observation, step_control
+from srs_twin.plants import kernels, step_control
 from srs_twin.plants.base import Pose
 from srs_twin.plants.floor import Floor
+from srs_twin.plants.inverse_dynamics import inverse_dynamics
 from srs_twin.plants.kinematics import Solid
 from srs_twin.pneumatics import Trace
 
@@ -62,7 +63,7 @@ class Body(ABC):
         """Lie straight, at rest, with the centre of mass at x, y (m) and that heading (rad)."""
 
     @abstractmethod
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
+    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """Advance by some steps.
 
         Args:
@@ -71,18 +72,13 @@ class Body(ABC):
             marks: numbers of steps after which to look, ascending, shape (samples,).
 
         Returns:
-            How many steps were made, fewer than asked if one failed, and what happened at the marks that
-            were reached.
+            How many steps were made, fewer than asked if one failed; the states and velocities of `Motion`
+            at the marks, filled as far as they were reached.
         """
 
     @abstractmethod
     def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """Return the motion at moments for which the trace has one row each."""
-
-    def seen(self, done: int, marks: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return how many marks were reached in `done` steps, and the rows of the trace that belong there."""
-        reached = int(np.searchsorted(marks, done, side="right"))
-        return reached, 2 * marks[:reached]
 
 
 class GivenBends(Body):
@@ -99,20 +95,19 @@ class GivenBends(Body):
         self.velocity = np.zeros(3)
         self._slope = np.zeros(kernels.STATES)
 
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, Motion]:
+    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         states, velocities = np.empty((len(marks), kernels.STATES)), np.empty((len(marks), 3))
         done, _ = step_control.advance(
             self.state, self._slope, steps, trace.bend, trace.bend_rate, marks, self.solid, self.floor,
             self._turning, self._tolerance, self.velocity, states, velocities,
         )  # fmt: skip
-        reached, at = self.seen(done, marks)
-        return done, self.look(states[:reached], velocities[:reached], trace.at(at))
+        return done, states, velocities
 
     def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.look`."""
         torque = np.empty_like(trace.bend)
-        observation.inverse_dynamics(
+        inverse_dynamics(
             velocities, trace.bend, trace.bend_rate, trace.bend_acceleration, self.solid, self.floor,
             self._turning, torque,
         )  # fmt: skip

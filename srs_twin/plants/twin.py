@@ -200,7 +200,7 @@ class TwinSnake(Plant):
                 schedule.part(first * self.timestep, last * self.timestep), last - first
             )
             stretches.append(self.physics.run(trace.pressure[:-1]))
-            traces.append(trace.at(slice(1, None)))
+            traces.append(trace.at(np.arange(1, last - first + 1)))
         return joined(traces), joined(stretches)
 
     def _history(self, times: np.ndarray, trace: Trace, stretch: Stretch, steps: int) -> SnakeState:

@@ -47,9 +47,9 @@ class Trace:
             np.empty(times),
         )
 
-    def at(self, rows: np.ndarray | slice) -> Trace:
-        """Return some of the times."""
-        return Trace(*(getattr(self, each.name)[rows] for each in fields(Trace)))
+    def at(self, rows: np.ndarray) -> Trace:
+        """Return some of the times, by their numbers."""
+        return Trace(*(getattr(self, each.name).take(rows, axis=0) for each in fields(Trace)))
 
 
 class Pneumatics(ABC):

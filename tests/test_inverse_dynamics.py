@@ -1,0 +1,66 @@
+"""Inverse dynamics from the tail against d'Alembert's sum over the rows of the whole body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin.friction import LAWS
+from srs_twin.plants.floor import Floor, fill_forces
+from srs_twin.plants.inverse_dynamics import inverse_dynamics
+from srs_twin.plants.kinematics import ROWS, Solid, fill_rows, pose_body
+
+
+def by_rows(
+    u: np.ndarray, bend: np.ndarray, acceleration: np.ndarray, solid: Solid, floor: Floor, turning: bool
+) -> np.ndarray:
+    """Return the segments' moments as the sums of loads over what each bend moves.
+
+    With r the connectors' velocities along, across and about themselves by the velocities u, and W their
+    masses and inertias, the whole body accelerates by w so that rᵀ (W (ṙ u + r u̇) − f) vanishes for its three
+    velocities; what is left for the bends are their moments.
+    """
+    n = len(solid.mass)
+    body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
+    rows, rates = np.empty((n, 3, n + 2)), np.zeros((n, 3, n + 2))
+    pose_body(bend, u[3:], solid, body)
+    fill_forces(body, solid.mass, u, floor, pushed)
+    fill_rows(body, bend, u, solid, rows, rates)
+    r, rate, f = rows.reshape(3 * n, -1), rates.reshape(3 * n, -1), pushed.ravel()
+    weights = np.stack([solid.mass, solid.mass, solid.inertia], axis=1).ravel()
+    rate[2::3] = 0.0  # headings are linear in the bends
+    forces = r.T @ f
+    if not turning:
+        forces[2] = 0.0
+    needed = r.T @ (weights * (rate @ u + r[:, 3:] @ acceleration)) - forces
+    mass = r.T @ (weights[:, None] * r)
+    whole = np.linalg.solve(mass[:3, :3], -needed[:3])
+    return needed[3:] + mass[3:, :3] @ whole
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    connectors=st.integers(2, 12),
+    law=st.sampled_from(LAWS),
+    frozen=st.sampled_from([0.0, 1.0]),
+    heavy=st.booleans(),
+    turning=st.booleans(),
+)
+def test_the_tail_knows_what_the_rows_of_the_whole_body_say(seed, connectors, law, frozen, heavy, turning):
+    random = np.random.default_rng(seed)
+    mass = random.uniform(0.01, 0.1, connectors)
+    inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
+    solid = Solid(mass, inertia, 0.037, 0.018, frozen)
+    floor = Floor(LAWS.index(law), random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
+    samples, segments = 3, connectors - 1
+    u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
+    bend, acceleration = random.normal(0, 0.7, (samples, segments)), random.normal(0, 99, (samples, segments))
+    found = np.empty((samples, segments))
+    inverse_dynamics(
+        u[:, :3].copy(), bend, u[:, 3:].copy(), acceleration, solid, floor, turning, found
+    )  # fmt: skip
+    expected = [by_rows(u[k], bend[k], acceleration[k], solid, floor, turning) for k in range(samples)]
+    assert found == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)
