@@ -32,6 +32,8 @@ vary:
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
 
+WORKERS_DIED = 4
+
 
 @dataclass
 class Kills:
@@ -70,6 +72,8 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
             if rng.random() < 0.7:
                 _wait_for_a_row(process, out)
             if _ended(process, rng.uniform(0, longest)):
+                if process.returncode == WORKERS_DIED:
+                    break
                 raise RuntimeError(f"done after {sum(found.victims.values())} kills only: take more runs")
             workers = children(process.pid)
             worker = rng.choice(workers) if workers and rng.random() < 0.5 else None
@@ -81,7 +85,8 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
         found.rows.append(rows(out))
         if code == 0:
             return found
-        if code != -signal.SIGKILL:
+        # A point whose workers were killed three times in a row is a failed row, and tried again.
+        if code not in (-signal.SIGKILL, WORKERS_DIED):
             raise RuntimeError(
                 f"the sweep ended with {code}: {process.stderr.read() if process.stderr else ''}"
             )
@@ -89,7 +94,7 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
 
 def start(sweep: Path, out: Path) -> subprocess.Popen[str]:
     """Start a sweep of two workers."""
-    words = [str(COMMAND), "sweep", str(sweep), "--out", str(out), "--workers", "2", "-q"]
+    words = [str(COMMAND), "sweep", str(sweep), "--out", str(out), "--workers", "2", "-q", "--retry-failed"]
     return subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
 
 

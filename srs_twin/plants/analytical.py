@@ -141,7 +141,7 @@ class AnalyticalSnake(Plant):
         wrong = implausible([*self._body.state, *self._body.velocity])
         if wrong is not None:
             what = f"its state held {wrong:g} before the step, which no snake reaches"
-            raise DivergedError(self.name, self._ticks * self.tick, what)
+            raise DivergedError(self.name, self._ticks * self.tick + self.timestep, what)
         ends, marks = self._step_ends(self.pneumatics.effective(schedule), samples)
         done, motion, trace = self._drive(schedule, ends, marks)
         begun = self._ticks * self.tick
