@@ -18,6 +18,7 @@ from srs_twin.doctor import children, machine, packages, simulation, viewers
 from srs_twin.doctor.check import Check, failing
 from srs_twin.doctor.children import Answer, Question, ask, first_error
 from srs_twin.doctor.machine import Machine
+from srs_twin.files import shipped_names
 
 SCREEN = "DISPLAY=:0"
 DRAWN = {"library": "libEGL.so.1", "warnings": [], "size": [120, 160], "shades": 200}
@@ -312,7 +313,8 @@ def test_command_on_this_machine(srs_twin, tmp_path):
         assert check.keys() == keys and check["mark"] in ("ok", "missing", "broken"), name
         assert (check["mark"] == "ok") == (check["remedy"] == ""), name
         assert check["mark"] == "ok" or not check["necessary"], name
-    assert "4 robots, 7 scenarios, 4 models" in checks["shipped data"]["detail"]
+    robots, scenarios = (len(shipped_names(kind)) for kind in ("robot", "scenario"))
+    assert f"{robots} robots, {scenarios} scenarios, {robots} models" in checks["shipped data"]["detail"]
     assert {"egl", "osmesa", "glfw", "rerun", "in a browser"} <= checks.keys()
     assert not any(tmp_path.iterdir())
 
