@@ -65,7 +65,7 @@ def workers(folder: Path, repetitions: int) -> None:
     rows = []
     for plants, size in (("analytical", (40, 30)), ("twin", (6, 4))):
         sweep = written(folder, plants, 10, *size)
-        few = written(folder, plants, 10, 2, 1)
+        few = written(folder, plants, 10, 2, 2)
         walls = {
             (n, which): [command(which, "--workers", str(n))[0] for _ in range(repetitions)]
             for n in (1, 2)
@@ -133,8 +133,8 @@ def _timed(way: Callable[[Sweep], None], sweep: Sweep) -> float:
 
 
 def ray(folder: Path, repetitions: int) -> None:
-    """Compare a sweep of two short runs here and on a Ray of its own."""
-    sweep = written(folder, "analytical", 1.6, 2, 1)
+    """Compare a sweep of four short runs here and on a Ray of its own."""
+    sweep = written(folder, "analytical", 1.6, 2, 2)
     here = [command(sweep, "--workers", "2")[0] for _ in range(repetitions)]
     there = [command(sweep, "--engine", "ray", "--workers", "2")[0] for _ in range(repetitions)]
     added = statistics.median(there) - statistics.median(here)

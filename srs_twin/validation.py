@@ -14,6 +14,8 @@ from srs_twin.errors import did_you_mean
 Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
+_NO_SUCH_KIND = ("union_tag_invalid", "union_tag_not_found")
+
 
 class Strict(BaseModel):
     """Base of all models of files: no conversions, no unknown keys, finite numbers only."""
@@ -37,9 +39,12 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
         for item in error.errors(include_url=False):
             # What is missing, and a default that does not fit what was given, are not in the data.
             loc = _locate(item["loc"], data)
-            absent = _is_absent(item, schema, loc)
+            if item["type"] in _NO_SUCH_KIND:
+                _report_kind(document, item, prefix + loc)
+                continue
+            absent = _is_absent(item, schema, loc, data)
             loc = (*loc, item["loc"][-1]) if absent else loc
-            message = _message(item, schema, loc)
+            message = _message(item, schema, loc, data)
             where = prefix + loc if absent else document.visible(prefix, loc)
             document.report(where, message, at_key=item["type"] == "extra_forbidden")
         return None
@@ -56,15 +61,30 @@ def allowed(schema: Schema, root: Schema) -> str:
     return " or ".join(dict.fromkeys(filter(None, texts)))
 
 
-def _message(item: Any, schema: Schema, loc: Loc) -> str:
+def _report_kind(document: Document, item: Any, loc: Loc) -> None:
+    """Report a block that does not say which of several kinds it is."""
+    context, block = item["ctx"], item["input"]
+    key = context["discriminator"].strip("'")
+    if not isinstance(block, Mapping):
+        document.report(loc, f"must be a block of keys with {key}, not {_given(block)}")
+    elif not has_child(block, key):
+        document.report((*loc, key), "missing; it says which of several blocks of keys this is")
+    else:
+        names = [name.strip("'") for name in context.get("expected_tags", "").split(", ")]
+        given = child(block, key)
+        close = did_you_mean(given, names) if isinstance(given, str) else ""
+        document.report((*loc, key), f"must be one of {', '.join(names)}, not {_given(given)}{close}")
+
+
+def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     kind = item["type"]
     if kind == "extra_forbidden":
-        keys = _keys(schema, loc[:-1])
+        keys = _keys(schema, loc[:-1], data)
         close = did_you_mean(str(loc[-1]), keys)
         return f"unknown key{close or '; known here: ' + ', '.join(keys)}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
-    options = list(_schemas_at(schema, loc))
+    options = list(_schemas_at(schema, loc, data))
     words = " or ".join(dict.fromkeys(allowed(option, schema) for option in options))
     if kind == "missing":
         return f"missing; it must be {words}"
@@ -84,11 +104,11 @@ def _locate(loc: Loc, data: Any) -> Loc:
     return tuple(kept)
 
 
-def _is_absent(item: Any, schema: Schema, loc: Loc) -> bool:
+def _is_absent(item: Any, schema: Schema, loc: Loc, data: Any) -> bool:
     """Say whether a problem is with a key that its block does not have: it is missing, or its default."""
     last = item["loc"][-1] if item["loc"] else None
     known = item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
-    return item["type"] == "missing" or (known and last in _keys(schema, loc))
+    return item["type"] == "missing" or (known and last in _keys(schema, loc, data))
 
 
 def _given(value: Any) -> str:
@@ -159,21 +179,34 @@ def _options(schema: Schema, root: Schema) -> Iterator[Schema]:
         yield from _options(option, root)
 
 
-def _schemas_at(root: Schema, loc: Loc) -> Iterator[Schema]:
-    """Yield the schemas that a value at a path may have."""
+def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
+    """Yield the schemas that a value at a path may have; of blocks of several kinds, that of its kind."""
     found: list[Schema] = [root]
     for part in loc:
         step: list[Schema] = []
         for schema in found:
-            for option in _options(schema, root):
+            for option in _of_its_kind(schema, root, data):
                 if isinstance(part, str):
                     inner = option.get("properties", {}).get(part, option.get("additionalProperties"))
                 else:
                     inner = option.get("items")
                 step += [inner] if isinstance(inner, Mapping) else []
-        found = step
+        found, data = step, child(data, part)
     yield from found
 
 
-def _keys(root: Schema, loc: Loc) -> list[str]:
-    return [key for s in _schemas_at(root, loc) for o in _options(s, root) for key in o.get("properties", {})]
+def _keys(root: Schema, loc: Loc, data: Any) -> list[str]:
+    schemas = list(_schemas_at(root, loc, data))
+    for part in loc:
+        data = child(data, part)
+    return [key for s in schemas for o in _of_its_kind(s, root, data) for key in o.get("properties", {})]
+
+
+def _of_its_kind(schema: Schema, root: Schema, data: Any) -> list[Schema]:
+    """Return what a schema is a choice of, less the blocks that some data are not by their discriminator."""
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
+    key, options = schema.get("discriminator", {}).get("propertyName"), list(_options(schema, root))
+    if key is None:
+        return options
+    return [o for o in options if o.get("properties", {}).get(key, {}).get("const") == child(data, key)]

@@ -27,6 +27,24 @@ _PLANT_ROWS = {
     "pneumatic_power_w": ("power of the air", "W"),
     "realtime_factor": ("real-time factor", "1"),
 }
+# The same of a run whose bends follow a reference, or of one on a bench.
+_BENCH_ROWS = {
+    "final_bend_rad": ("bend at the end", "rad"),
+    "rise_time_s": ("rise, 10 to 90 %", "s"),
+    "overshoot_rel": ("overshoot", "1"),
+    "settling_5_s": ("settled within 5 %", "s"),
+    "settling_2_s": ("settled within 2 %", "s"),
+    "steady_error_rad": ("mean error at rest", "rad"),
+    "steady_rms_rad": ("RMS error at rest", "rad"),
+    "ripple_pp_rad": ("ripple, peak-peak", "rad"),
+    "error_rms_rad": ("error, RMS", "rad"),
+    "amplitude_rel": ("amplitude, relative", "1"),
+    "phase_lag_rad": ("phase lag", "rad"),
+    "fit_residual_rad": ("beside sine, RMS", "rad"),
+    "inlet_openings": ("openings, inlet", "1"),
+    "outlet_openings": ("openings, outlet", "1"),
+    "realtime_factor": ("real-time factor", "1"),
+}
 _COMPARISON_ROWS = {
     "shape_rms_m": ("body shape, RMS", "m"),
     "path_rms_m": ("CoM path, RMS", "m"),
@@ -60,7 +78,7 @@ def rows(metrics: Mapping[str, Any]) -> list[Row]:
     """
     plants, stated = metrics["plants"], published(metrics["expectations"])
     found = []
-    for key, (heading, unit) in _PLANT_ROWS.items():
+    for key, (heading, unit) in (_BENCH_ROWS if _followed_or_held(plants) else _PLANT_ROWS).items():
         values = [each.get(key) for each in plants.values()]
         if all(value is None for value in values):
             continue
@@ -76,6 +94,12 @@ def rows(metrics: Mapping[str, Any]) -> list[Row]:
             text = _number(comparison[key])
             found.append(Row(heading, unit, blank, text, _number(stated.get(key, _NONE)[0])))
     return found
+
+
+def _followed_or_held(plants: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Say whether the bends followed a reference, or hung on a bench without one."""
+    said = [each.get(key) for each in plants.values() for key in ("error_rms_rad", "final_bend_rad")]
+    return any(value is not None for value in said)
 
 
 def show(result: RunResult) -> None:

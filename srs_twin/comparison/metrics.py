@@ -1,4 +1,4 @@
-"""Metrics of one trajectory: speed, turning, bends, valve openings, and what it cost to compute."""
+"""Metrics of one trajectory: gait, following a reference, valve openings, and what it cost to compute."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from srs_twin.comparison.energy import ENERGY_METRICS, energy_metrics
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.sampling import body_length, require
+from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
 from srs_twin.trajectory import Trajectory
 
 # Metrics of a plant that are one number each: what an expectation can name.
@@ -23,6 +24,8 @@ METRIC_UNITS = {
     "cost_of_transport": "1",
     "pneumatic_power_w": "W",
     "pneumatic_cost_of_transport": "1",
+    "final_bend_rad": "rad",
+    **TRACKING_UNITS,
     "wall_s": "s",
     "realtime_factor": "1",
 }
@@ -71,6 +74,9 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     - ``bend_bias_rad``: mean bend, head first.
     - what it costs: see `energy.energy_metrics`.
 
+    A run with a reference for the bends has `tracking.tracking_metrics`; they are None without. A run on a
+    bench without one has ``final_bend_rad``, the first segment's bend at its end.
+
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
     wall seconds (both None without a wall time).
@@ -90,8 +96,12 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     simulated = float(trajectory.time[-1] - trajectory.time[0])
     window = GaitWindow.of(trajectory)
     gait = dict.fromkeys(_GAIT_METRICS) if window is None else _gait_metrics(trajectory, window)
+    following = trajectory.has("reference")
+    ends = trajectory.metadata.get("base") == "clamped" and not following
     return {
         **gait,
+        **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
+        "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
         "valve_switches": trajectory.metadata.get("valve_switches"),
         "wall_s": wall_s,

@@ -1,9 +1,11 @@
 """Scenarios: one experiment each, read from a file, checked, and able to build its plants and controller."""
 
+from srs_twin.scenario.control import GaitSettings
 from srs_twin.scenario.expectation import Expectation, Outcome
 from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.scenario.scenario import AnalyticalSettings, GaitSettings, Scenario, TwinSettings
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.schema import scenario_json_schema
+from srs_twin.scenario.settings import AnalyticalSettings, TwinSettings
 
 __all__ = [
     "AnalyticalSettings",

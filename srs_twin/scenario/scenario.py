@@ -7,111 +7,24 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import UnknownNameError
+from srs_twin.scenario.control import ControllerSettings
 from srs_twin.scenario.expectation import Expectation
+from srs_twin.scenario.settings import (
+    AnalyticalSettings,
+    PlantSettings,
+    PneumaticsSettings,
+    SensorSettings,
+    TwinSettings,
+    default_tick,
+)
 from srs_twin.spec import RobotSpec
 from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
     from srs_twin.plants.base import Plant
-    from srs_twin.pneumatics import Pneumatics
 
-
-@dataclass(frozen=True)
-class GaitSettings:
-    """Open-loop gait (Eq. 13).
-
-    Attributes:
-        frequency: Hz.
-        offset: φ, positive to the left.
-        phase: ψ, rad.
-        phase_step: β, rad; None takes the robot's.
-    """
-
-    frequency: float
-    offset: float = 0.0
-    phase: float = 0.0
-    phase_step: float | None = None
-
-
-@dataclass(frozen=True)
-class PneumaticsSettings:
-    """Valves and chambers of both plants; all but `kind` are arguments of that kind in `pneumatics.KINDS`.
-
-    Attributes:
-        kind: "lag" or "orifice".
-        leak_per_s: 1/s.
-        valve_delay_s: s.
-        critical_ratio: b, "orifice" only.
-        flow_limit: m³/s at ambient pressure, "orifice" only; None: no limit.
-        line_volume: m³, "orifice" only.
-    """
-
-    kind: str = "lag"
-    leak_per_s: float = 0.0
-    valve_delay_s: float = 0.0
-    critical_ratio: float = 0.3
-    flow_limit: float | None = None
-    line_volume: float = 50e-6
-
-    def make(self, robot: RobotSpec, supply_pa: float) -> Pneumatics:
-        """Return fresh chambers of a robot."""
-        from srs_twin.pneumatics import make_pneumatics
-
-        options = asdict(self)
-        kind = options.pop("kind")
-        if kind == "lag":
-            options = {name: options[name] for name in ("leak_per_s", "valve_delay_s")}
-        return make_pneumatics(kind, robot, supply_pa=supply_pa, layout="3/2", **options)
-
-
-@dataclass(frozen=True)
-class AnalyticalSettings:
-    """How the analytical model runs; all but `gaps` are arguments of `AnalyticalSnake`.
-
-    Attributes:
-        gaps: whether the robot's rigid gaps are part of the body.
-        timestep: s.
-        tick: s.
-        model: "complete", "simplified" or "compliant".
-        friction: "axis", "wheel", "viscous" or "ellipse".
-        slip_speed: m/s.
-        friction_torque: whether friction's moment about the centre of mass acts.
-        inertia: "point", "connector" or "lumped".
-    """
-
-    gaps: bool = True
-    timestep: float = 0.002
-    tick: float = 0.02
-    model: str = "complete"
-    friction: str = "axis"
-    slip_speed: float = 0.00025
-    friction_torque: bool = True
-    inertia: str = "point"
-
-
-@dataclass(frozen=True)
-class TwinSettings:
-    """How the twin runs; all but `gaps` are arguments of `TwinSnake`.
-
-    Attributes:
-        gaps: whether the robot's rigid gaps are part of the body.
-        timestep: s.
-        tick: s.
-        wheels: "rolling" or "skid".
-        hinges_per_segment: bending hinges a segment.
-    """
-
-    gaps: bool = True
-    timestep: float = 0.001
-    tick: float = 0.02
-    wheels: str = "rolling"
-    hinges_per_segment: int = 2
-
-
-PlantSettings = AnalyticalSettings | TwinSettings
-
-_DEFAULTS: Mapping[str, PlantSettings] = {"analytical": AnalyticalSettings(), "twin": TwinSettings()}
+_KINDS = {"analytical": AnalyticalSettings, "twin": TwinSettings}
 
 
 @dataclass(frozen=True)
@@ -128,6 +41,9 @@ class Scenario:
         supply_pa: supply pressure, Pa.
         pneumatics: valves and chambers.
         allow_overpressure: whether a pressure above the robot's limit was asked for knowingly.
+        layout: of the valves, "3/2" or "in_out".
+        sensor: what controllers are told of the bends.
+        bench: whether the head is clamped, in the air.
         controller: what commands the valves.
         pose: start: centre of mass x, y (m) and mean heading (rad).
         world: obstacles, bounds, goal.
@@ -147,7 +63,10 @@ class Scenario:
     supply_pa: float
     pneumatics: PneumaticsSettings
     allow_overpressure: bool
-    controller: GaitSettings
+    layout: str
+    sensor: SensorSettings
+    bench: bool
+    controller: ControllerSettings
     pose: tuple[float, float, float]
     world: World
     plants: Mapping[str, PlantSettings]
@@ -167,13 +86,14 @@ class Scenario:
         Raises:
             UnknownNameError: another kind.
         """
-        settings = self.plants.get(kind) or _DEFAULTS.get(kind)
-        if settings is None:
-            raise UnknownNameError("plant", kind, _DEFAULTS)
-        arguments = asdict(settings) | changes
+        if kind not in _KINDS:
+            raise UnknownNameError("plant", kind, _KINDS)
+        settings = self.plants.get(kind) or _KINDS[kind](tick=default_tick(bench=self.bench))
         robot = robot or self.robot
+        hung = {"sensor": self.sensor.make(robot), "base": "clamped" if self.bench else "free"}
+        arguments = hung | asdict(settings) | changes
         robot = robot if arguments.pop("gaps") else _without_gaps(robot)
-        arguments["pneumatics"] = self.pneumatics.make(robot, self.supply_pa)
+        arguments["pneumatics"] = self.pneumatics.make(robot, self.supply_pa, self.layout)
         if kind == "analytical":
             from srs_twin.plants.analytical import AnalyticalSnake
 
@@ -184,10 +104,7 @@ class Scenario:
 
     def build_controller(self) -> Controller:
         """Return a fresh controller."""
-        from srs_twin.control.gait import Gait
-
-        gait = self.controller
-        return Gait(gait.frequency, gait.offset, phase=gait.phase, phase_step=gait.phase_step)
+        return self.controller.make()
 
 
 def _without_gaps(robot: RobotSpec) -> RobotSpec:

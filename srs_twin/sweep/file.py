@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from srs_twin.scenario.file import quantity, section
+from srs_twin.scenario.fields import quantity, section
 from srs_twin.validation import Strict
 
 MAX_FIELDS = 16
@@ -111,7 +111,7 @@ class SweepFile(Strict):
         section("Which plants run (default: those that the scenario names).", None)
     )
     periods: float | None = quantity(
-        "Simulated time in gait periods, instead of duration_s, rounded up to whole ticks",
+        "Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks",
         "",
         3.0,
         1000.0,

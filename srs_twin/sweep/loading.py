@@ -14,7 +14,7 @@ from srs_twin.files import find, results_name
 from srs_twin.robots import load_robot_file
 from srs_twin.running import versions
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
-from srs_twin.scenario.file import PLANTS
+from srs_twin.scenario.plants_file import PLANTS
 from srs_twin.sweep.file import RangeFile, SweepFile
 from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts
 from srs_twin.sweep.samples import sample

@@ -43,7 +43,7 @@ class Experiment:
     Attributes:
         base: plain data of the scenario, defaults and robot written out, `fixed` fields set.
         plants: which plants run.
-        periods: simulated time in gait periods; None: the scenario's duration_s.
+        periods: simulated time in periods of the gait or the reference; None: the scenario's duration_s.
         robots: name → plain data of each robot that the field `robot` takes.
         trajectories: whether they are kept.
     """
@@ -147,8 +147,9 @@ def leaves(data: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: float) -> Any:
-    """Return so many gait periods in whole ticks, s; the given duration where there is no such number."""
-    frequency = document.get("controller", {}).get("frequency_hz")
+    """Return so many periods of gait or reference in whole ticks, s; the given duration without them."""
+    controller = document.get("controller", {})
+    frequency = (controller.get("reference") or controller).get("frequency_hz")
     ticks = [document.get("plants", {}).get(plant, {}).get("tick_s", 0.02) for plant in plants]
     numbers = [frequency, *ticks]
     if not all(isinstance(n, int | float) and not isinstance(n, bool) and 0 < n < math.inf for n in numbers):

@@ -13,7 +13,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import SrsError
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, parse_scenario
-from srs_twin.scenario.file import PLANTS
+from srs_twin.scenario.plants_file import PLANTS
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 

@@ -41,6 +41,9 @@ STYLES = {
     "analytical": Style("analytical", "#D55E00", "--", 1.3),
     "measured": Style("measured", "#222222", ":", 1.8),
 }
+REFERENCE = Style("reference", "#000000", "-", 0.9)
+"""What the bends are to follow."""
+
 _MORE = ("#CC79A7", "#56B4E9", "#E69F00")
 
 

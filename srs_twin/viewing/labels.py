@@ -46,7 +46,7 @@ def metric_label(metric: str) -> str:
     unit = units.get(known, unit)
     for ending, words in _ENDINGS.items():
         if name.endswith(ending):
-            name = name.removesuffix(ending) + words
+            name = name.removesuffix(ending) + (words if known in COMPARISON_UNITS else ", relative")
             break
     title = {"wall": "time to compute"}.get(
         name, _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))

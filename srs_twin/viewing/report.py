@@ -16,6 +16,7 @@ from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.html import Markup, element, page, picture, table
 from srs_twin.viewing.plan_view import plan_view
 from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
+from srs_twin.viewing.tracking_plot import tracking_plot
 from srs_twin.viewing.why import why_section
 
 if TYPE_CHECKING:
@@ -28,7 +29,11 @@ _ENDINGS = {
     "_rel": ", relative", "_abs": ", size of difference", "_body": " over body length",
 }  # fmt: skip
 
-_READING = (
+_ALWAYS_READING = (
+    "A published value is what the dissertation states for this experiment; an expectation is what the "
+    "scenario file allows. A dash means that there is no such number: nothing periodic, or a straight path.",
+)
+_GAIT_READING = (
     "Both plants got the same valve commands. The analytical model (dashed, a ghost in the recording) is the "
     "reference, the MuJoCo twin (solid) the candidate; differences are twin minus analytical, in per cent "
     "where that is marked.",
@@ -38,8 +43,17 @@ _READING = (
     "Shape difference: both bodies are laid centre of mass on centre of mass at zero mean heading; the rest "
     "is the distance of like connectors, root mean square. Path difference: the distance of the centres of "
     "mass at equal times; it grows with every difference of speed or heading.",
-    "A published value is what the dissertation states for this experiment; an expectation is what the "
-    "scenario file allows. A dash means that there is no such number: nothing periodic, or a straight path.",
+    *_ALWAYS_READING,
+)
+_FOLLOWING_READING = (
+    "Each plant was driven by a controller of its own, with the same settings, which knows the bend from its "
+    "sensor only. The analytical model (dashed, a ghost in the recording) is the reference, the MuJoCo twin "
+    "(solid) the candidate; differences are twin minus analytical, in per cent where that is marked.",
+    "Of a step: rise from 10 to 90 % of it, overshoot as a share of it, settled from when on the bend stays "
+    "within so much of it. At rest: over the second half of the time since the reference last changed. Of a "
+    "sine: amplitude over the reference's and lag, by least squares over whole periods after a warm-up. An "
+    "opening is one of a valve, mean of both chambers. Bends are positive to the left.",
+    *_ALWAYS_READING,
 )
 
 
@@ -70,6 +84,7 @@ def write_report(
     check_drawable(trajectories)
     duration = max(float(run.time[-1]) for run in trajectories.values())
     plants = " and ".join(trajectories)
+    following = all(run.has("reference_1") for run in trajectories.values())
     parts = [
         element("h1", scenario_title),
         element("p", f"{spec.title}, {duration:g} s simulated, {plants}", cls="sub"),
@@ -80,7 +95,7 @@ def write_report(
         element("h2", "Plots"),
         *_pictures(trajectories, spec, comparison),
         element("h2", "How to read this"),
-        *(element("p", sentence) for sentence in _READING),
+        *(element("p", sentence) for sentence in (_FOLLOWING_READING if following else _GAIT_READING)),
         element("h2", "Settings"),
         *_settings(spec, trajectories, metrics.get("versions") or {}),
     ]
@@ -142,8 +157,11 @@ def _pictures(
         picture(plan_view(trajectories, spec), "Paths and bodies from above. Forward is from tail to head."),
         picture(bend_plot(trajectories), "Bend of each segment; positive bends the head end to the left."),
         picture(pressure_plot(trajectories), "Pressure of the + chamber less that of the − chamber."),
-        picture(speed_plot(trajectories), "Speed of the centre of mass."),
     ]
+    if all(run.has("reference_1") for run in trajectories.values()):
+        made.insert(0, picture(tracking_plot(trajectories), "How the first segment follows its reference."))
+    else:
+        made.append(picture(speed_plot(trajectories), "Speed of the centre of mass."))
     if comparison is not None and len(comparison.time):
         made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
     return made

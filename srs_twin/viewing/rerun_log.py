@@ -20,7 +20,7 @@ from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.blueprint import TIMELINE, Layout, run_blueprint
 from srs_twin.viewing.checks import check_drawable
-from srs_twin.viewing.colors import Style, style_of
+from srs_twin.viewing.colors import REFERENCE, Style, style_of
 from srs_twin.viewing.scene import Entities, send_snake
 from srs_twin.viewing.signals import forward_speed, gait_period, period_speed, pressure_difference
 
@@ -150,6 +150,9 @@ def _send_signals(log: rr.RecordingStream, plant: str, run: Trajectory, style: S
         _send_series(log, f"module/{j + 1}/bend/{plant}", run.time, bends[:, j], style)
         if np.isfinite(pressures).any():
             _send_series(log, f"module/{j + 1}/pressure/{plant}", run.time, 1e-3 * pressures[:, j], style)
+    if run.has("reference_1"):
+        for j, asked in enumerate(run.stack("reference").T, start=1):
+            _send_series(log, f"module/{j}/bend/reference", run.time, asked, REFERENCE)
     _send_series(log, f"body/heading/{plant}", run.time, run["heading"], style)
     period = gait_period(run)
     time, speed = (run.time, forward_speed(run)) if period is None else period_speed(run, period)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from srs_twin.comparison.sines import frequency_of
 from srs_twin.trajectory import Trajectory
 
 
@@ -18,6 +19,20 @@ def gait_period(trajectory: Trajectory) -> float | None:
     """Return the gait period in s, None where nothing is periodic."""
     frequency = trajectory.metadata.get("gait_frequency_hz")
     return 1.0 / frequency if frequency else None
+
+
+def reference_period(trajectory: Trajectory) -> float | None:
+    """Return the period of the first segment's reference in s: of a sine, or of what jumps to and fro."""
+    if not trajectory.has("reference_1"):
+        return None
+    time, reference = trajectory.time, trajectory["reference_1"]
+    jumps = time[1:][np.diff(reference) != 0]
+    if len(jumps) < 3:
+        return None
+    if len(np.unique(reference)) == 2:
+        return float(2 * np.median(np.diff(jumps)))
+    frequency = frequency_of(time, reference)
+    return None if frequency is None else 1 / frequency
 
 
 def forward_speed(trajectory: Trajectory) -> np.ndarray:

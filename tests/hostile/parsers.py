@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import hostile_bench
 import hostile_mjcf
 import hostile_parquet
 import warm
@@ -133,6 +134,16 @@ PARSERS: tuple[Parser, ...] = (
         values=anything_anywhere(plain_data(SCENARIO), lambda: list(ScenarioFile.model_fields)),
         command=("run", "{}"),
         identity=Identity(scenarios(), lambda scenario: yaml_bytes(scenario.document)),
+    ),
+    Parser(
+        name="bench",
+        suffix=".yaml",
+        good=hostile_bench.GOOD,
+        parse=load_scenario,
+        malformed=hostile_bench.MALFORMED,
+        values=anything_anywhere(plain_data(hostile_bench.GOOD), lambda: list(ScenarioFile.model_fields)),
+        command=("run", "{}"),
+        identity=Identity(hostile_bench.benches(), lambda scenario: yaml_bytes(scenario.document)),
     ),
     Parser(
         name="robot",

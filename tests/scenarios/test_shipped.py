@@ -21,6 +21,14 @@ MISSED = {
     "gen4_straight": {("twin", "com_speed_m_s")},
     # Open loop; Table 8 ran under iterative learning with unequal targets.
     "gen4_turn": {("twin", "turning_radius_m")},
+    # 66 degrees, where the text has 75: the gain is that of 8 psi (Fig. 20), and the law is linear.
+    "module_static": {("twin", "final_bend_rad"), ("analytical", "final_bend_rad")},
+    # 241, where 244 would do: pulses that run into each other are one opening.
+    "module_sine_6hz_iterative": {("twin", "inlet_openings"), ("analytical", "inlet_openings")},
+    # Gains that overshoot by 40 % serve nothing but this number: docs/module.md.
+    "module_step_iterative": {
+        (plant, metric) for plant in ("twin", "analytical") for metric in ("overshoot_rel", "settling_5_s")
+    },
 }
 
 
@@ -35,8 +43,10 @@ def test_runs_and_misses_what_is_known(name, tmp_path):
     }  # fmt: skip
     missed = {(outcome.of, outcome.metric) for outcome in result.outcomes if not outcome.met}
     assert missed == MISSED.get(name, set())
-    # Under the same valves, the same chambers: that much must be equal whatever the bodies do.
     both = result.trajectories
+    if both["twin"].has("reference"):
+        return  # each controller has followed its own module
+    # Under the same valves, the same chambers: that much must be equal whatever the bodies do.
     assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
     for valve in ("valve_plus", "valve_minus"):
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()

@@ -1,0 +1,104 @@
+"""Closed-loop frequency response of a module under both controllers, with spread (Fig. 44).
+
+    uv run python benchmarks/frequency_response.py [--results DIR] [--out docs/images/frequency_response.png]
+
+Runs the shipped sweeps fig44_direct and fig44_iterative, some minutes (rows that are there already stay),
+draws amplitude and lag of both on both benches, and prints them as a table. A bar is one standard deviation
+to both sides, over the periods of a run and over the draws of the sensor's noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+from grid import table
+from matplotlib.figure import Figure
+
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep.engines import local
+from srs_twin.viewing.figures import finish
+from srs_twin.viewing.sweep_plots import save
+
+FREQUENCY = "controller.reference.frequency_hz"
+CONTROLLERS = {"direct": "#0072B2", "iterative": "#D55E00"}
+PLANTS = {"analytical": ("--", "s"), "twin": ("-", "o")}
+SHOWN = {"amplitude_rel": "amplitude, over the reference's", "phase_lag_rad": "phase lag (rad)"}
+SPREAD = {"amplitude_rel": "amplitude_spread_rel", "phase_lag_rad": "phase_lag_spread_rad"}
+
+Columns = Mapping[str, np.ndarray]
+
+
+def results(controller: str, folder: Path) -> Columns:
+    """Return the sweep's columns, after running what is missing of it."""
+    name = f"fig44_{controller}"
+    with open_sweep(load_sweep(name), folder / name) as opened:
+        opened.run(local(None), opened.missing())
+        opened.finish()
+    read = pq.read_table(folder / name / "results.parquet")
+    return {column: read.column(column).to_numpy(zero_copy_only=False) for column in read.column_names}
+
+
+def response(columns: Columns, plant: str, metric: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequencies (Hz), means over the draws, and standard deviations over periods and draws."""
+    frequencies = np.unique(columns[FREQUENCY])
+    means, deviations = [], []
+    for frequency in frequencies:
+        rows = columns[FREQUENCY] == frequency
+        values, within = columns[f"{plant}.{metric}"][rows], columns[f"{plant}.{SPREAD[metric]}"][rows]
+        means.append(values.mean())
+        deviations.append(np.sqrt(np.mean(within**2) + values.var()))
+    return frequencies, np.array(means), np.array(deviations)
+
+
+def draw(found: Mapping[str, Columns]) -> Figure:
+    """Return amplitude and lag over frequency."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    for axes, (metric, label) in zip(figure.subplots(1, 2), SHOWN.items(), strict=True):
+        for controller, columns in found.items():
+            for plant, (dash, marker) in PLANTS.items():
+                frequency, mean, deviation = response(columns, plant, metric)
+                axes.errorbar(
+                    frequency, mean, deviation, color=CONTROLLERS[controller], linestyle=dash, marker=marker,
+                    markersize=4, linewidth=1.3, capsize=3, label=f"{controller} SMC, {plant}",
+                    markerfacecolor="none" if plant == "analytical" else None,
+                )  # fmt: skip
+        axes.set_xscale("log")
+        axes.set_xticks(frequency, [f"{each:g}" for each in frequency])
+        axes.minorticks_off()
+        axes.set_xlabel("frequency (Hz)", fontsize=9)
+        finish(axes, label)
+    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    figure.suptitle("A sine of 34.3°: closed-loop frequency response", x=0.01, ha="left", fontsize=10)
+    return figure
+
+
+def report(found: Mapping[str, Columns]) -> str:
+    """Return the table: mean ± standard deviation."""
+    frequencies = response(found["direct"], "twin", "amplitude_rel")[0]
+    rows = []
+    for controller, columns in found.items():
+        for plant in PLANTS:
+            for metric in SHOWN:
+                _, mean, deviation = response(columns, plant, metric)
+                cells = [f"{m:.3f} ± {d:.3f}" for m, d in zip(mean, deviation, strict=True)]
+                rows.append([controller, plant, SHOWN[metric], *cells])
+    return table(["SMC", "bench", "", *(f"{each:g} Hz" for each in frequencies)], rows)
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--results", type=Path, default=Path("runs/sweeps"), help="folder of the sweeps")
+    arguments.add_argument("--out", type=Path, help="picture to write, .png or .svg")
+    given = arguments.parse_args()
+    found = {controller: results(controller, given.results) for controller in CONTROLLERS}
+    if given.out is not None:
+        save(draw(found), given.out)
+    print(report(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""What the parts of a scenario must agree on: checked once each of them is sound."""
+
+from __future__ import annotations
+
+import math
+
+from srs_twin.control.steady import HoldValves
+from srs_twin.documents import Document
+from srs_twin.errors import InputError, TimeStepError, whole_steps
+from srs_twin.robot_file import RobotFile
+from srs_twin.scenario.control import ControllerSettings, controller_settings
+from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
+from srs_twin.scenario.settings import SensorSettings, default_tick
+
+_ROUNDED = 1.001
+"""A pressure stated with three digits may be that much above the limit that it means: 48.3 kPa, 7 psi."""
+
+
+def check(document: Document, file: ScenarioFile) -> None:
+    """Report what in a file contradicts something else in it, whatever the robot."""
+    _check_times(document, file)
+    _check_bench(document, file)
+    _check_expectations(document, file)
+    _check_gap_factor(document, file)
+
+
+def overpressure(document: Document, robot: RobotFile) -> list[str]:
+    """Refuse a supply pressure above the robot's limit, or warn of it where it was allowed.
+
+    This looks at the document itself, so that the pressure is judged even where another key is wrong.
+    """
+    given = document.get("supply", "pressure_kpa")
+    held = document.get("controller", "kind") == HoldValves.kind
+    limit = robot.supply.continuous_limit_kpa if held else robot.supply.pulsed_limit_kpa
+    number = isinstance(given, (int, float)) and not isinstance(given, bool) and math.isfinite(given)
+    if not number or given <= limit.value * (_ROUNDED if held else 1.0):
+        return []
+    how = "for as long as valves are held open" if held else "in pulses, as a gait gives it"
+    most = f"the {limit.value:g} kPa that {robot.name} may be given {how} ({limit.source})"
+    text = f"{given:g} kPa is above {most}"
+    if True in (document.get("allow_overpressure"), document.get("supply", "allow_overpressure")):
+        return [f"supply.pressure_kpa: {text}"]
+    document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true")
+    return []
+
+
+def _check_times(document: Document, file: ScenarioFile) -> None:
+    for kind in PLANTS:
+        plant = getattr(file.plants, kind)
+        if plant is None:
+            continue
+        tick = tick_of(file, kind)
+        key: tuple[str, ...] = ("plants", kind, "tick_s")
+        interval = 1 / file.record_hz
+        try:
+            if isinstance(plant, TwinFile):
+                whole_steps("tick", tick, "time step", plant.timestep_s)
+            key = ("duration_s",)
+            whole_steps("duration", file.duration_s, f"the {kind} plant's tick", tick)
+            key = ("record_hz",)
+            if interval > tick:
+                whole_steps("recording interval", interval, f"the {kind} plant's tick", tick)
+            else:
+                whole_steps(f"the {kind} plant's tick", tick, "recording interval", interval)
+                if isinstance(plant, TwinFile):
+                    whole_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
+        except TimeStepError as error:
+            document.report(key, str(error))
+
+
+def tick_of(file: ScenarioFile, kind: str) -> float:
+    """Return the control tick of a plant that the file names, s."""
+    given = getattr(file.plants, kind).tick_s
+    return default_tick(bench=file.bench) if given is None else float(given)
+
+
+def _check_bench(document: Document, file: ScenarioFile) -> None:
+    """On a bench there is no floor to lie on."""
+    if not file.bench:
+        return
+    if "start" in file.model_fields_set:
+        document.report(
+            ("start",), "what hangs on a bench starts where it is held; take one out", at_key=True
+        )
+    for kind, keys in NOT_ON_A_BENCH.items():
+        plant = getattr(file.plants, kind)
+        for key in keys:
+            if plant is not None and key in plant.model_fields_set:
+                document.report(
+                    ("plants", kind, key),
+                    "on a bench there is no floor; take it out, or bench: true",
+                    at_key=True,
+                )
+    analytical = file.plants.analytical
+    if analytical is not None and analytical.model == "compliant":
+        document.report(
+            ("plants", "analytical", "model"),
+            "compliant is for a free snake; on a bench the bends of complete are the free module's",
+        )
+
+
+def check_sensor(document: Document, settings: SensorSettings, robot: RobotFile) -> None:
+    """Report a sensor that cannot be calibrated."""
+    try:
+        settings.make(robot.spec())
+    except InputError as error:
+        document.report(("sensor",), str(error))
+
+
+def checked_controller(
+    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float
+) -> tuple[ControllerSettings, str, list[str]]:
+    """Return the controller, the layout of its valves and warnings; report why it cannot be had."""
+    spec = robot.spec()
+    limit = spec.actuator.gain * supply_pa
+    try:
+        settings = controller_settings(file.controller, limit)
+    except InputError as error:
+        document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
+        # What else is wrong is said as well.
+        settings = controller_settings(file.controller.model_copy(update={"beyond_range": "saturate"}), limit)
+    controller = settings.make()
+    layout = file.valves.layout or controller.layouts[0]
+    if layout not in controller.layouts:
+        document.report(
+            ("valves", "layout"),
+            f"{controller.kind} drives valves of layout {', '.join(controller.layouts)}, not {layout}"
+            + ("; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"),
+        )
+    for kind in PLANTS:
+        if getattr(file.plants, kind) is not None:
+            try:
+                controller.reset(spec, tick_of(file, kind))
+            except InputError as error:
+                document.report(("controller",), f"on the {kind} plant: {error}")
+    return settings, layout, _saturation(settings, limit)
+
+
+def _saturation(settings: ControllerSettings, limit: float) -> list[str]:
+    wanted = getattr(getattr(settings, "reference", None), "wanted", None)
+    if wanted is None:
+        return []
+    return [
+        f"controller.reference: asks for {wanted.peak:.4g} rad and is cut at {limit:.4g} rad, the most that "
+        "the segments bend by at this supply pressure"
+    ]
+
+
+def check_damping(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`)."""
+    bending = robot.bending
+    shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
+    twin = file.plants.twin
+    if twin is not None and not twin.timestep_s < shortest:
+        document.report(
+            ("plants", "twin", "timestep_s"),
+            f"{twin.timestep_s:g} s is too long for a robot whose damping times reach down to {shortest:g} s "
+            "(bending.damping_time_s, out_of_plane_damping_time_s); it must be shorter",
+        )
+
+
+def _check_expectations(document: Document, file: ScenarioFile) -> None:
+    runs = {kind for kind in PLANTS if getattr(file.plants, kind)}
+    for i, each in enumerate(file.expect):
+        if each.plant and each.plant not in runs:
+            document.report(("expect", i, "plant"), f"{each.plant} does not run here; add it to plants")
+        if each.of and len(runs) < 2:
+            document.report(("expect", i, "of"), "a comparison needs both plants; add the other to plants")
+
+
+def _check_gap_factor(document: Document, file: ScenarioFile) -> None:
+    """The dissertation's factor stands for gaps that the model does not have."""
+    analytical, twin = file.plants.analytical, file.plants.twin
+    if not file.comparison.gap_factor:
+        return
+    if analytical is None or twin is None:
+        document.report(
+            ("comparison", "gap_factor"), "a comparison needs both plants; add the other to plants"
+        )
+    elif analytical.gaps:
+        document.report(
+            ("comparison", "gap_factor"),
+            "the analytical plant has the gaps in its geometry already; set plants.analytical.gaps: false",
+        )

@@ -1,0 +1,149 @@
+"""Controllers of a scenario in SI, able to make the controller itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
+from srs_twin.scenario.control_file import (
+    ConstantFile,
+    ControllerFile,
+    DirectFile,
+    GaitFile,
+    HoldFile,
+    ReferenceFile,
+    SineFile,
+    SquareFile,
+    StaircaseFile,
+    StepFile,
+)
+
+if TYPE_CHECKING:
+    from srs_twin.control.base import Controller
+
+
+@dataclass(frozen=True)
+class GaitSettings:
+    """Open-loop gait (Eq. 13).
+
+    Attributes:
+        frequency: Hz.
+        offset: φ, positive to the left.
+        phase: ψ, rad.
+        phase_step: β, rad; None takes the robot's.
+    """
+
+    frequency: float
+    offset: float = 0.0
+    phase: float = 0.0
+    phase_step: float | None = None
+
+    def make(self) -> Controller:
+        """Return a fresh controller."""
+        from srs_twin.control.gait import Gait
+
+        return Gait(self.frequency, self.offset, phase=self.phase, phase_step=self.phase_step)
+
+
+@dataclass(frozen=True)
+class DirectSettings:
+    """Direct sliding mode control (Eq. 31).
+
+    Attributes:
+        reference: the bend to follow.
+        slope: D, 1/s.
+        epsilon: ε, rad/s.
+        cutoff_hz: of the velocity filter, Hz.
+    """
+
+    reference: Reference
+    slope: float
+    epsilon: float
+    cutoff_hz: float
+
+    def make(self) -> Controller:
+        """Return a fresh controller."""
+        from srs_twin.control.direct_smc import DirectSMC
+
+        return DirectSMC(self.reference, D=self.slope, epsilon=self.epsilon, cutoff_hz=self.cutoff_hz)
+
+
+@dataclass(frozen=True)
+class IterativeSettings:
+    """Iterative sliding mode control (Eq. 29).
+
+    Attributes:
+        reference: the bend to follow.
+        gain: K, s/rad.
+        slope: D, 1/s.
+        carrier_hz: of the pulse-width modulation, Hz.
+    """
+
+    reference: Reference
+    gain: float
+    slope: float
+    carrier_hz: float
+
+    def make(self) -> Controller:
+        """Return a fresh controller."""
+        from srs_twin.control.iterative_smc import IterativeSMC
+
+        return IterativeSMC(self.reference, K=self.gain, D=self.slope, carrier_hz=self.carrier_hz)
+
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """Valves that stay as they are.
+
+    Attributes:
+        plus: valves of the + chambers, "fill", "hold" or "vent".
+        minus: of the − chambers.
+    """
+
+    plus: str
+    minus: str
+
+    def make(self) -> Controller:
+        """Return a fresh controller."""
+        from srs_twin.control.steady import HoldValves
+
+        return HoldValves(self.plus, self.minus)
+
+
+ControllerSettings = GaitSettings | DirectSettings | IterativeSettings | HoldSettings
+
+
+def controller_settings(given: ControllerFile, limit: float) -> ControllerSettings:
+    """Return what a file says of its controller.
+
+    Args:
+        given: the file's section.
+        limit: the largest bend of the segments, rad.
+
+    Raises:
+        InputError: a reference beyond the limit that is to be refused.
+    """
+    if isinstance(given, GaitFile):
+        return GaitSettings(given.frequency_hz, given.offset, given.phase_rad, given.phase_step_rad)
+    if isinstance(given, HoldFile):
+        return HoldSettings(given.plus, given.minus)
+    reference = _reference(given.reference).within(limit, given.beyond_range)
+    if isinstance(given, DirectFile):
+        return DirectSettings(reference, given.d_per_s, given.epsilon_rad_per_s, given.cutoff_hz)
+    return IterativeSettings(reference, given.k_s_per_rad, given.d_per_s, given.carrier_hz)
+
+
+_PERIODIC: Mapping[type, type[Sine] | type[Square]] = {SineFile: Sine, SquareFile: Square}
+
+
+def _reference(given: ReferenceFile) -> Reference:
+    if isinstance(given, ConstantFile):
+        return Constant(given.bend_rad)
+    if isinstance(given, StepFile):
+        return Step(given.bend_rad, given.before_rad, given.time_s)
+    if isinstance(given, StaircaseFile):
+        return Staircase(tuple(given.bends_rad), given.hold_s)
+    make = _PERIODIC[type(given)]
+    return make(given.amplitude_rad, given.frequency_hz, given.phase_rad, given.offset_rad)

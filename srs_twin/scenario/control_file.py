@@ -1,0 +1,118 @@
+"""What a scenario file says of the controller and of the bend that it is to follow."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from srs_twin.control import direct_smc, iterative_smc
+from srs_twin.scenario.fields import quantity, section
+from srs_twin.validation import Strict
+
+_KIND = "Which controller."
+_SHAPE = "How the bend changes over time."
+_RIGHT = math.pi / 2
+
+Bend = Annotated[float, Field(ge=-_RIGHT, le=_RIGHT)]
+
+
+class GaitFile(Strict):
+    """Lateral undulation, open loop (Eq. 13)."""
+
+    kind: Literal["gait"] = section(_KIND)
+    frequency_hz: float = quantity("Gait frequency", "Hz", 0.01, 50.0)
+    offset: float = quantity("Steering offset, positive to the left", "", -0.95, 0.95, 0.0)
+    phase_rad: float = quantity("Phase at the start", "rad", -6.3, 6.3, 0.0)
+    phase_step_rad: float | None = quantity(
+        "Lag of each segment behind the one before it (default: the robot's)", "rad", -6.3, 6.3, None
+    )
+
+
+class ConstantFile(Strict):
+    """One bend for ever."""
+
+    kind: Literal["constant"] = section(_SHAPE)
+    bend_rad: float = quantity("Bend", "rad", -_RIGHT, _RIGHT)
+
+
+class StepFile(Strict):
+    """A jump from one bend to another."""
+
+    kind: Literal["step"] = section(_SHAPE)
+    bend_rad: float = quantity("Bend after the step", "rad", -_RIGHT, _RIGHT)
+    before_rad: float = quantity("Bend before it", "rad", -_RIGHT, _RIGHT, 0.0)
+    time_s: float = quantity("When it comes", "s", 0.0, 3600.0, 0.0)
+
+
+class _PeriodicFile(Strict):
+    amplitude_rad: float = quantity("Amplitude", "rad", 0.001, _RIGHT)
+    frequency_hz: float = quantity("Frequency", "Hz", 0.01, 50.0)
+    phase_rad: float = quantity("Phase at the start", "rad", -6.3, 6.3, 0.0)
+    offset_rad: float = quantity("Mean bend", "rad", -_RIGHT, _RIGHT, 0.0)
+
+
+class SineFile(_PeriodicFile):
+    """A sine."""
+
+    kind: Literal["sine"] = section(_SHAPE)
+
+
+class SquareFile(_PeriodicFile):
+    """A square wave."""
+
+    kind: Literal["square"] = section(_SHAPE)
+
+
+class StaircaseFile(Strict):
+    """One bend after another, each held for the same time; the last one stays."""
+
+    kind: Literal["staircase"] = section(_SHAPE)
+    bends_rad: Annotated[list[Bend], Field(min_length=1, max_length=1000)] = section("The bends, rad.")
+    hold_s: float = quantity("How long each is held", "s", 0.001, 3600.0)
+
+
+ReferenceFile = Annotated[
+    ConstantFile | StepFile | SineFile | SquareFile | StaircaseFile, Field(discriminator="kind")
+]
+
+
+class _FollowingFile(Strict):
+    reference: ReferenceFile = section("The bend that every segment is to follow.")
+    beyond_range: Literal["refuse", "saturate"] = section(
+        "What becomes of a reference beyond what the segments bend by at the supply pressure.", "refuse"
+    )
+
+
+class DirectFile(_FollowingFile):
+    """Sliding mode control by valve states, with separate inlet and outlet valves (Eq. 31)."""
+
+    kind: Literal["direct_smc"] = section(_KIND)
+    d_per_s: float = quantity("D, slope of the sliding manifold", "1/s", 0.001, 1000.0, direct_smc.D_PER_S)
+    epsilon_rad_per_s: float = quantity(
+        "ε, half the width of the dead zone", "rad/s", 0.0001, 1000.0, direct_smc.EPSILON_RAD_PER_S
+    )
+    cutoff_hz: float = quantity("Cutoff of the velocity filter", "Hz", 0.1, 1000.0, direct_smc.CUTOFF_HZ)
+
+
+class IterativeFile(_FollowingFile):
+    """Sliding mode control through the duty of pulse-width modulated 3/2 valves (Eq. 29)."""
+
+    kind: Literal["iterative_smc"] = section(_KIND)
+    k_s_per_rad: float = quantity("K, gain", "s/rad", 1e-5, 1000.0, iterative_smc.K_S_PER_RAD)
+    d_per_s: float = quantity("D, slope of the sliding manifold", "1/s", 0.001, 1000.0, iterative_smc.D_PER_S)
+    carrier_hz: float = quantity(
+        "Carrier of the pulse-width modulation", "Hz", 1.0, 1000.0, iterative_smc.CARRIER_HZ
+    )
+
+
+class HoldFile(Strict):
+    """Valves that stay as they are."""
+
+    kind: Literal["hold_valves"] = section(_KIND)
+    plus: Literal["fill", "hold", "vent"] = section("Valves of the + chambers.", "fill")
+    minus: Literal["fill", "hold", "vent"] = section("Valves of the - chambers.", "vent")
+
+
+ControllerFile = Annotated[GaitFile | DirectFile | IterativeFile | HoldFile, Field(discriminator="kind")]

@@ -1,0 +1,99 @@
+"""What a scenario file says of the plants."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from srs_twin.control.gait import SLOT_S
+from srs_twin.errors import TimeStepError, whole_steps
+from srs_twin.scenario.fields import quantity, section
+from srs_twin.validation import Strict
+
+PLANTS = ("analytical", "twin")
+
+NOT_ON_A_BENCH = {
+    "analytical": ("friction", "friction_torque", "slip_speed_m_s"),
+    "twin": ("wheels",),
+}
+"""Keys that say how a snake meets the floor; a module on a bench hangs in the air."""
+
+
+class _PlantFile(Strict):
+    """What both plants have in common."""
+
+    gaps: bool = section("Whether the rigid gaps of the segments are part of the body.", True)
+    timestep_s: float = quantity("Time step of the integrator", "s", 1e-5, 0.02, 0.001)
+    tick_s: float | None = Field(
+        default=None, ge=1e-5, le=1.0, title="Control tick",
+        description="Control tick in s, 1e-5 to 1; above 0.1 ms a multiple of it, the twin's of timestep_s "
+        "(default: 0.02, on a bench 0.001).",
+    )  # fmt: skip
+
+    @field_validator("tick_s")
+    @classmethod
+    def _whole_slots(cls, tick: float | None) -> float | None:
+        if tick is not None:
+            try:
+                whole_steps("tick", tick, "valve slot", min(SLOT_S, tick))
+            except TimeStepError as error:
+                raise ValueError(str(error)) from error
+        return tick
+
+
+class AnalyticalFile(_PlantFile):
+    """The dissertation's planar model."""
+
+    timestep_s: float = quantity("Longest step of the integrator", "s", 1e-5, 0.02, 0.002)
+    model: Literal["complete", "simplified", "compliant"] = section(
+        "complete: bends as the actuators give them; simplified: chords frozen at their straight length "
+        "besides; compliant: bends that load and inertia deflect.",
+        "complete",
+    )
+    friction_torque: bool = section(
+        "Whether friction's moment about the centre of mass acts; only simplified goes without.", True
+    )
+    inertia: Literal["point", "connector", "lumped"] = section(
+        "Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: "
+        "the dissertation's, which counts the segments twice.",
+        "point",
+    )
+    friction: Literal["axis", "wheel", "viscous", "ellipse"] = section(
+        "Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, "
+        "ellipse: two skids at the track, viscous: a law for tests.",
+        "axis",
+    )
+    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", "m/s", 1e-6, 0.1, 0.00025)
+
+    @model_validator(mode="after")
+    def _torque_is_there(self) -> AnalyticalFile:
+        if not self.friction_torque and self.model != "simplified":
+            raise ValueError(f"model {self.model} has a friction torque; only simplified goes without")
+        return self
+
+
+class TwinFile(_PlantFile):
+    """The MuJoCo twin."""
+
+    wheels: Literal["rolling", "skid"] = section(
+        "What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse).",
+        "rolling",
+    )
+    hinges_per_segment: int = quantity("Bending hinges a segment", "", 1, 32, 2)
+
+
+class PlantsFile(Strict):
+    """Which plants run, and how; one that is not named does not run."""
+
+    analytical: AnalyticalFile | None = section("The analytical model; {} for its defaults.", None)
+    twin: TwinFile | None = section("The MuJoCo twin; {} for its defaults.", None)
+
+    @model_validator(mode="after")
+    def _some(self) -> PlantsFile:
+        empty = [name for name in PLANTS if name in self.model_fields_set and getattr(self, name) is None]
+        if empty:
+            raise ValueError(f"{empty[0]} has nothing after it; write '{empty[0]}: {{}}' for its defaults")
+        if not self.model_fields_set:
+            raise ValueError("names no plant; write 'analytical: {}', 'twin: {}' or both")
+        return self

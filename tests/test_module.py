@@ -1,0 +1,378 @@
+"""The module of Chapter 4: both benches under the same controllers, and what these may know."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from smooth import Wave
+
+from srs_twin import AnalyticalSnake, Plant, SnakeState, TwinSnake, load_robot, rollout
+from srs_twin.comparison.compare import compare
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.control.direct_smc import DirectSMC
+from srs_twin.control.iterative_smc import IterativeSMC
+from srs_twin.control.reference import Sine, Step
+from srs_twin.control.steady import HoldValves
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.sensing import make_sensor
+
+MODULE = load_robot("gen4_module")
+STEP, SINE = Step(math.radians(25), time=0.1), Sine(math.radians(34.3), 6.0)
+WAYS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
+PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
+
+ways = pytest.mark.parametrize("way", WAYS)
+plants = pytest.mark.parametrize("kind", PLANTS)
+
+
+def bench(kind: str, way: str, **options) -> Plant:
+    """Return a bench with a noisy sensor and the valves that a controller needs."""
+    sensor = make_sensor("hall", MODULE, span=0.8)
+    layout = WAYS[way][1]
+    timestep = {"twin": {"timestep": 0.00025}}.get(kind, {})
+    return PLANTS[kind](
+        MODULE, base="clamped", tick=0.001, **{"layout": layout, "sensor": sensor} | timestep | options
+    )
+
+
+# What the scenarios say
+
+
+def module(**changes):
+    """Return the scenario of a step with some keys changed."""
+    data = {
+        "robot": "gen4_module", "duration_s": 1.0, "bench": True,
+        "controller": {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 0.4}},
+    }  # fmt: skip
+    return parse_scenario(data | changes, name="module")
+
+
+@pytest.mark.parametrize(
+    ("controller", "layout"),
+    [
+        ({"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 0.4}}, "in_out"),
+        ({"kind": "iterative_smc", "reference": {"kind": "constant", "bend_rad": 0.4}}, "3/2"),
+        ({"kind": "gait", "frequency_hz": 1.0}, "3/2"),
+        ({"kind": "hold_valves"}, "3/2"),
+        ({"kind": "hold_valves", "minus": "hold"}, "in_out"),
+    ],
+)
+def test_the_controller_decides_the_valves_and_a_bench_its_tick(controller, layout):
+    scenario = module(controller=controller)
+    assert scenario.layout == scenario.document["valves"]["layout"] == layout
+    for kind in PLANTS:
+        plant = scenario.build_plant(kind)
+        assert (plant.layout, plant.tick, plant.describe()["base"]) == (layout, 0.001, "clamped")
+    assert parse_scenario(scenario.document, name="module") == scenario
+
+
+def test_a_given_layout_stays_and_gaits_drive_it():
+    scenario = module(controller={"kind": "gait", "frequency_hz": 1.0}, valves={"layout": "in_out"})
+    assert scenario.build_plant("twin").layout == "in_out"
+
+
+def test_gains_given_and_gains_found():
+    default = module().build_controller()
+    given = module(
+        controller={
+            "kind": "direct_smc", "d_per_s": 3.0, "epsilon_rad_per_s": 0.5, "cutoff_hz": 7.0,
+            "reference": {"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 2.0},
+        }
+    ).controller  # fmt: skip
+    assert (given.slope, given.epsilon, given.cutoff_hz) == (3.0, 0.5, 7.0)
+    assert given.reference == Sine(0.3, 2.0)
+    plain = DirectSMC(STEP)
+    assert (default._slope, default._dead, default._cutoff) == (plain._slope, plain._dead, plain._cutoff)
+
+
+def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
+    controller = {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 1.2}}
+    with pytest.raises(InputFileError, match=r"asks for 68.75°.*41.97°.*beyond_range: saturate"):
+        module(controller=controller)
+    scenario = module(controller=controller | {"beyond_range": "saturate"})
+    (warning,) = scenario.warnings
+    assert "asks for 1.2 rad and is cut at 0.7326 rad" in warning
+    run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), 0.02)
+    assert run["reference_1"].max() == pytest.approx(0.7326, abs=1e-4)
+    assert [event.kind for event in run.events] == ["saturation"]
+    # More air, more range.
+    assert module(controller=controller, supply={"pressure_kpa": 80.0}).warnings == ()
+
+
+def test_what_a_sensor_cannot_be_is_refused():
+    for words, sensor in (
+        ("heights|within", {"kind": "hall", "distance_mm": 1.0}),
+        ("segment is 0.075 m long", {"kind": "hall", "distance_mm": 50.0}),
+    ):
+        changed = {"robot": {"base": "gen4_module"}, "sensor": sensor}
+        if words.startswith("segment"):
+            changed["robot"] = {"base": "gen4_module", "geometry": {"segment_length_m": 0.04}}
+            words = "segment is 0.04 m long"
+        with pytest.raises(InputFileError, match=words):
+            module(**changed)
+
+
+def test_pulses_too_fast_for_a_tick_are_refused_before_anything_runs():
+    with pytest.raises(
+        InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz does not fit"
+    ):
+        module(
+            controller={
+                "kind": "iterative_smc", "carrier_hz": 600,
+                "reference": {"kind": "constant", "bend_rad": 0.2},
+            },
+            plants={"twin": {"tick_s": 0.002}},
+        )  # fmt: skip
+
+
+@plants
+def test_valves_that_a_controller_cannot_drive_are_refused(kind):
+    with pytest.raises(InputError, match="drives valves of layout in_out; the .* plant has 3/2"):
+        rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
+    with pytest.raises(InputError, match="drives valves of layout 3/2; the .* plant has in_out"):
+        rollout(bench(kind, "iterative", layout="in_out"), IterativeSMC(STEP), 0.01)
+
+
+# Law of the bench
+
+
+@plants
+def test_the_head_stays_and_nothing_touches_the_tail(kind):
+    run = rollout(bench(kind, "direct"), DirectSMC(STEP), 0.4, record_hz=1000)
+    head = run.position[:, 0]
+    assert np.abs(head - head[0]).max() < 1e-12
+    assert np.abs(run["theta_1"]).max() < 1e-12
+    assert run["theta_2"] == pytest.approx(-run["bend_1"], abs=1e-9)
+    assert run["bend_1"].max() > 0.4
+
+
+@pytest.mark.parametrize(("kind", "allowed"), [("analytical", 1e-9), ("twin", 0.02)])
+def test_work_is_the_kinetic_energy(kind, allowed):
+    """Without a floor all that the segment does is in the motion: ∫T q̇ dt = E, from columns alone."""
+    heavy = replace(MODULE, mass=replace(MODULE.mass, connectors=(0.02, 0.02)))
+    plant = PLANTS[kind](
+        heavy,
+        base="clamped",
+        tick=0.001,
+        pneumatics=Wave(heavy),
+        **{"twin": {"timestep": 0.00025}}.get(kind, {}),
+    )
+    run = rollout(plant, HoldValves(), 1.0, record_hz=1000)
+    q, time = run["bend_1"], run.time
+    power = run["torque_1"] * np.gradient(q, time)
+    done = np.concatenate([[0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(time))])
+    # The moving end: its speed and its turning from the recorded places.
+    speed = np.gradient(run.position[:, 1], time, axis=0)
+    energy = heavy.mass.array()[1] * (speed**2).sum(axis=1) / 2
+    largest = energy.max()
+    assert largest > 1e-5
+    inner = slice(5, -5)
+    assert np.abs(run["work"] - energy)[inner].max() < (0.01 + allowed) * largest + _turning(kind, heavy, run)
+    assert np.abs(done - run["work"])[inner].max() < (0.01 + allowed) * largest
+
+
+def _turning(kind, spec, run):
+    """Return the largest energy of the end's own turning, which the twin has and point masses have not, J."""
+    spin = np.gradient(run["theta_2"], run.time)
+    return 0.0 if kind == "analytical" else float(1.1 * (spec.yaw_inertia()[1] * spin**2 / 2).max())
+
+
+def test_the_analytical_moment_is_that_of_lagrange():
+    """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
+    from srs_twin.plants.clamped import _Chain
+    from srs_twin.plants.kinematics import Solid
+
+    mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
+    solid = Solid(mass, inertia, 0.07, 0.004, 0.0)
+
+    def places(q):
+        """Return the connectors' places and headings by integrating the arcs piece by piece."""
+        x, angle, found = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
+        for bend in q:
+            ahead = np.array([np.cos(angle), np.sin(angle)])
+            x = x - 0.002 * ahead
+            pieces = 4000
+            middles = angle - bend * (np.arange(pieces) + 0.5) / pieces
+            x = x - 0.07 * np.array([np.cos(middles).mean(), np.sin(middles).mean()])
+            angle -= bend
+            x = x - 0.002 * np.array([np.cos(angle), np.sin(angle)])
+            found.append((x, angle))
+        return np.array([p for p, _ in found]), np.array([a for _, a in found])
+
+    def energy(q, dq, h=1e-5):
+        before, after = places(q - h * dq), places(q + h * dq)
+        v, w = (after[0] - before[0]) / (2 * h), (after[1] - before[1]) / (2 * h)
+        return float((mass * (v**2).sum(axis=1) + inertia * w**2).sum() / 2)
+
+    q, dq, ddq = np.array([0.5, -0.8]), np.array([2.0, 3.0]), np.array([-40.0, 25.0])
+    h = 1e-4
+
+    def momentum(q, dq):
+        return np.array([(energy(q, dq + h * e) - energy(q, dq - h * e)) / (2 * h) for e in np.eye(2)])
+
+    later, earlier = momentum(q + h * dq, dq + h * ddq), momentum(q - h * dq, dq - h * ddq)
+    slope = np.array([(energy(q + h * e, dq) - energy(q - h * e, dq)) / (2 * h) for e in np.eye(2)])
+    expected = (later - earlier) / (2 * h) - slope
+    found = _Chain.of(q[None], dq[None], ddq[None], solid).moments(solid)[0]
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+# Both benches
+
+
+@ways
+@pytest.mark.parametrize(("reference", "duration"), [(STEP, 0.8), (SINE, 1.0)], ids=["step", "sine"])
+def test_both_benches_agree_within_a_tenth(way, reference, duration):
+    runs = [rollout(bench(kind, way), WAYS[way][0](reference), duration, record_hz=1000) for kind in PLANTS]
+    ours, theirs = (plant_metrics(run) for run in runs)
+    told = 0
+    for name in (
+        "rise_time_s", "settling_5_s", "ripple_pp_rad", "error_rms_rad", "amplitude_rel", "phase_lag_rad",
+        "inlet_openings", "outlet_openings",
+    ):  # fmt: skip
+        if ours[name] is None:
+            assert theirs[name] is None
+            continue
+        told += 1
+        assert theirs[name] == pytest.approx(ours[name], rel=0.1, abs=1e-9), name
+    assert told >= 4
+    assert all(each["com_speed_m_s"] is None and each["final_bend_rad"] is None for each in (ours, theirs))
+    metrics = compare(*runs).metrics
+    assert metrics["bend_rms_rel"] < 0.02 and metrics["com_speed_rel"] is None
+
+
+def test_the_static_bend_is_the_gain_times_the_pressure():
+    for kind in PLANTS:
+        run = rollout(bench(kind, "direct", supply_pa=30e3), HoldValves("vent", "fill"), 1.5)
+        found = plant_metrics(run)
+        assert found["final_bend_rad"] == pytest.approx(-MODULE.actuator.gain * 30e3, rel=1e-4)
+        assert found["error_rms_rad"] is None
+
+
+@ways
+def test_direct_settles_soon_and_opens_few_valves(way):
+    """Of a step of 25°: direct within 0.25 s and without overshoot; iterative overshoots."""
+    found = plant_metrics(rollout(bench("twin", way), WAYS[way][0](STEP), 0.9, record_hz=1000))
+    if way == "direct":
+        assert found["settling_5_s"] <= 0.25
+        assert found["overshoot_rad"] <= found["sensed_ripple_pp_rad"]
+        assert found["inlet_openings"] <= 5
+    else:
+        assert found["overshoot_rel"] > 0.05
+        assert found["inlet_openings"] > 40
+
+
+# What a controller may know
+
+
+class Blindfolded(Plant):
+    """A bench whose states are not numbers, but for the time and what the sensor says."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self.name, self.spec, self.tick, self.layout = plant.name, plant.spec, plant.tick, plant.layout
+        self.commands: list[np.ndarray] = []
+
+    def reset(self, **start) -> SnakeState:
+        return self._hidden(self._plant.reset(**start))
+
+    def step(self, valves: np.ndarray) -> SnakeState:
+        self.commands.append(np.array(valves))
+        return self._hidden(self._plant.step(valves))
+
+    def _hidden(self, state: SnakeState) -> SnakeState:
+        blank = {
+            f.name: np.full(np.shape(getattr(state, f.name)), np.nan)
+            for f in fields(state) if f.name not in ("time", "sensed")
+        }  # fmt: skip
+        return replace(state, **blank)
+
+
+@plants
+@ways
+def test_controllers_read_the_sensor_and_nothing_else(kind, way):
+    blind, controller = Blindfolded(bench(kind, way)), WAYS[way][0](STEP)
+    state = blind.reset(seed=3)
+    controller.reset(blind.spec, blind.tick, seed=3)
+    for _ in range(300):
+        state = blind.step(controller.step(state))
+    seeing = bench(kind, way)
+    run = rollout(seeing, WAYS[way][0](STEP), 0.3, seed=3, record_hz=1000)
+    last = np.array([each if each.ndim == 2 else each[-1] for each in blind.commands])
+    assert (last[:, 0, 0] == run["valve_plus_1"][1:]).all()
+    assert (last[:, 0, 1] == run["valve_minus_1"][1:]).all()
+
+
+def test_a_sensor_that_has_drifted_leads_a_module_astray():
+    """What the controller cannot see it cannot correct: a bias of the sensor is an error of the bend."""
+    errors = []
+    for bias in (0.0, 0.2):
+        sensor = make_sensor("hall", MODULE, span=0.8, bias=bias)
+        run = rollout(bench("analytical", "direct", sensor=sensor), DirectSMC(STEP), 0.8, record_hz=1000)
+        errors.append(plant_metrics(run)["steady_error_rad"])
+        shift = abs(sensor.calibration.slope) * bias
+    assert abs(errors[1] - errors[0]) == pytest.approx(shift, rel=0.3)
+
+
+# What comes out
+
+
+def test_a_run_shows_how_the_reference_is_followed(tmp_path):
+    from srs_twin.cli.table import rows
+    from srs_twin.running import run_scenario
+
+    scenario = module(record_hz=1000, duration_s=0.3, sensor={"kind": "hall", "span_rad": 0.8})
+    result = run_scenario(scenario, tmp_path)
+    headings = {row.heading for row in rows(result.metrics)}
+    assert {"overshoot", "rise, 10 to 90 %", "openings, inlet"} <= headings
+    assert not headings & {"CoM speed", "path length", "yaw rate"}
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "How the first segment follows its reference." in page and "Speed of the centre" not in page
+    assert (tmp_path / "recording.rrd").stat().st_size > 10_000
+    assert load_scenario(tmp_path / "scenario.resolved.yaml") == scenario
+
+
+@pytest.mark.parametrize(
+    ("reference", "period"),
+    [
+        ({"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 5.0}, 0.2),
+        ({"kind": "square", "amplitude_rad": 0.3, "frequency_hz": 4.0}, 0.25),
+        ({"kind": "step", "bend_rad": 0.3, "time_s": 0.1}, None),
+    ],
+)
+def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
+    from srs_twin.viewing.signals import reference_period
+
+    scenario = module(controller={"kind": "direct_smc", "reference": reference})
+    run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), 1.0, record_hz=1000)
+    found = reference_period(run)
+    assert found == (None if period is None else pytest.approx(period, rel=1e-3))
+
+
+def test_a_sweep_counts_periods_of_the_reference():
+    from srs_twin.sweep import load_sweep
+
+    experiment = load_sweep("fig44_direct").experiment
+    for frequency in (0.25, 6.0):
+        document = experiment.document({"controller.reference.frequency_hz": frequency})
+        assert document["duration_s"] == pytest.approx(8 / frequency, abs=0.001)
+
+
+# As shipped
+
+
+def test_the_scenarios_of_the_chapter_have_one_set_of_gains():
+    from srs_twin.files import shipped_names
+
+    found = {}
+    for name in (each for each in shipped_names("scenario") if each.startswith("module_")):
+        settings = load_scenario(name).document["controller"]
+        gains = {k: v for k, v in settings.items() if k not in ("reference", "beyond_range", "kind")}
+        found.setdefault(settings["kind"], []).append(gains)
+    assert len(found["direct_smc"]) == len(found["iterative_smc"]) == 7
+    for gains in found.values():
+        assert all(each == gains[0] for each in gains)
