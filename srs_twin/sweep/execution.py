@@ -60,11 +60,6 @@ class Summary:
         """How many runs failed."""
         return sum(self.reasons.values())
 
-    @property
-    def complete(self) -> bool:
-        """Whether there is a row for every point."""
-        return self.done + self.failed == self.points
-
 
 def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> OpenSweep:
     """Lock a folder for a sweep and see what is there.
@@ -82,7 +77,7 @@ def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> OpenSwee
     try:
         return OpenSweep(sweep, folder, store, changed=changed)
     except BaseException:
-        store.__exit__(None, None, None)
+        store.close()
         raise
 
 
@@ -99,7 +94,7 @@ class OpenSweep:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._store.__exit__(kind, error, trace)
+        self._store.close()
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
         """Return the points without a row, or (asked for) with one that failed."""

@@ -16,11 +16,9 @@ from srs_twin.running import versions
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants_file import PLANTS
 from srs_twin.sweep.file import RangeFile, SweepFile
-from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts
+from srs_twin.sweep.points import NOT_PHYSICS, Experiment, Sweep, Value, leaves, parts
 from srs_twin.sweep.samples import sample
 from srs_twin.validation import validate
-
-_NOT_VARIED = ("name", "title", "expect")
 
 
 def load_sweep(name_or_path: str | os.PathLike[str]) -> Sweep:
@@ -97,7 +95,7 @@ class _Loading:
     def _check_names(self) -> None:
         for section in ("fixed", "vary"):
             for field in getattr(self._file, section):
-                if field.partition(".")[0] in _NOT_VARIED:
+                if field.partition(".")[0] in NOT_PHYSICS:
                     self._report(
                         section, field, "says how results are named or judged, not what is simulated"
                     )

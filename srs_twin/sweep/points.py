@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 Value = bool | int | float | str
 Changes = Mapping[str, Value]
 
-# What says how results are named or judged, not what is simulated.
-_NOT_PHYSICS = ("name", "title", "expect")
+NOT_PHYSICS = ("name", "title", "expect")
+"""Fields that say how results are named or judged, not what is simulated."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Sweep:
 
     def _key(self, document: Mapping[str, Any]) -> str:
         what = {
-            "scenario": {k: v for k, v in document.items() if k not in _NOT_PHYSICS},
+            "scenario": {k: v for k, v in document.items() if k not in NOT_PHYSICS},
             "plants": self.experiment.plants,
             "versions": self.versions,
         }

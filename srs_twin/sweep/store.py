@@ -63,6 +63,10 @@ class RowStore:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Unlock the folder."""
         # Closing also tidies up; on a full disk there is nothing to tidy with, and every row is safe.
         with contextlib.suppress(sqlite3.Error):
             self._base.close()
