@@ -74,7 +74,7 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
             body = _add_segment(mj, body, spec, i, i + step, numerics)
             _add_connector(mj, body, spec, i + step, numerics)
     for j in range(1, spec.segments + 1):
-        _add_muscles(mj, j, numerics)
+        _add_muscles(mj, spec, j, numerics)
         if numerics.constant_curvature:
             _bend_alike(mj, j, numerics)
     if free:
@@ -176,7 +176,8 @@ def _add_segment(
         body = body.add_body(name=name, pos=[ahead * (origins[k] - parent_origin), 0, 0])
         parent_origin = origins[k]
         anchor = ahead * (hinges[k] - origins[k])
-        _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
+        hinge = _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
+        hinge.springref = spec.modules.bias[j - 1] / n
         if k == n // 2 and numerics.base == "free":
             for kind in ("pitch", "roll"):
                 _add_joint(mj, body, kind, f"{kind}_{j}", ahead * (g.pitch / 2 - origins[k]), ahead)
@@ -189,11 +190,14 @@ def _add_segment(
     return body
 
 
-def _add_joint(mj: mujoco.MjSpec, body: mujoco.MjsBody, kind: str, name: str, x: float, ahead: int) -> None:
+def _add_joint(
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, kind: str, name: str, x: float, ahead: int
+) -> mujoco.MjsJoint:
     """Add a joint at x (m); where the chain grows ahead its axis is turned round, so that signs stay."""
     joint = body.add_joint(mj.find_default(kind), name=name, pos=[x, 0, 0])
     if ahead > 0:
         joint.axis = [-component for component in joint.axis]
+    return joint
 
 
 def _add_skin(
@@ -204,17 +208,17 @@ def _add_skin(
     body.add_geom(mj.find_default("skin"), name=name, fromto=[front, 0, z, back, 0, z])
 
 
-def _add_muscles(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
+def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics) -> None:
     """Add tendon ``bend_j`` and its two chambers."""
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, numerics.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
-    for name, sign in (("plus", 1), ("minus", -1)):
+    for name, sign, own in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
         actuator = mj.add_actuator(
             mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name,
             trntype=mujoco.mjtTrn.mjTRN_TENDON,
         )  # fmt: skip
-        actuator.gainprm[0] *= sign
+        actuator.gainprm[0] *= sign * own
 
 
 def _bend_alike(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:

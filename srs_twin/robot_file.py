@@ -8,42 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Discriminator, Field, Tag
 
 from srs_twin.documents import Loc
+from srs_twin.modules_file import ModulesFile
+from srs_twin.sourced import Record, between
 from srs_twin.spec import WHEEL_SHARE, Actuator, Bending, Chamber, Friction, Geometry, Mass, RobotSpec, Supply
 from srs_twin.validation import Strict
 
-Status = Literal["measured", "calibrated", "estimated"]
-Value = TypeVar("Value")
-Unit = TypeVar("Unit")
-
 PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
-
-
-class Record(Strict, Generic[Value, Unit]):
-    """One number and where it comes from."""
-
-    value: Value = Field(description="The number, in the unit that the key names.")
-    unit: Unit = Field(description="The unit, the same as in the key; '1' for a pure number.")
-    status: Status = Field(
-        description="measured: stated in the source as measured or set; "
-        "calibrated: found by a fit to measurements; estimated: our assumption."
-    )
-    source: str = Field(min_length=1, max_length=1000, description="Section, table, or how it was estimated.")
-
-    @classmethod
-    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        """Give the models of all records one readable name in JSON schemas."""
-        return "Record"
-
-
-def between(low: float, high: float) -> Any:
-    """Return the bounds of a number."""
-    return Field(ge=low, le=high)
 
 
 Seconds = Annotated[float, between(1e-6, 100.0)]
@@ -138,6 +114,11 @@ class ActuatorFile(Strict):
     at_pressure_kpa: Record[Pressure, Literal["kPa"]] = Field(
         description="Pressure in one chamber that gives bend_rad, kPa, 0.1 to 2000."
     )
+    bend_limit_rad: Record[Annotated[float, between(0.1, 6.3)], Literal["rad"]] | None = Field(
+        None,
+        description="Bend that no pressure exceeds, rad, 0.1 to 6.3; the law flattens towards it "
+        "(default: none, linear throughout).",
+    )
 
 
 class ChamberFile(Strict):
@@ -186,6 +167,9 @@ class RobotFile(Strict):
     chamber: ChamberFile
     supply: SupplyFile
     gait: GaitFile
+    modules: ModulesFile | None = Field(
+        None, description="How each module departs from the nominal one (default: not at all)."
+    )
 
     def records(self) -> dict[str, Record[Any, Any]]:
         """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
@@ -193,11 +177,15 @@ class RobotFile(Strict):
         return {
             f"{name}.{key}": getattr(section, key)
             for name, section in sections.items() if isinstance(section, Strict)
-            for key in type(section).model_fields
+            for key in type(section).model_fields if isinstance(getattr(section, key), Record)
         }  # fmt: skip
 
-    def spec(self) -> RobotSpec:
-        """Return the robot in SI."""
+    def spec(self, seed: int = 0) -> RobotSpec:
+        """Return the robot in SI.
+
+        Args:
+            seed: of what its modules leave to chance, where they name none themselves.
+        """
         geometry, bending, actuator, supply = self.geometry, self.bending, self.actuator, self.supply
         return RobotSpec(
             name=self.name,
@@ -225,6 +213,7 @@ class RobotFile(Strict):
                 tau_vent=actuator.tau_vent_s.value,
                 tau_mode=actuator.tau_mode_s.value,
                 gain=actuator.bend_rad.value / (actuator.at_pressure_kpa.value * PA_PER_KPA),
+                bend_limit=actuator.bend_limit_rad.value if actuator.bend_limit_rad else math.inf,
             ),
             chamber=Chamber(
                 dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
@@ -237,6 +226,7 @@ class RobotFile(Strict):
                 limit_source=supply.pulsed_limit_kpa.source,
             ),
             phase_step=self.gait.phase_step_rad.value,
+            variation=self.modules.draw(geometry.connectors.value - 1, seed) if self.modules else None,
         )
 
     def masses(self) -> list[float]:
@@ -258,9 +248,30 @@ class RobotFile(Strict):
                 f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
                 f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
             )
+        if self.modules is not None:
+            yield from self.modules.contradictions(connectors - 1)
         nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
         if nominal > limit:
             yield (
                 ("supply", "nominal_kpa", "value"),
                 f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
             )
+
+
+def units_of(section: str) -> dict[str, str]:
+    """Return the units of a section's records by key; nothing for what is no section."""
+    field = RobotFile.model_fields.get(section)
+    model = _among(field.annotation, Strict) if field else None
+    if model is None:
+        return {}
+    records = {key: _among(given.annotation, Record) for key, given in model.model_fields.items()}
+    return {
+        key: get_args(record.model_fields["unit"].annotation)[0]
+        for key, record in records.items() if record is not None
+    }  # fmt: skip
+
+
+def _among(annotation: Any, model: type[Strict]) -> type[Strict] | None:
+    """Return the first class of that kind in an annotation such as ``Record[…] | None``."""
+    classes = [each for each in (annotation, *get_args(annotation)) if isinstance(each, type)]
+    return next((each for each in classes if issubclass(each, model)), None)

@@ -9,7 +9,8 @@ from typing import Any
 from srs_twin.documents import Document, Loc, load_yaml
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.files import find
-from srs_twin.robot_file import Record, RobotFile
+from srs_twin.robot_file import RobotFile, units_of
+from srs_twin.sourced import Record
 from srs_twin.validation import validate
 
 
@@ -78,14 +79,18 @@ def _override(base: Mapping[str, Any], override: Mapping[str, Any], source: str)
         if name == "base":
             continue
         section = base.get(name)
+        if section is None and name in base and isinstance(value, Mapping):
+            section = {}
         if not (isinstance(section, Mapping) and isinstance(value, Mapping)):
             merged[name] = value
             continue
+        units = units_of(name)
         merged[name] = dict(section)
         for key, entry in value.items():
-            plain = key in section and not isinstance(entry, Mapping)
+            plain = key in units and not isinstance(entry, Mapping)
             changed = {"value": entry, "status": "estimated", "source": source}
-            merged[name][key] = section[key] | changed if plain else entry
+            before = section.get(key) or {"unit": units.get(key)}
+            merged[name][key] = before | changed if plain else entry
     return merged
 
 

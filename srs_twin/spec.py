@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.modules import Modules
 
 GRAVITY = 9.81
 """m/s²; loads of the friction laws and weight in MuJoCo alike."""
@@ -168,15 +169,18 @@ class Actuator:
         tau_vent: τ₁ of a venting chamber, s.
         tau_mode: τ₂, valve and fast mechanical mode, s.
         gain: free bend per differential chamber pressure, rad/Pa (C₀ over the pressure that gave it).
+        bend_limit: q_m, bend that no pressure exceeds, rad; infinite where the law is linear throughout.
     """
 
     tau_fill: float
     tau_vent: float
     tau_mode: float
     gain: float
+    bend_limit: float = math.inf
 
     def __post_init__(self) -> None:
         _positive(self, "tau_fill", "tau_vent", "tau_mode", "gain")
+        _require(self.bend_limit > 0, "bend_limit", self.bend_limit, "it must be above 0")
 
 
 @dataclass(frozen=True)
@@ -223,6 +227,7 @@ class RobotSpec:
         name: short name, also the name of its MJCF model.
         title: one line for people.
         phase_step: β, by which the gait of a segment lags the one before it, rad (E18).
+        variation: what is each module's own; None where all are nominal.
     """
 
     name: str
@@ -235,16 +240,25 @@ class RobotSpec:
     chamber: Chamber
     supply: Supply
     phase_step: float
+    variation: Modules | None = None
 
     def __post_init__(self) -> None:
         given, wanted = len(self.mass.connectors), self.geometry.connectors
         _require(given == wanted, "mass.connectors", given, f"the robot has {wanted} connectors")
         _require(math.isfinite(self.phase_step), "phase_step", self.phase_step, "it must be finite")
+        if self.variation is not None:
+            told = len(self.variation.gain)
+            _require(told == self.segments, "modules", told, f"the robot has {self.segments}")
 
     @property
     def segments(self) -> int:
         """Number of bending segments, N − 1."""
         return self.geometry.segments
+
+    @property
+    def modules(self) -> Modules:
+        """What is each module's own."""
+        return self.variation or Modules.alike(self.segments)
 
     def yaw_inertia(self) -> np.ndarray:
         """Return each connector's moment of inertia about its own vertical, wheels included, (N,), kg·m²."""

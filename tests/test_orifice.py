@@ -140,9 +140,9 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
         into, out = np.zeros((n, 2)), air.leak * (pressure - AMBIENT)
         for at in np.ndindex(n, 2):
             if state[at] == 1:
-                into[at] = fill * iso_6358(line, pressure[at], air.critical)
+                into[at] = fill[at] * iso_6358(line, pressure[at], air.critical)
             elif state[at] == -1:
-                out[at] += vent * iso_6358(pressure[at], AMBIENT, air.critical)
+                out[at] += vent[at] * iso_6358(pressure[at], AMBIENT, air.critical)
         turning = (actuator.gain * (pressure[:, 0] - pressure[:, 1]) - bend) / actuator.tau_mode
         supplied = into.sum()
         if air.limited:

@@ -10,14 +10,16 @@ from srs_twin.plants.floor import Floor
 from srs_twin.plants.given import Body, Motion
 from srs_twin.plants.kinematics import Solid
 from srs_twin.pneumatics import Trace
+from srs_twin.pneumatics.bending import air_bend
 from srs_twin.spec import RobotSpec
 
 
 class YieldingBends(Body):
     """Point masses on springs with dampers.
 
-    A segment feels the moment k G (p⁺ − p⁻) against its stiffness k and damping c = k · damping_time, so
-    that a massless free one obeys Eq. 14; masses and floor bend it further.
+    A segment feels the moment that `bending` tells, k G (p⁺ − p⁻) where all is nominal and linear, against
+    its stiffness k and damping c = k · damping_time, so that a massless free one obeys Eq. 14; masses and
+    floor bend it further.
     """
 
     yields = True
@@ -26,13 +28,14 @@ class YieldingBends(Body):
         super().__init__(solid, floor)
         bending = spec.bending
         self._spring = bending.stiffness, bending.damping
-        self._moment_per_pascal = bending.stiffness * spec.actuator.gain
+        self._spec, self._bias = spec, spec.modules.array("bias")
         self._segments = spec.segments
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
         self.state = np.zeros(compliant_kernels.BENDS + 2 * self._segments)
         self.state[:3] = pose
+        self.state[compliant_kernels.BENDS :][: self._segments] = self._bias
         self.velocity = np.zeros(3 + self._segments)
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
@@ -57,6 +60,6 @@ class YieldingBends(Body):
         return Motion(states[:, : kernels.STATES], velocities, bend, rate, torque)
 
     def _moments(self, trace: Trace) -> np.ndarray:
-        """Return what the chambers exert on each segment, N·m."""
-        moments: np.ndarray = self._moment_per_pascal * (trace.pressure[..., 0] - trace.pressure[..., 1])
+        """Return what chambers and bias exert on each segment, N·m."""
+        moments: np.ndarray = self._spring[0] * (self._bias + air_bend(self._spec, trace.pressure))
         return moments

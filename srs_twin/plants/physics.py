@@ -14,6 +14,7 @@ import numpy as np
 
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
+from srs_twin.pneumatics.bending import as_felt
 from srs_twin.spec import GRAVITY, RobotSpec
 
 # Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
@@ -122,7 +123,7 @@ class SnakePhysics(dm.Physics):
 
     def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
         raw = self.model.ptr
-        self._pneumatics = pneumatics
+        self._pneumatics, self._spec = pneumatics, spec
         self._free = numerics.base == "free"
         self._preload = preload_force(spec, numerics) * self._free
         self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
@@ -149,13 +150,16 @@ class SnakePhysics(dm.Physics):
         return columns
 
     def lay_down(self, pose: Pose) -> None:
-        """Reset to a straight snake at rest with its centre of mass at x, y (m) and heading (rad)."""
-        x, y, heading = pose
+        """Reset to a snake at rest with its centre of mass at x, y (m) and mean heading (rad).
+
+        It is straight but for what its modules bend by without pressure.
+        """
         with self.reset_context():
+            hinges = self._angles.sum(axis=1, keepdims=True)
+            bent = (self._spec.modules.array("bias")[:, None] * self._angles / hinges).sum(axis=0)
+            self.data.qpos[:] += bent
             if self._free:
-                offset = self.data.qpos[0] - self.data.subtree_com[0][0]
-                self.data.qpos[:2] = x + offset * np.cos(heading), y + offset * np.sin(heading)
-                self.data.qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
+                self._turn_to(pose)
         self.refresh()
         self._pneumatics.reset()
         self._schedule = self._pneumatics.schedule(self._pneumatics.valves, 1.0)
@@ -163,6 +167,15 @@ class SnakePhysics(dm.Physics):
         if self._free:
             # At rest every wheel carries its share of the weight, and its preload.
             self._floor_force[..., 2] = self._preload + self._rest_load
+
+    def _turn_to(self, pose: Pose) -> None:
+        """Put the centre of mass at x, y (m) and the mean heading (rad)."""
+        raw = self.data.ptr
+        self._place(raw)
+        turn = pose[2] - float(np.unwrap(self.connector_headings()).mean())
+        self.data.qpos[3:7] = np.cos(turn / 2), 0, 0, np.sin(turn / 2)
+        self._place(raw)
+        self.data.qpos[:2] += pose[:2] - raw.subtree_com[0][:2]
 
     def set_control(self, control: np.ndarray) -> None:
         """Command the valves for the next `step`: (segments, 2) or (slots, segments, 2)."""
@@ -192,7 +205,8 @@ class SnakePhysics(dm.Physics):
         model, data = self.model.ptr, self.data.ptr
         steps = len(pressure)
         controls = np.zeros((1, steps, model.nu))
-        controls[0, :, : pressure[0].size] = pressure.reshape(steps, -1)
+        # MuJoCo's muscles are linear in their control.
+        controls[0, :, : pressure[0].size] = as_felt(self._spec, pressure).reshape(steps, -1)
         states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
         mujoco.mj_getState(model, data, self._start[0], _STATE)
         _ENGINE.rollout(

@@ -14,6 +14,7 @@ from srs_twin.plants.divergence import believed
 from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
 from srs_twin.plausible import implausible, plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.pneumatics.bending import air_bend
 from srs_twin.records import joined
 from srs_twin.sensing import Sensor, make_sensor
 from srs_twin.spec import RobotSpec
@@ -100,6 +101,7 @@ class TwinSnake(Plant):
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
         self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
+        self._bias = spec.modules.array("bias")
         if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
             raise InputError(
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
@@ -227,7 +229,7 @@ class TwinSnake(Plant):
         if len(theta):
             self._theta = theta[-1].copy()  # what was handed out is no longer ours
         bending = self.spec.bending
-        air = bending.stiffness * self.spec.actuator.gain * (trace.pressure[..., 0] - trace.pressure[..., 1])
+        air = bending.stiffness * (self._bias + air_bend(self.spec, trace.pressure))
         return SnakeState(
             time=times,
             com=seen.com[:, :2],

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plausible import implausible, plausible
+from srs_twin.pneumatics.faults import StuckValve
 from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
 from srs_twin.spec import RobotSpec
 
@@ -70,9 +71,12 @@ class Pneumatics(ABC):
             air drawn from it, measured at the supply's pressure. Venting gives nothing back.
         openings: how often each chamber's inlet has opened, shape (segments, 2).
         valves: last valve states, shape (segments, 2).
+        stuck: valves that do not obey, none at first.
+        rest_bend: bends of free segments without pressure, shape (segments,), rad.
     """
 
     kind = "own"
+    stuck: tuple[StuckValve, ...] = ()
     feels_bend = False
     overshoot = 1.0
     felt_s = math.inf
@@ -83,13 +87,14 @@ class Pneumatics(ABC):
         not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
         self._segments = spec.segments
+        self.rest_bend = spec.modules.array("bias")
         self.reset()
 
     def reset(self) -> None:
         """Empty all chambers and close all inlets."""
         shape = (self._segments, 2)
         self.pressure = np.zeros(shape)
-        self.bend = np.zeros(self._segments)
+        self.bend = self.rest_bend.copy()
         self.air = 0.0
         self._elapsed = 0.0
         self.openings = np.zeros(shape, dtype=int)
@@ -142,10 +147,15 @@ class Pneumatics(ABC):
             )
 
     def effective(self, schedule: Schedule) -> Schedule:
-        """Return what the valves will really do while these commands are given: the same, delayed."""
-        if self._delay == 0.0:
-            return schedule
-        return self._coming.then(schedule).part(0.0, schedule.span)
+        """Return what the valves will do while these commands are given: these, late, but the stuck."""
+        happening = schedule
+        if self._delay:
+            happening = self._coming.then(schedule).part(0.0, schedule.span)
+        for valve in self.stuck:
+            happening = happening.stuck(
+                valve.since - self._elapsed, valve.segment - 1, valve.side, valve.state
+            )
+        return happening
 
     def advance(
         self,
@@ -199,7 +209,8 @@ class Pneumatics(ABC):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording (JSON values)."""
-        return {"kind": self.kind, "valve_delay_s": self._delay}
+        stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]} if self.stuck else {}
+        return {"kind": self.kind, "valve_delay_s": self._delay} | stuck
 
 
 def not_negative(**values: float) -> None:

@@ -1,13 +1,14 @@
 r"""LagPneumatics: chambers that fill and vent with a first-order lag, in closed form.
 
 A valve state +1 fills its chamber from the supply, −1 vents it, 0 holds it. Between valve events each
-chamber relaxes exponentially, p(t) = P + (p₀ − P) e^{−at}, with a = 1/τ₁ plus the leak. The bend of a
-module without load follows the chambers' difference with the lag τ₂,
+chamber relaxes exponentially, p(t) = P + (p₀ − P) e^{−at}, with a = 1/τ₁ plus the leak. The linear bend x of
+a module without load follows the chambers' difference with the lag τ₂,
 
-$$ \tau_2\,\dot q + q = G\,(p^+ - p^-), $$
+$$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
-so that for τ_fill = τ_vent = τ₁ it obeys Eq. 14–15 as corrected by E1 and E2:
-q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). Everything is evaluated in closed form, at any time.
+so that nominal modules with τ_fill = τ_vent = τ₁ obey Eq. 14–15 as corrected by E1 and E2:
+q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). φ, b and the gains g are those of `bending`. Everything is
+evaluated in closed form, at any time.
 A valve's 3 ms of switching are part of τ₂; a delay besides is 0 unless asked for.
 
 Air drawn: while a chamber fills, its content n = P V(q) grows by what comes in less what leaks, so a fill
@@ -24,6 +25,7 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
+from srs_twin.pneumatics.bending import flattened, gains
 from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
 from srs_twin.pneumatics.schedule import Schedule
 from srs_twin.spec import RobotSpec
@@ -58,13 +60,25 @@ class LagPneumatics(Pneumatics):
         not_negative(leak_per_s=leak_per_s)
         actuator, chamber = spec.actuator, spec.chamber
         self._leak = leak_per_s
-        # Relaxation rate a and asymptote P, indexed by valve state + 1.
-        self._rate = np.array([1 / actuator.tau_vent, 0.0, 1 / actuator.tau_fill]) + leak_per_s
-        self._asymptote = np.array([0.0, 0.0, supply_pa / actuator.tau_fill / self._rate[2]])
-        self._tau, self._gain = actuator.tau_mode, actuator.gain
+        fill = actuator.tau_fill * spec.modules.array("tau_fill")
+        vent = actuator.tau_vent * spec.modules.array("tau_vent")
+        # Chambers with the same time constants are of one kind, and share what is an exponential.
+        kinds, kind = np.unique(np.stack([fill.ravel(), vent.ravel()]), axis=1, return_inverse=True)
+        self._kind = kind.reshape(fill.shape)
+        # Relaxation rate a and asymptote P, by kind and valve state + 1.
+        self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + leak_per_s
+        self._asymptote = np.zeros_like(self._rate)
+        self._asymptote[:, 2] = supply_pa / kinds[0] / self._rate[:, 2]
+        self._tau, self._gain = actuator.tau_mode, gains(spec)
+        self._limit = actuator.bend_limit
         self._space = chamber.dead_volume, chamber.displacement
         self._worth = supply_pa / (supply_pa + AMBIENT_PA)
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
+
+    def reset(self) -> None:
+        """See `Pneumatics.reset`."""
+        super().reset()
+        self._linear = np.zeros(self._segments)
 
     def describe(self) -> dict[str, Any]:
         """See `Pneumatics.describe`."""
@@ -74,48 +88,56 @@ class LagPneumatics(Pneumatics):
         self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
     ) -> Trace:
         trace = Trace.empty(len(times), self._segments)
-        pressure, free = self.pressure.copy(), self.bend.copy()
+        pressure, linear = self.pressure.copy(), self._linear.copy()
+        free = np.empty(self._segments)
         drawn = _relax(
-            pressure, free, schedule.span, schedule.starts, schedule.states, times,
-            self._rate, self._asymptote, self._tau, self._gain, self._leak, self._space,
+            pressure, linear, free, schedule.span, schedule.starts, schedule.states, times, self._kind,
+            self._rate, self._asymptote, self._tau, self._gain, (self.rest_bend, self._limit), self._leak,
+            self._space,
             trace.pressure, trace.bend, trace.bend_rate, trace.bend_acceleration, trace.valves, trace.air,
         )  # fmt: skip
         np.multiply(trace.air, self._worth, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
+        self._linear = linear
         self.pressure, self.bend, self.air = pressure, free, self.air + self._worth * drawn
         return trace
 
 
 @compiled
 def _relax(  # type: ignore[no-untyped-def]  # noqa: D417
-    pressure, bend, span, starts, states, times, rates, asymptotes, tau, gain, leak, space,
-    p, q, dq, ddq, valves, air,
+    pressure, linear, bend, span, starts, states, times, kinds, rates, asymptotes, tau, gain, rest, leak,
+    space, p, q, dq, ddq, valves, air,
 ):  # fmt: skip
     """Fill the columns of a trace at `times`, advance to the end of the span, return the air drawn (J).
 
     Args:
         pressure: at the start, in place, shape (segments, 2), Pa.
-        bend: at the start, in place, shape (segments,), rad.
+        linear: x at the start, in place, shape (segments,), rad.
+        bend: out, at the end, same shape, rad.
         span: s.
         starts: of the valve states, shape (runs,), s.
         states: shape (runs, segments, 2).
         times: ascending, shape (times,), s.
-        rates: relaxation rates by valve state + 1, 1/s.
-        asymptotes: where the pressure relaxes to, Pa.
+        kinds: of each chamber, shape (segments, 2).
+        rates: relaxation rates by kind and valve state + 1, 1/s.
+        asymptotes: where the pressure relaxes to, same shape, Pa.
         tau: τ₂, s.
-        gain: G, rad/Pa.
+        gain: of each chamber, shape (segments, 2), rad/Pa.
+        rest: b, shape (segments,), rad, and q_m, rad.
         leak: λ, 1/s.
         space: V₀ (m³) and A (m³/rad) of a chamber.
         p, q, dq, ddq, valves, air: out, the columns of a `Trace`; air as amount drawn since the start, J.
     """
-    decay, lag = np.empty(3), np.empty(3)
+    decay, lag = np.empty_like(rates), np.empty_like(rates)
+    bias, limit = rest
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
         state, start = states[run], starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
         held, leaked, last = 0.0, 0.0, 0.0
         for j in range(bend.shape[0]):
-            held += _filling(state[j], pressure[j, 0], pressure[j, 1], bend[j], space, AMBIENT_PA)
+            free = bias[j] + flattened(linear[j], limit)[0]
+            held += _filling(state[j], pressure[j, 0], pressure[j, 1], free, space, AMBIENT_PA)
         while True:
             # Rows up to and at the end of the run, then the end itself, from which the next run starts.
             within = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
@@ -124,27 +146,33 @@ def _relax(  # type: ignore[no-untyped-def]  # noqa: D417
                 for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
                     mode = _fade(at, rates, tau, decay, lag)
                     for j in range(bend.shape[0]):
-                        plus, minus, turned = _segment(
-                            state[j], pressure[j], bend[j], asymptotes, gain, decay, lag, mode
+                        plus, minus, x = _segment(
+                            state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
                         )
-                        inside = _filling(state[j], plus, minus, turned, space, 0.0)
+                        free = bias[j] + flattened(x, limit)[0]
+                        inside = _filling(state[j], plus, minus, free, space, 0.0)
                         leaked += leak * (t - last) * weight * inside
                 last = t
             mode = _fade(t, rates, tau, decay, lag)
             content = 0.0
             for j in range(bend.shape[0]):
-                plus, minus, turned = _segment(
-                    state[j], pressure[j], bend[j], asymptotes, gain, decay, lag, mode
+                plus, minus, x = _segment(
+                    state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
                 )
+                turned, slope, curve = flattened(x, limit)
+                turned += bias[j]
                 content += _filling(state[j], plus, minus, turned, space, AMBIENT_PA)
                 if not within:
-                    pressure[j, 0], pressure[j, 1], bend[j] = plus, minus, turned
+                    pressure[j, 0], pressure[j, 1], linear[j], bend[j] = plus, minus, x, turned
                     continue
                 up, down = state[j, 0] + 1, state[j, 1] + 1
-                rise = rates[up] * (asymptotes[up] - plus) - rates[down] * (asymptotes[down] - minus)
-                speed = (gain * (plus - minus) - turned) / tau
-                p[row, j, 0], p[row, j, 1] = plus, minus
-                q[row, j], dq[row, j], ddq[row, j] = turned, speed, (gain * rise - speed) / tau
+                first, second = kinds[j, 0], kinds[j, 1]
+                rise = gain[j, 0] * rates[first, up] * (asymptotes[first, up] - plus)
+                rise -= gain[j, 1] * rates[second, down] * (asymptotes[second, down] - minus)
+                speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
+                p[row, j, 0], p[row, j, 1], q[row, j] = plus, minus, turned
+                dq[row, j] = slope * speed
+                ddq[row, j] = slope * (rise - speed) / tau + curve * speed * speed
                 valves[row, j, 0], valves[row, j, 1] = state[j, 0], state[j, 1]
             amount = drawn + leaked + content - held
             if not within:
@@ -157,22 +185,24 @@ def _relax(  # type: ignore[no-untyped-def]  # noqa: D417
 
 @compiled
 def _fade(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
-    """Fill what is left of a pressure's swing after t by valve state + 1, and of its lag; return τ₂'s."""
+    """Fill what is left of a pressure's swing after t, and of its lag; return what is left of τ₂'s."""
     mode = math.exp(-t / tau)
-    for s in range(3):
-        decay[s] = math.exp(-rates[s] * t)
-        lag[s] = _lag_of_exponential(rates[s], tau, t, decay[s], mode)
+    for kind in range(rates.shape[0]):
+        for s in range(3):
+            decay[kind, s] = math.exp(-rates[kind, s] * t)
+            lag[kind, s] = _lag_of_exponential(rates[kind, s], tau, t, decay[kind, s], mode)
     return mode
 
 
 @compiled
-def _segment(state, pressure, bend, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]
-    """Return both pressures and the bend of a segment from those of the run's start."""
-    up, down = state[0] + 1, state[1] + 1
-    high, low = pressure[0] - asymptotes[up], pressure[1] - asymptotes[down]
-    lagged = (asymptotes[up] - asymptotes[down]) * (1 - mode) + high * lag[up] - low * lag[down]
-    turned = bend * mode + gain * lagged
-    return asymptotes[up] + high * decay[up], asymptotes[down] + low * decay[down], turned
+def _segment(state, kind, pressure, linear, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]
+    """Return both pressures and the linear bend of a segment from those of the run's start."""
+    first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
+    end, other = asymptotes[first, up], asymptotes[second, down]
+    high, low = pressure[0] - end, pressure[1] - other
+    lagged = gain[0] * (end * (1 - mode) + high * lag[first, up])
+    lagged -= gain[1] * (other * (1 - mode) + low * lag[second, down])
+    return end + high * decay[first, up], other + low * decay[second, down], linear * mode + lagged
 
 
 @compiled

@@ -3,10 +3,11 @@ r"""OrificePneumatics: valves as orifices (ISO 6358), isothermal chambers that g
 Unknown are the amounts of air n = P V of every chamber, the free bends, and the line before the inlets:
 
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
-\tau_2\,\dot q_f + q_f = G\,(p^+ - p^-). $$
+\tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
-V(q) is the law of `chamber.py`, the flows are those of `flow.py`. Conductances follow from the robot's τ₁
-(`flow.conductances`); Λ is such that a held chamber at the working point loses its pressure at the rate
+φ, b and the gains g are those of `bending`, V(q) is the law of `chamber.py`, the flows are those of
+`flow.py`. Conductances follow from the robot's τ₁ (`flow.conductances`); Λ is such that a held chamber of a
+nominal module at the working point loses its pressure at the rate
 `leak_per_s`. Without a flow limit the line holds the supply's pressure. With one, a compressor with a
 regulator feeds the line's volume: at most the limit, measured at ambient, and less within the last
 hundredth of its pressure; all inlets share the line, so all segments starve together.
@@ -17,13 +18,15 @@ of its own that end on valve events; in between, cubics through values and slope
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.chamber import AMBIENT_PA
+from srs_twin.pneumatics.bending import flattened, gains
+from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
 from srs_twin.pneumatics.orifice_kernels import Plumbing, follow
 from srs_twin.pneumatics.schedule import Schedule
@@ -46,6 +49,7 @@ class OrificePneumatics(Pneumatics):
     """Chambers behind orifices (module docstring).
 
     Attributes:
+        conductances: of the inlets and of the outlets, each of shape (segments, 2), m³/(s Pa).
         line_pressure: between supply and inlets now, gauge, Pa.
         drawn: amount of air drawn from the supply since `reset`, P V, J.
         lost: amount vented and leaked since `reset`, P V, J.
@@ -65,6 +69,7 @@ class OrificePneumatics(Pneumatics):
         critical_ratio: float = CRITICAL_RATIO,
         flow_limit: float | None = None,
         line_volume: float = LINE_VOLUME,
+        line_begins: float | None = None,
         leak_per_s: float = 0.0,
         valve_delay_s: float = 0.0,
         substep: float = 5e-4,
@@ -78,6 +83,7 @@ class OrificePneumatics(Pneumatics):
             critical_ratio: b of all valves.
             flow_limit: most that the supply delivers, measured at ambient pressure, m³/s; None: no limit.
             line_volume: of the line between supply and inlets, m³; felt with a flow limit only.
+            line_begins: pressure in the line at first, gauge, Pa; default the supply's.
             leak_per_s: rate at which a held pressure falls, as a share of itself, 1/s.
             valve_delay_s: how much later than commanded a valve switches, s.
             substep: longest step of the integrator, s.
@@ -99,12 +105,20 @@ class OrificePneumatics(Pneumatics):
             raise InputError(
                 f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to {MOST_CRITICAL}"
             )
-        fill, vent, capacity = conductances(spec, critical_ratio)
-        self.conductances = fill, vent
+        *nominal, capacity = conductances(spec, critical_ratio)
+        begins = supply_pa if line_begins is None else line_begins
+        if not 0 <= begins <= supply_pa:
+            raise InputError(
+                f"line_begins {begins!r} Pa is not allowed; it must be 0 to the supply's {supply_pa:g}"
+            )
+        self._line_begins = begins + AMBIENT_PA
+        fill, vent = self.conductances = _each_chambers(spec, critical_ratio)
         self._plumbing = Plumbing(
             dead=spec.chamber.dead_volume,
             displacement=spec.chamber.displacement,
-            gain=spec.actuator.gain,
+            gain=gains(spec),
+            bias=spec.modules.array("bias"),
+            limit=spec.actuator.bend_limit,
             tau=spec.actuator.tau_mode,
             critical=critical_ratio,
             fill=REFERENCE_PA * fill,
@@ -121,9 +135,10 @@ class OrificePneumatics(Pneumatics):
             "critical_ratio": critical_ratio,
             "flow_limit_l_per_min": None if flow_limit is None else flow_limit * 60_000,
             "line_volume_ml": line_volume * 1e6 if limited else None,
+            "line_begins_kpa": begins / 1000 if limited else None,
             "leak_per_s": leak_per_s,
-            "conductance_fill_m3_per_s_pa": fill,
-            "conductance_vent_m3_per_s_pa": vent,
+            "conductance_fill_m3_per_s_pa": nominal[0],
+            "conductance_vent_m3_per_s_pa": nominal[1],
         }
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
@@ -132,9 +147,12 @@ class OrificePneumatics(Pneumatics):
         super().reset()
         air = self._plumbing
         self._state = np.zeros((self._segments, 3))
-        self._state[:, :2] = AMBIENT_PA * air.dead
+        for j in range(self._segments):
+            for side in range(2):
+                size, _ = volume(air.dead, air.displacement, air.bias[j], side)
+                self._state[j, side] = AMBIENT_PA * size
         # Amount in the line, drawn, lost.
-        self._books = np.array([air.supply * air.line, 0.0, 0.0])
+        self._books = np.array([self._line_begins * air.line, 0.0, 0.0])
 
     @property
     def line_pressure(self) -> float:
@@ -172,5 +190,22 @@ class OrificePneumatics(Pneumatics):
         )  # fmt: skip
         np.multiply(trace.air, self._worth, out=trace.air)
         self._state, self._books = state, books
-        self.pressure, self.bend, self.air = pressure, state[:, 2].copy(), self._worth * books[1]
+        free = [flattened(x, self._plumbing.limit)[0] for x in state[:, 2]]
+        self.pressure, self.bend, self.air = pressure, self.rest_bend + free, self._worth * books[1]
         return trace
+
+
+def _each_chambers(spec: RobotSpec, critical: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the conductances of each chamber's inlet and outlet, shape (segments, 2), m³/(s Pa)."""
+    modules, actuator = spec.modules, spec.actuator
+    rows = np.stack([modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")], axis=1)
+    known, which = np.unique(rows, axis=0, return_inverse=True)
+    found = []
+    for gain, fill, vent in known:
+        own = replace(
+            actuator, gain=gain * actuator.gain, tau_fill=fill * actuator.tau_fill,
+            tau_vent=vent * actuator.tau_vent,
+        )  # fmt: skip
+        found.append(conductances(replace(spec, actuator=own), critical)[:2])
+    fill, vent = np.array(found)[which.ravel()].T.reshape(2, spec.segments, 2)
+    return fill, vent

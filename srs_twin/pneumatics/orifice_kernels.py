@@ -1,8 +1,8 @@
 """The orifice chambers' equations and their integration, compiled; see `orifice.py`.
 
-A segment's state y is (n⁺, n⁻, q_f): amounts of air (J) and free bend (rad). The books are (n_line, drawn,
-lost), J. `given` tells that the volumes follow actual bends, `actual` = (bend, bend rate) of the stretch's
-start, and not the free ones.
+A segment's state y is (n⁺, n⁻, x): amounts of air (J) and linear bend (rad), see `bending`. The books are
+(n_line, drawn, lost), J. `given` tells that the volumes follow actual bends, `actual` = (bend, bend rate) of
+the stretch's start, and not the free ones.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compiled import compiled
+from srs_twin.pneumatics.bending import flattened
 from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import flow
 
@@ -29,11 +30,13 @@ class Plumbing(NamedTuple):
     Attributes:
         dead: V₀, m³.
         displacement: A, m³/rad.
-        gain: G, rad/Pa.
+        gain: of each chamber, shape (segments, 2), rad/Pa.
+        bias: b, shape (segments,), rad.
+        limit: q_m, rad.
         tau: τ₂, s.
-        critical: b.
-        fill: P₀ C of an inlet, m³/s.
-        vent: P₀ C of an outlet, m³/s.
+        critical: critical pressure ratio.
+        fill: P₀ C of each chamber's inlet, shape (segments, 2), m³/s.
+        vent: P₀ C of each chamber's outlet, same shape, m³/s.
         leak: Λ, J/(s Pa).
         supply: absolute, Pa.
         most: largest flow of the supply, J/s.
@@ -44,11 +47,13 @@ class Plumbing(NamedTuple):
 
     dead: float
     displacement: float
-    gain: float
+    gain: np.ndarray
+    bias: np.ndarray
+    limit: float
     tau: float
     critical: float
-    fill: float
-    vent: float
+    fill: np.ndarray
+    vent: np.ndarray
     leak: float
     supply: float
     most: float
@@ -58,12 +63,13 @@ class Plumbing(NamedTuple):
 
 
 @compiled
-def chamber(n, bend, side, state, line, air):  # type: ignore[no-untyped-def]
+def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     """Return what one chamber does.
 
     Args:
         n: amount of air, J.
         bend: that its volume follows, rad.
+        j: its segment.
         side: 0 for +, 1 for −.
         state: of its valve.
         line: absolute pressure before the inlets, Pa.
@@ -80,9 +86,10 @@ def chamber(n, bend, side, state, line, air):  # type: ignore[no-untyped-def]
     if state != 0:
         value, by_source, by_here = flow(line if state == 1 else AMBIENT_PA, pressure, air.critical)
         if state == 1:
-            come, come_line, come_here = air.fill * value, air.fill * by_source, air.fill * by_here
+            wide = air.fill[j, side]
+            come, come_line, come_here = wide * value, wide * by_source, wide * by_here
         else:
-            gone, gone_here = gone - air.vent * value, gone_here - air.vent * by_here
+            gone, gone_here = gone - air.vent[j, side] * value, gone_here - air.vent[j, side] * by_here
     return pressure, 1.0 / size, pressure * growth / size, come, come_here, come_line, gone, gone_here
 
 
@@ -109,21 +116,23 @@ def _newton(y, books, base, line_base, weight, state, given, bend, air, linear, 
     delivered, closing = supplied(line, air)
     rest = books[0] - line_base - weight * delivered
     steep = air.line - weight * closing
-    free, pull = 0.0 if given else 1.0, weight * air.gain / air.tau
     for j in range(y.shape[0]):
+        turned, follows, _ = flattened(y[j, 2], air.limit)
+        turned, follows = (bend[j], 0.0) if given else (air.bias[j] + turned, follows)
         matrix, by_line = 1.0 + weight / air.tau, 0.0
         missing = y[j, 2] * matrix - base[j, 2]
         for side in range(2):
             p, inverse, squeeze, come, come_here, come_line, gone, gone_here = chamber(
-                y[j, side], bend[j] if given else y[j, 2], side, state[j, side], line, air
+                y[j, side], turned, j, side, state[j, side], line, air
             )
-            squeeze *= free
+            squeeze *= follows
             here = weight * (come_here - gone_here)
             own = 1.0 - here * inverse
-            coupling, signed = here * squeeze / own, pull * (1.0 - 2.0 * side)
+            coupling = here * squeeze / own
+            signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
             linear[j, side, 0] = (base[j, side] + weight * (come - gone) - y[j, side]) / own
             linear[j, side, 1] = weight * come_line / own
-            missing -= signed * (p + inverse * linear[j, side, 0])
+            missing -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
             matrix += signed * (squeeze + inverse * coupling)
             by_line += signed * inverse * linear[j, side, 1]
             met[j, side, 0], met[j, side, 1], met[j, side, 2] = coupling, come, come_line
@@ -160,12 +169,12 @@ def _slopes(y, line_amount, state, given, bend, air, dy):  # type: ignore[no-unt
     come_all, gone_all = 0.0, 0.0
     for j in range(y.shape[0]):
         pull = -y[j, 2]
+        turned = bend[j] if given else air.bias[j] + flattened(y[j, 2], air.limit)[0]
         for side in range(2):
-            p, _, _, come, _, _, gone, _ = chamber(
-                y[j, side], bend[j] if given else y[j, 2], side, state[j, side], line, air
-            )
+            p, _, _, come, _, _, gone, _ = chamber(y[j, side], turned, j, side, state[j, side], line, air)
             dy[j, side] = come - gone
-            pull += (1.0 - 2.0 * side) * air.gain * p
+            # Of gauge pressures: gains differ, so what both chambers have in common counts.
+            pull += (1.0 - 2.0 * side) * air.gain[j, side] * (p - AMBIENT_PA)
             come_all, gone_all = come_all + come, gone_all + gone
         dy[j, 2] = pull / air.tau
     return supplied(line, air)[0] if air.limited else come_all, come_all, gone_all
@@ -266,7 +275,8 @@ def follow(  # type: ignore[no-untyped-def]  # noqa: D417
                 )  # fmt: skip
                 row = until
     for j in range(segments):
-        turned = actual[0, j] + actual[1, j] * span if given else y[j, 2]
+        free = air.bias[j] + flattened(y[j, 2], air.limit)[0]
+        turned = actual[0, j] + actual[1, j] * span if given else free
         for side in range(2):
             size = volume(air.dead, air.displacement, turned, side)[0]
             pressure[j, side] = y[j, side] / size - AMBIENT_PA
@@ -295,12 +305,15 @@ def _look(  # type: ignore[no-untyped-def]
         _extrapolate(bend, actual, begun + x * h)
         _slopes(y, line, state, given, bend, air, dy)
         for j in range(segments):
-            turned, rate = (bend[j], actual[1, j]) if given else (y[j, 2], dy[j, 2])
+            shown, slope, curve = flattened(y[j, 2], air.limit)
+            shown, speed = shown + air.bias[j], slope * dy[j, 2]
+            turned, rate = (bend[j], actual[1, j]) if given else (shown, speed)
             rise = 0.0
             for side in range(2):
                 size, growth = volume(air.dead, air.displacement, turned, side)
                 inside = y[j, side] / size
-                rise += (1.0 - 2.0 * side) * (dy[j, side] - inside * growth * rate) / size
+                signed = (1.0 - 2.0 * side) * air.gain[j, side]
+                rise += signed * (dy[j, side] - inside * growth * rate) / size
                 p[row, j, side], valves[row, j, side] = inside - AMBIENT_PA, state[j, side]
-            q[row, j], dq[row, j] = y[j, 2], dy[j, 2]
-            ddq[row, j] = (air.gain * rise - dy[j, 2]) / air.tau
+            q[row, j], dq[row, j] = shown, speed
+            ddq[row, j] = slope * (rise - dy[j, 2]) / air.tau + curve * dy[j, 2] * dy[j, 2]

@@ -49,6 +49,26 @@ class Schedule:
         starts = np.maximum(self.starts[first:last] - begin, 0.0)
         return Schedule(end - begin, starts, self.states[first:last])
 
+    def stuck(self, begin: float, segment: int, side: int, state: int) -> Schedule:
+        """Return the same with one valve in one state from `begin` (s) on.
+
+        Args:
+            begin: s, before the stretch or in it; after it nothing changes.
+            segment: from 0.
+            side: 0 for the + chamber's valve, 1 for the − chamber's.
+            state: in which it stays.
+        """
+        if begin >= self.span - _SAME:
+            return self
+        starts, states = self.starts, self.states
+        if not (np.abs(starts - max(begin, 0.0)) < _SAME).any():
+            after = int(np.searchsorted(starts, begin))
+            starts = np.insert(starts, after, begin)
+            states = np.insert(states, after, states[after - 1], axis=0)
+        states = states.copy()
+        states[starts > begin - _SAME, segment, side] = state
+        return Schedule(self.span, starts, states)
+
     def then(self, other: Schedule) -> Schedule:
         """Return this schedule and another after it as one."""
         same = int((self.states[-1] == other.states[0]).all())

@@ -9,7 +9,8 @@ from pydantic import model_validator
 from srs_twin.scenario.fields import quantity, section
 from srs_twin.validation import Strict
 
-ORIFICE_ONLY = ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml")
+ORIFICE_ONLY = ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml", "line_begins_kpa")
+_OF_THE_LINE = ("line_volume_ml", "line_begins_kpa")
 
 
 class SupplyFile(Strict):
@@ -46,13 +47,18 @@ class PneumaticsFile(Strict):
         "Volume between a limited supply and the inlets (orifice; default 50)", "ml", 1.0, 1e6, None
     )
 
+    line_begins_kpa: float | None = quantity(
+        "Pressure in that line at first, gauge (orifice; default: the supply's)", "kPa", 0.0, 2000.0, None
+    )
+
     @model_validator(mode="after")
     def _what_belongs_together(self) -> PneumaticsFile:
         given = [name for name in ORIFICE_ONLY if getattr(self, name) is not None]
         if given and self.kind != "orifice":
             raise ValueError(f"{given[0]} belongs to kind: orifice; set that, or take {given[0]} out")
-        if self.line_volume_ml is not None and self.flow_limit_l_per_min is None:
-            raise ValueError("line_volume_ml is felt only with flow_limit_l_per_min; give that too")
+        felt = [name for name in _OF_THE_LINE if getattr(self, name) is not None]
+        if felt and self.flow_limit_l_per_min is None:
+            raise ValueError(f"{felt[0]} is felt only with flow_limit_l_per_min; give that too")
         return self
 
 

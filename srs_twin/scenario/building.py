@@ -54,7 +54,7 @@ def build(
     document = file.model_dump(mode="json", exclude_none=True, exclude={"start"} if file.bench else None) | {
         "name": name,
         "title": title,
-        "robot": robot.model_dump(mode="json"),
+        "robot": robot.model_dump(mode="json", exclude_none=True),
         "supply": {"pressure_kpa": supply_kpa(file, robot)},
         "pneumatics": pneumatics_document,
         "valves": {"layout": layout},
@@ -68,7 +68,7 @@ def build(
     return Scenario(
         name=name,
         title=title,
-        robot=robot.spec(),
+        robot=robot.spec(file.seed),
         duration=file.duration_s,
         seed=file.seed,
         record_hz=file.record_hz,
@@ -77,6 +77,7 @@ def build(
         allow_overpressure=allow_overpressure,
         layout=layout,
         sensor=sensor,
+        faults=tuple(fault.make() for fault in file.faults),
         bench=file.bench,
         controller=controller,
         pose=(start.x_m, start.y_m, start.heading_rad),
@@ -131,6 +132,8 @@ def _pneumatics(file: PneumaticsFile) -> tuple[PneumaticsSettings, dict[str, Any
             document["line_volume_ml"] = round(settings.line_volume * ML, 6)
         else:
             settings = replace(settings, line_volume=file.line_volume_ml / ML)
+        if file.line_begins_kpa is not None:
+            settings = replace(settings, line_begins=file.line_begins_kpa * PA_PER_KPA)
     return settings, document
 
 

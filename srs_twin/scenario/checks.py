@@ -7,6 +7,7 @@ import math
 from srs_twin.control.steady import HoldValves
 from srs_twin.documents import Document
 from srs_twin.errors import InputError, TimeStepError, whole_steps
+from srs_twin.pneumatics.bending import largest_bend
 from srs_twin.robot_file import RobotFile
 from srs_twin.scenario.control import ControllerSettings, controller_settings
 from srs_twin.scenario.file import ScenarioFile
@@ -100,6 +101,17 @@ def _check_bench(document: Document, file: ScenarioFile) -> None:
         )
 
 
+def check_faults(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """Report what breaks in a segment that the robot does not have."""
+    segments = robot.geometry.connectors.value - 1
+    for k, fault in enumerate(file.faults):
+        if fault.segment > segments:
+            document.report(
+                ("faults", k, "segment"),
+                f"{fault.segment} is not allowed; {robot.name} has {segments} segments",
+            )
+
+
 def check_sensor(document: Document, settings: SensorSettings, robot: RobotFile) -> None:
     """Report a sensor that cannot be calibrated."""
     try:
@@ -113,7 +125,7 @@ def checked_controller(
 ) -> tuple[ControllerSettings, str, list[str]]:
     """Return the controller, the layout of its valves and warnings; report why it cannot be had."""
     spec = robot.spec()
-    limit = spec.actuator.gain * supply_pa
+    limit = largest_bend(spec, supply_pa)
     try:
         settings = controller_settings(file.controller, limit)
     except InputError as error:

@@ -9,6 +9,7 @@ from pydantic import Field, WithJsonSchema
 from srs_twin.scenario.air_file import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.control_file import ControllerFile
 from srs_twin.scenario.expectation_file import ExpectationFile
+from srs_twin.scenario.faults_file import FaultFile
 from srs_twin.scenario.fields import quantity, section
 from srs_twin.scenario.plants_file import AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.sensor_file import SensorFile
@@ -59,6 +60,7 @@ class ScenarioFile(Strict):
     )
     valves: ValvesFile = section("The valves of each chamber.", ValvesFile())
     sensor: SensorFile = section("What controllers are told of the bends.", SensorFile())
+    faults: Annotated[list[FaultFile], Field(max_length=200)] = section("What breaks, and when.", [])
     bench: bool = section(
         "Hold the head fast, in the air, as a module is held on a bench; on both plants, without a floor.",
         False,

@@ -12,7 +12,14 @@ from srs_twin.files import find, results_name
 from srs_twin.robot_file import RobotFile
 from srs_twin.robots import resolve_robot
 from srs_twin.scenario.building import build, sensors, supply
-from srs_twin.scenario.checks import check, check_damping, check_sensor, checked_controller, overpressure
+from srs_twin.scenario.checks import (
+    check,
+    check_damping,
+    check_faults,
+    check_sensor,
+    checked_controller,
+    overpressure,
+)
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.world_file import WorldFile
@@ -48,6 +55,7 @@ def _scenario(document: Document, name: str) -> Scenario:
         check(document, file)
         if robot:
             check_damping(document, file, robot)
+            check_faults(document, file, robot)
             check_sensor(document, sensors(file.sensor)[0], robot)
             controller, layout, said = checked_controller(document, file, robot, supply(file, robot))
             warnings += said

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import UnknownNameError
+from srs_twin.pneumatics.faults import StuckValve
 from srs_twin.scenario.control import ControllerSettings
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.settings import (
@@ -17,12 +18,14 @@ from srs_twin.scenario.settings import (
     TwinSettings,
     default_tick,
 )
+from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
 from srs_twin.spec import RobotSpec
 from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
     from srs_twin.plants.base import Plant
+    from srs_twin.pneumatics import Pneumatics
 
 _KINDS = {"analytical": AnalyticalSettings, "twin": TwinSettings}
 
@@ -43,6 +46,7 @@ class Scenario:
         allow_overpressure: whether a pressure above the robot's limit was asked for knowingly.
         layout: of the valves, "3/2" or "in_out".
         sensor: what controllers are told of the bends.
+        faults: what breaks.
         bench: whether the head is clamped, in the air.
         controller: what commands the valves.
         pose: start: centre of mass x, y (m) and mean heading (rad).
@@ -65,6 +69,7 @@ class Scenario:
     allow_overpressure: bool
     layout: str
     sensor: SensorSettings
+    faults: tuple[DeadSensor | StuckValve, ...]
     bench: bool
     controller: ControllerSettings
     pose: tuple[float, float, float]
@@ -90,10 +95,10 @@ class Scenario:
             raise UnknownNameError("plant", kind, _KINDS)
         settings = self.plants.get(kind) or _KINDS[kind](tick=default_tick(bench=self.bench))
         robot = robot or self.robot
-        hung = {"sensor": self.sensor.make(robot), "base": "clamped" if self.bench else "free"}
+        hung = {"sensor": self._sensors(robot), "base": "clamped" if self.bench else "free"}
         arguments = hung | asdict(settings) | changes
         robot = robot if arguments.pop("gaps") else _without_gaps(robot)
-        arguments["pneumatics"] = self.pneumatics.make(robot, self.supply_pa, self.layout)
+        arguments["pneumatics"] = self._chambers(robot)
         if kind == "analytical":
             from srs_twin.plants.analytical import AnalyticalSnake
 
@@ -101,6 +106,16 @@ class Scenario:
         from srs_twin.plants.twin import TwinSnake
 
         return TwinSnake(robot, supply_pa=self.supply_pa, **arguments)
+
+    def _chambers(self, robot: RobotSpec) -> Pneumatics:
+        chambers = self.pneumatics.make(robot, self.supply_pa, self.layout)
+        chambers.stuck = tuple(fault for fault in self.faults if isinstance(fault, StuckValve))
+        return chambers
+
+    def _sensors(self, robot: RobotSpec) -> Sensor:
+        sensor = self.sensor.make(robot)
+        dead = tuple(fault for fault in self.faults if isinstance(fault, DeadSensor))
+        return FaultySensor(sensor, dead) if dead else sensor
 
     def build_controller(self) -> Controller:
         """Return a fresh controller."""

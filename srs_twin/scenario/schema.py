@@ -41,23 +41,26 @@ def _renamed(node: Any, names: Mapping[str, str]) -> Any:
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of {base: …} with any field given as a plain number or as a whole record."""
 
-    def definition(node: dict[str, Any]) -> dict[str, Any]:
-        return definitions[node["$ref"].rsplit("/", 1)[1]]
+    def reference(node: dict[str, Any]) -> str | None:
+        return next((each["$ref"] for each in (node, *node.get("anyOf", ())) if "$ref" in each), None)
+
+    def definition(node: dict[str, Any]) -> dict[str, Any] | None:
+        found = reference(node)
+        return None if found is None else definitions[found.rsplit("/", 1)[1]]
+
+    def field(node: dict[str, Any]) -> dict[str, Any]:
+        record = definition(node)
+        if record is None:
+            return node
+        plain = {k: v for k, v in record["properties"]["value"].items() if k not in ("title", "description")}
+        return {"description": node["description"], "anyOf": [plain, {"$ref": reference(node)}]}
 
     properties: dict[str, Any] = {"base": {"type": "string", "description": "Name or path of the robot."}}
     for name, node in robot["properties"].items():
-        if "$ref" not in node:
+        section = definition(node)
+        if section is None:
             properties[name] = node
             continue
-        fields = {}
-        for key, record in definition(node)["properties"].items():
-            plain = definition(record)["properties"]["value"]
-            fields[key] = {
-                "description": record["description"],
-                "anyOf": [
-                    {k: v for k, v in plain.items() if k not in ("title", "description")},
-                    {"$ref": record["$ref"]},
-                ],
-            }
+        fields = {key: field(each) for key, each in section["properties"].items()}
         properties[name] = {"type": "object", "properties": fields, "additionalProperties": False}
     return {"type": "object", "properties": properties, "required": ["base"], "additionalProperties": False}

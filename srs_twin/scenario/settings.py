@@ -24,6 +24,7 @@ class PneumaticsSettings:
         critical_ratio: b, "orifice" only.
         flow_limit: m³/s at ambient pressure, "orifice" only; None: no limit.
         line_volume: m³, "orifice" only.
+        line_begins: Pa, "orifice" only; None: the supply's.
     """
 
     kind: str = "lag"
@@ -32,6 +33,7 @@ class PneumaticsSettings:
     critical_ratio: float = 0.3
     flow_limit: float | None = None
     line_volume: float = 50e-6
+    line_begins: float | None = None
 
     def make(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Return fresh chambers of a robot."""

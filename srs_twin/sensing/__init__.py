@@ -9,6 +9,7 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.sensing.base import IdealSensor, Sensor
 from srs_twin.sensing.calibration import Calibration, calibrate
 from srs_twin.sensing.curvature import CurvatureSensor
+from srs_twin.sensing.drift import DeadSensor, DriftedSensor, FaultySensor
 from srs_twin.sensing.hall import SPAN, HallSensor
 from srs_twin.sensing.strip import Strip
 from srs_twin.spec import RobotSpec
@@ -19,6 +20,9 @@ __all__ = [
     "KINDS",
     "Calibration",
     "CurvatureSensor",
+    "DeadSensor",
+    "DriftedSensor",
+    "FaultySensor",
     "HallSensor",
     "IdealSensor",
     "Sensor",
@@ -36,7 +40,7 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
 
     Args:
         kind: a name in `KINDS`, or a sensor made beforehand, which is returned as it is.
-        spec: the robot; its segments' length decides how far a strip bends.
+        spec: the robot; its segments' length decides how far a strip bends, its modules' drift is theirs.
         span: angles over which a Hall sensor is trimmed (unless `gain` is given) and calibrated, ± rad;
             nothing to other sensors.
         **options: attributes of `Strip` and `HallSensor`.
@@ -45,12 +49,24 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
         UnknownNameError: another name, or an option that the kind does not have.
         InputError: as the kind raises it, or options for a sensor that needs none.
     """
-    if isinstance(kind, Sensor) or kind == IdealSensor.kind:
-        if options:
-            raise InputError(f"this sensor takes no options; given: {', '.join(options)}")
-        return kind if isinstance(kind, Sensor) else IdealSensor()
-    if kind not in KINDS:
+    if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
+        raise InputError(f"this sensor takes no options; given: {', '.join(options)}")
+    if isinstance(kind, Sensor):
+        return kind
+    sensor: Sensor
+    if kind == IdealSensor.kind:
+        sensor = IdealSensor()
+    elif kind in KINDS:
+        sensor = _hall(spec, span, options)
+    else:
         raise UnknownNameError("sensor", kind, KINDS)
+    modules = spec.modules
+    if any(gain != 1 for gain in modules.sensor_gain) or any(modules.sensor_bias):
+        return DriftedSensor(sensor, modules.sensor_gain, modules.sensor_bias)
+    return sensor
+
+
+def _hall(spec: RobotSpec, span: float, options: dict[str, Any]) -> Sensor:
     for name in options.keys() - _STRIP - _HALL:
         raise UnknownNameError("option of sensor 'hall'", name, _STRIP | _HALL)
     strip = Strip(spec.geometry.segment_length, **{k: v for k, v in options.items() if k in _STRIP})

@@ -1,0 +1,398 @@
+"""Modules that are not alike: the chambers' law, both plants, drawing, files, drifted and dead sensors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.stats import kstest, norm
+from snakes import robot
+
+from srs_twin import AnalyticalSnake, InputError, RobotSpec, TwinSnake, load_robot, load_scenario, rollout
+from srs_twin.control.gait import Gait
+from srs_twin.control.steady import HoldValves
+from srs_twin.mjcf import robot_mjcf
+from srs_twin.mjcf_numerics import Numerics
+from srs_twin.modules import Modules
+from srs_twin.modules_file import ModulesFile
+from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
+from srs_twin.pneumatics.bending import air_bend, as_felt, flattened, largest_bend
+from srs_twin.pneumatics.faults import StuckValve
+from srs_twin.robots import load_robot_file
+from srs_twin.sensing import make_sensor
+
+SUPPLY = 131e3
+PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
+both = pytest.mark.parametrize("kind", PLANTS)
+
+
+def unlike(seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: float = 0.0) -> RobotSpec:
+    """Return a generation 4 whose modules all differ, with a largest bend (rad)."""
+    rng, spec = np.random.default_rng(seed), load_robot("gen4")
+    modules = Modules.of(
+        gain=rng.uniform(0.7, 1.3, (4, 2)), tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
+        tau_vent=rng.uniform(0.7, 1.3, (4, 2)), bias=rng.uniform(-bias, bias, 4),
+        sensor_gain=1 + rng.uniform(-sensors, sensors, 4), sensor_bias=rng.uniform(-sensors, sensors, 4),
+    )  # fmt: skip
+    return replace(spec, actuator=replace(spec.actuator, bend_limit=limit), variation=modules)
+
+
+def mirrored(spec: RobotSpec) -> RobotSpec:
+    """Return the robot seen in a mirror: its + chambers are the other's − chambers."""
+    modules = spec.modules
+    turned = {name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")}
+    other = {"bias": -modules.array("bias"), "sensor_bias": -modules.array("sensor_bias")}
+    variation = Modules.of(**turned, **other, sensor_gain=modules.array("sensor_gain"))
+    return replace(spec, variation=variation)
+
+
+# The law
+
+
+@settings(max_examples=100)
+@given(st.floats(-5, 5), st.floats(0.3, 3))
+def test_bends_flatten_towards_their_limit(x, limit):
+    value, slope, curve = flattened(x, limit)
+    assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
+    assert value**4 * (limit**4 + x**4) == pytest.approx((x * limit) ** 4, rel=1e-9, abs=1e-12)
+    step = 1e-4
+    ahead, behind = flattened(x + step, limit), flattened(x - step, limit)
+    assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
+    assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2)
+    assert flattened(x, np.inf) == (x, 1.0, 0.0)
+
+
+def test_what_mujoco_gets_bends_linear_muscles_as_far():
+    spec, pressure = unlike(), np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
+    linear = replace(spec, actuator=replace(spec.actuator, bend_limit=np.inf))
+    assert air_bend(linear, as_felt(spec, pressure)) == pytest.approx(air_bend(spec, pressure), rel=1e-12)
+    assert as_felt(linear, pressure) is pressure
+    full = np.array([SUPPLY, 0.0])
+    nominal = replace(spec, variation=None)
+    assert largest_bend(nominal, SUPPLY) == pytest.approx(air_bend(nominal, np.tile(full, (4, 1)))[0])
+
+
+def law(spec: RobotSpec, kind: str, leak: float):
+    """Return y' of (p⁺, p⁻, x) of segment 2 as the text has it, and its bend, for one valve state."""
+    modules, actuator = spec.modules, spec.actuator
+    g = actuator.gain * modules.array("gain")[1]
+    fill = actuator.tau_fill * modules.array("tau_fill")[1]
+    vent = actuator.tau_vent * modules.array("tau_vent")[1]
+
+    def rates(_, y, state):
+        p = y[:2]
+        flow = np.where(state == 1, (SUPPLY - p) / fill, np.where(state == -1, -p / vent, 0.0))
+        return [*(flow - leak * p), (g[0] * p[0] - g[1] * p[1] - y[2]) / actuator.tau_mode]
+
+    def bend(x):
+        m = actuator.bend_limit
+        return modules.bias[1] + x / (1 + (x / m) ** 4) ** 0.25
+
+    return rates, bend
+
+
+@pytest.mark.parametrize("leak", [0.0, 0.7])
+def test_lag_solves_the_equations_of_modules_that_differ(leak):
+    spec = unlike()
+    chambers = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
+    assert chambers.bend == pytest.approx(spec.modules.bias, abs=0)
+    rates, bend = law(spec, "lag", leak)
+    y, at = np.zeros(3), np.linspace(0.002, 0.05, 25)
+    for states in np.random.default_rng(2).choice([-1, 0, 1], size=(12, 4, 2)):
+        trace = chambers.advance(chambers.schedule(states, 0.05), at)
+        solution = solve_ivp(
+            rates, (0, 0.05), y, args=(states[1],), rtol=1e-10, atol=1e-10, method="LSODA", dense_output=True
+        )
+        y = solution.y[:, -1]
+        expected = solution.sol(at)
+        assert trace.pressure[:, 1].T == pytest.approx(expected[:2], abs=1e-5 * SUPPLY)
+        assert trace.bend[:, 1] == pytest.approx(bend(expected[2]), abs=1e-6)
+        step = 1e-6
+        ahead, behind = (bend(solution.sol(np.clip(at + d, 0, 0.05))[2]) for d in (step, -step))
+        inner = slice(0, -1)
+        assert trace.bend_rate[inner, 1] == pytest.approx(((ahead - behind) / (2 * step))[inner], abs=2e-3)
+    assert chambers.bend[1] == pytest.approx(bend(y[2]), abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["lag", "orifice"])
+def test_accelerations_are_the_rates_slopes(kind):
+    finer = {"substep": 5e-5} if kind == "orifice" else {}
+    chambers = make_pneumatics(kind, unlike(), supply_pa=SUPPLY, layout="3/2", **finer)
+    fill = np.tile([1, -1], (4, 1))
+    chambers.advance(chambers.schedule(fill, 0.05), np.zeros(0))
+    step = 1e-5
+    trace = chambers.advance(chambers.schedule(-fill, 0.04), np.arange(1, 4000) * step)
+    for value, rate, size in (
+        (trace.bend, trace.bend_rate, 30.0),
+        (trace.bend_rate, trace.bend_acceleration, 8e3),
+    ):
+        slope = (value[2:] - value[:-2]) / (2 * step)
+        # A chamber begins to grow where its segment comes through straight: a kink, once a segment.
+        assert np.quantile(np.abs(slope - rate[1:-1])[50:], 0.995) < 0.01 * size
+
+
+def test_orifice_chambers_that_differ_keep_their_air_and_come_to_the_same_rest():
+    spec = unlike()
+    chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
+    assert not np.abs(chambers.pressure).any()
+    air, displacement = chambers._plumbing.dead, spec.chamber.displacement
+
+    def content() -> float:
+        sizes = air + displacement * np.maximum(0, np.stack([chambers.bend, -chambers.bend], axis=1))
+        return float(((chambers.pressure + 101_325) * sizes).sum())
+
+    # The first amounts are those of bodies that are not straight.
+    before = 101_325 * (8 * air + displacement * np.abs(spec.modules.bias).sum())
+    chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 3.0), np.zeros(0))
+    assert chambers.drawn - chambers.lost == pytest.approx(content() - before, abs=1e-6 * before)
+    slow = LagPneumatics(spec, supply_pa=SUPPLY)
+    slow.advance(slow.schedule(np.tile([1, -1], (4, 1)), 3.0), np.zeros(0))
+    assert chambers.bend == pytest.approx(slow.bend, abs=1e-5)
+
+
+def test_slower_valves_of_one_chamber_pass_less_air():
+    spec = load_robot("gen4")
+    slow = np.ones((4, 2))
+    slow[2, 1] = 2.0
+    modules = replace(Modules.alike(4), tau_fill=tuple(map(tuple, slow.tolist())))
+    fill, vent = OrificePneumatics(replace(spec, variation=modules), supply_pa=SUPPLY).conductances
+    even_fill, even_vent = OrificePneumatics(spec, supply_pa=SUPPLY).conductances
+    assert vent == pytest.approx(even_vent, rel=1e-12)
+    assert even_fill / fill == pytest.approx(slow, rel=0.02)
+
+
+def test_a_line_that_begins_empty_fills_later():
+    spec = load_robot("gen4")
+    given = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
+    full, empty = OrificePneumatics(spec, **given), OrificePneumatics(spec, **given, line_begins=0.0)
+    for chambers in (full, empty):
+        chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
+    assert empty.bend.max() < 0.5 * full.bend.min()
+    with pytest.raises(InputError, match="line_begins 200000.0 Pa is not allowed"):
+        OrificePneumatics(spec, **given, line_begins=2e5)
+
+
+# Both plants
+
+
+@both
+def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
+    spec = unlike()
+    plant = PLANTS[kind](spec)
+    pose = (0.3, -0.2, 0.7)
+    state = plant.reset(pose=pose)
+    assert state.bend == pytest.approx(spec.modules.bias, abs=1e-12)
+    assert (*state.com, state.heading) == pytest.approx(pose, abs=1e-9)
+    run = rollout(plant, HoldValves("vent", "vent"), 0.5, pose=pose)
+    assert [run[name][-1] for name in ("com_x", "com_y", "heading")] == pytest.approx(pose, abs=1e-4)
+    assert run["bend_2"][-1] == pytest.approx(spec.modules.bias[1], abs=1e-3)
+
+
+@both
+@pytest.mark.parametrize("way", ["plus", "minus"])
+def test_the_static_bend_is_the_modules_own(kind, way):
+    """On a bench, where nothing but the air bends it; the formula is written out once more."""
+    spec = replace(load_robot("gen4_module"), variation=Modules.of(
+        gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
+        bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
+    ))  # fmt: skip
+    spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0))
+    plant = PLANTS[kind](spec, base="clamped", tick=0.001, supply_pa=48e3)
+    states = ("fill", "vent") if way == "plus" else ("vent", "fill")
+    run = rollout(plant, HoldValves(*states), 2.0)
+    x = spec.actuator.gain * 48e3 * (1.2 if way == "plus" else -0.8)
+    expected = 0.15 + x / (1 + x**4) ** 0.25
+    assert run["bend_1"][-1] == pytest.approx(expected, abs=1e-4)
+    assert run["sensed_1"][-1] == pytest.approx(1.1 * expected - 0.05, abs=1e-4)
+
+
+@both
+def test_the_mirrored_snake_in_the_mirrored_gait_goes_the_mirrored_way(kind):
+    spec = unlike(bias=0.05)
+    runs = [
+        rollout(PLANTS[kind](each, supply_pa=60e3), Gait(1.0, phase=phase), 2.0)
+        for each, phase in ((spec, 0.0), (mirrored(spec), np.pi))
+    ]
+    tolerance = 1e-6 if kind == "analytical" else 1e-4
+    assert runs[0]["heading"] == pytest.approx(-runs[1]["heading"], abs=tolerance)
+    assert runs[0]["com_y"] == pytest.approx(-runs[1]["com_y"], abs=tolerance)
+    assert abs(runs[0]["heading"][-1]) > 0.1
+
+
+def test_a_stiff_light_twin_bends_as_the_free_modules_would():
+    """The twin gets moments, the analytical model bends: only the law of `bending` makes them agree."""
+    spec = unlike()
+    stiff = replace(
+        spec,
+        bending=replace(spec.bending, stiffness=20.0),
+        friction=replace(spec.friction, mu_t=0.01, mu_n=0.05),
+    )
+    twin, free = (
+        rollout(plant(stiff, supply_pa=SUPPLY, **more), Gait(1.0), 1.5)
+        for plant, more in ((TwinSnake, {"timestep": 0.0005}), (AnalyticalSnake, {}))
+    )
+    for j in range(1, 5):
+        assert np.sqrt(np.mean((twin[f"bend_{j}"] - free[f"bend_{j}"]) ** 2)) < 0.01
+
+
+def test_the_exported_model_has_the_modules_gains_and_rest_bends():
+    spec = unlike()
+    model = robot_mjcf(spec, Numerics()).compile()
+    for j in range(1, 5):
+        hinges = [model.joint(f"hinge_{j}_{k}") for k in (1, 2)]
+        assert sum(model.qpos_spring[h.qposadr[0]] for h in hinges) == pytest.approx(spec.modules.bias[j - 1])
+        for side, name, sign in ((0, "plus", 1), (1, "minus", -1)):
+            wanted = sign * spec.bending.stiffness * spec.actuator.gain * spec.modules.gain[j - 1][side]
+            assert model.actuator(f"{name}_{j}").gainprm[0] == pytest.approx(wanted)
+
+
+# Faults
+
+
+@both
+@pytest.mark.parametrize(("state", "level"), [(1, 1.0), (-1, 0.0)])
+def test_a_stuck_valve_does_not_obey_from_then_on(kind, state, level):
+    plant = PLANTS[kind](robot("gen4"), supply_pa=48e3)
+    plant.pneumatics.stuck = (StuckValve(2, 0, state, since=0.513),)
+    run = rollout(plant, Gait(1.0), 3.0)
+    stuck, other = run["pressure_plus_2"], run["pressure_minus_2"]
+    assert np.ptp(run["valve_plus_2"][run["time"] > 0.53]) == 0
+    assert np.abs(stuck[run["time"] > 2.0] / 48e3 - level).max() < 1e-4
+    assert np.ptp(stuck[run["time"] < 0.5]) > 40e3 and np.ptp(other[run["time"] > 2.0]) > 40e3
+    assert plant.openings()[1, 0] <= 2 < plant.openings()[1, 1]
+
+
+def test_a_stuck_valve_within_a_stretch_is_stuck_to_the_moment():
+    chambers = LagPneumatics(robot("gen4"), supply_pa=48e3)
+    chambers.stuck = (StuckValve(1, 1, 1, since=0.01),)
+    at = np.array([0.01, 0.02])
+    trace = chambers.advance(chambers.schedule(np.full((4, 2), -1), 0.02), at)
+    tau = 0.1107
+    assert trace.pressure[:, 0, 1] == pytest.approx([0.0, 48e3 * (1 - np.exp(-0.01 / tau))], abs=1e-6)
+    assert not trace.pressure[:, 0, 0].any()
+
+
+# Drawing
+
+
+def test_drawn_modules_have_the_asked_spread_and_each_quantity_its_own_stream():
+    record = {"unit": "1", "status": "estimated", "source": "test"}
+    file = ModulesFile(
+        gain_spread={**record, "value": 0.15}, bias_spread_rad={**record, "value": 0.1, "unit": "rad"}
+    )
+    draws = [file.draw(4, seed) for seed in range(300)]
+    gains = np.array([each.gain for each in draws]).ravel()
+    assert kstest((gains - 1) / 0.15, norm.cdf).pvalue > 0.01
+    assert np.abs(gains - 1).max() <= 3 * 0.15 + 1e-12
+    biases = np.array([each.bias for each in draws])
+    assert np.abs(np.corrcoef(biases.T, gains.reshape(300, 8).T) - np.eye(12)).max() < 0.2
+    alone = ModulesFile(gain_spread={**record, "value": 0.15})
+    assert alone.draw(4, 7).gain == draws[7].gain and alone.draw(4, 7).bias == (0.0,) * 4
+    assert draws[7] == file.draw(4, 7) != draws[8]
+
+
+def test_listed_numbers_and_drawn_ones_come_together():
+    unit = {"unit": "1", "status": "measured", "source": "test"}
+    listed = [[1.0, 2.0], [0.5, 1.0]]
+    file = ModulesFile(gain={**unit, "value": listed}, gain_spread={**unit, "value": 0.1}, seed=3)
+    alone = ModulesFile(gain_spread={**unit, "value": 0.1})
+    assert np.array(file.draw(2, 99).gain) == pytest.approx(np.array(listed) * alone.draw(2, 3).gain)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"bias": (0.0,) * 3}, r"modules.bias has shape \(3,\); allowed: \(4,\)"),
+        (
+            {"bias": (0.0, 0.0, np.nan, 0.0)},
+            "modules.bias nan is not allowed; it must be -3.14159 to 3.14159",
+        ),
+        ({"tau_fill": ((1.0, 0.0),) * 4}, "modules.tau_fill 0 is not allowed; it must be 0.01 to 100"),
+    ],
+)
+def test_modules_that_cannot_be_are_refused(changed, words):
+    with pytest.raises(InputError, match=words):
+        replace(Modules.alike(4), **changed)
+
+
+def test_a_robot_of_another_length_is_refused():
+    with pytest.raises(InputError, match="modules: 3 is not allowed; the robot has 4"):
+        replace(load_robot("gen4"), variation=Modules.alike(3))
+
+
+# Files
+
+SCENARIO = """\
+robot:
+  base: gen4
+  modules: {gain_spread: 0.15, bias_rad: [0.1, 0, 0, -0.1], sensor_bias_rad: [0, 0.2, 0, 0]}
+  actuator: {bend_limit_rad: 1.5}
+duration_s: 1
+seed: 5
+supply: {pressure_kpa: 131}
+controller: {kind: gait, frequency_hz: 1.0}
+faults:
+  - {kind: dead_sensor, segment: 3, from_s: 0.5}
+  - {kind: dead_sensor, segment: 4, reading_rad: 0.25}
+  - {kind: stuck_valve, segment: 1, chamber: minus, stuck: open}
+"""
+
+
+def test_a_scenario_names_modules_and_faults(tmp_path):
+    path = tmp_path / "one.yaml"
+    path.write_text(SCENARIO)
+    scenario = load_scenario(path)
+    assert scenario.robot.modules.bias == (0.1, 0.0, 0.0, -0.1) and scenario.robot.actuator.bend_limit == 1.5
+    assert len({*np.ravel(scenario.robot.modules.gain)}) == 8
+    for kind in PLANTS:
+        run = rollout(scenario.build_plant(kind), scenario.build_controller(), 1.0)
+        late = run["time"] >= 0.5
+        assert np.isnan(run["sensed_3"][late]).all() and np.isfinite(run["sensed_3"][~late]).all()
+        assert (run["sensed_4"] == 0.25).all()
+        assert run["sensed_2"] == pytest.approx(run["bend_2"] + 0.2)
+        assert run["pressure_minus_1"][-1] > 0.99 * 131e3
+    (tmp_path / "two.yaml").write_text(SCENARIO.replace("seed: 5", "seed: 6"))
+    assert load_scenario(tmp_path / "two.yaml").robot != scenario.robot
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("segment: 3,", "segment: 5,", "10:34: faults[0].segment: 5 is not allowed; gen4 has 4 segments"),
+        ("[0.1, 0, 0, -0.1]", "[0.1, 0]", "modules.bias_rad: 2 entries for 4 segments; give 4, head first"),
+        ("gain_spread: 0.15", "gain_spred: 0.15", "unknown key; did you mean gain_spread?"),
+        ("gain_spread: 0.15", "gain_spread: 3", "a number from 0 to 0.3"),
+        ("bend_limit_rad: 1.5", "bend_limit_rad: 9", "a number from 0.1 to 6.3"),
+        ("stuck: open", "stuck: ajar", "open"),
+    ],
+)
+def test_what_is_wrong_is_said_where_it_stands(tmp_path, old, new, words):
+    path = tmp_path / "bad.yaml"
+    path.write_text(SCENARIO.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        load_scenario(path)
+    assert words in str(caught.value) and "bad.yaml:" in str(caught.value)
+
+
+def test_a_robot_file_with_modules_loads_and_names_their_sources(tmp_path):
+    text = load_robot_file("gen4").model_dump(mode="json", exclude_none=True)
+    record = {"unit": "1", "status": "measured", "source": "bench, 2026"}
+    text["modules"] = {"gain": {**record, "value": [[1.1, 0.9]] * 4}}
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps(text))
+    assert load_robot(path).modules.gain == ((1.1, 0.9),) * 4
+    assert load_robot_file(path).records()["modules.gain"].source == "bench, 2026"
+
+
+def test_drifted_sensors_keep_their_own_noise():
+    spec = unlike(sensors=0.1)
+    drifted, plain = make_sensor("hall", spec), make_sensor("hall", replace(spec, variation=None))
+    bend, time = np.full((5, 4), 0.3), np.arange(5) * 0.01
+    expected = plain.read(bend, time, 3) * spec.modules.sensor_gain + spec.modules.sensor_bias
+    assert drifted.read(bend, time, 3) == pytest.approx(expected)
+    assert drifted.kind == "hall" and "drift_gain" in drifted.describe()
