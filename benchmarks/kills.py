@@ -2,13 +2,15 @@
 
     uv run python benchmarks/kills.py [--kills 200] [--runs 400] [--seed 0]
 
-Kills the sweep itself or one of its workers by SIGKILL, at random times after its start or its latest row;
-starts it again until it is done, as often as needed. The rows must be those of a sweep that nobody disturbed.
+Kills the sweep itself, one of its workers or the server that they come from by SIGKILL, at random times after
+its start or its latest row; starts it again until it is done, as often as needed. The rows must be those of a
+sweep that nobody disturbed.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -40,7 +42,7 @@ class Kills:
     """What was killed.
 
     Attributes:
-        victims: "sweep" or "worker" → how often.
+        victims: "sweep", "worker" or "server" → how often.
         starts: how often the sweep was started.
         rows: rows that were there after each kill.
     """
@@ -75,17 +77,18 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
                 if process.returncode == WORKERS_DIED:
                     break
                 raise RuntimeError(f"done after {sum(found.victims.values())} kills only: take more runs")
-            workers = children(process.pid)
-            worker = rng.choice(workers) if workers and rng.random() < 0.5 else None
-            os.kill(worker or process.pid, signal.SIGKILL)
-            found.victims["worker" if worker else "sweep"] += 1
-            if worker is None:
+            who, pid = _victim(process.pid, rng)
+            with contextlib.suppress(ProcessLookupError):  # ended by itself, or with its server, just now
+                os.kill(pid, signal.SIGKILL)
+                found.victims[who] += 1
+            if who == "sweep":
                 break
         code = process.wait()
         found.rows.append(rows(out))
         if code == 0:
             return found
-        # A point whose workers were killed three times in a row is a failed row, and tried again.
+        # A point whose workers were killed three times in a row is a failed row, and tried again; so is the
+        # sweep where three workers in a row were killed before they could begin.
         if code not in (-signal.SIGKILL, WORKERS_DIED):
             raise RuntimeError(
                 f"the sweep ended with {code}: {process.stderr.read() if process.stderr else ''}"
@@ -98,13 +101,30 @@ def start(sweep: Path, out: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
 
 
+def _victim(sweep: int, rng: random.Random) -> tuple[str, int]:
+    """Choose who is killed: the sweep every other time, else a worker, now and then the server."""
+    if rng.random() < 0.5:
+        return "sweep", sweep
+    servers = [pid for pid in children(sweep) if b"forkserver" in _command_line(pid)]
+    workers = [pid for server in servers for pid in children(server)]
+    if workers and rng.random() < 0.8:
+        return "worker", rng.choice(workers)
+    return ("server", servers[0]) if servers else ("sweep", sweep)
+
+
 def children(pid: int) -> list[int]:
-    """Return the worker processes of a sweep."""
+    """Return the processes that a process has started."""
     try:
-        own = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        return [int(each) for each in own if b"spawn_main" in Path(f"/proc/{each}/cmdline").read_bytes()]
+        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
         return []
+
+
+def _command_line(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b""
 
 
 def rows(out: Path) -> int:

@@ -4,7 +4,7 @@
 
 fig31: the 1,736 points of Fig. 31 with two workers. workers: the same points with one and with two. engines:
 the digests of one grid by one worker, two, and Ray. twins: what twins of one robot cost in processes, in
-threads of one process, and as a batch. ray: what a Ray of one's own adds.
+threads of one process, and stepped together in `mujoco.batch`. ray: what a Ray of one's own adds.
 """
 
 from __future__ import annotations
@@ -16,14 +16,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from grid import table
 
+from srs_twin import DivergedError, Job, Trajectory, run_many
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.scenario import Scenario, parse_scenario
 from srs_twin.sweep import Sweep, load_sweep
-from srs_twin.sweep.engines import local
-from srs_twin.sweep.task import run_point
+from srs_twin.sweep.engines import Engine, local
+from srs_twin.sweep.task import _flat
+
+Found = Mapping[str, Mapping[str, float | None]]
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
 GRID = """\
@@ -63,15 +69,16 @@ def fig31(folder: Path, repetitions: int) -> None:
 def workers(folder: Path, repetitions: int) -> None:
     """Compare one worker with two: the whole command, and what is left without its start."""
     rows = []
-    for plants, size in (("analytical", (40, 30)), ("twin", (6, 4))):
+    for plants, size in (("analytical", (40, 30)), ("twin", (10, 6))):
         sweep = written(folder, plants, 10, *size)
         few = written(folder, plants, 10, 2, 2)
-        walls = {
-            (n, which): [command(which, "--workers", str(n))[0] for _ in range(repetitions)]
-            for n in (1, 2)
-            for which in (sweep, few)
-        }
-        least = {key: min(found) for key, found in walls.items()}
+        ways = [(n, which) for n in (1, 2) for which in (sweep, few)]
+        # In turn, so that a machine that is busy now and then is so for all of them.
+        found = [
+            {way: command(way[1], "--workers", str(way[0]))[0] for way in ways} for _ in range(repetitions)
+        ]
+        walls = {way: [each[way] for each in found] for way in ways}
+        least = {way: min(each) for way, each in walls.items()}
         alone = (least[1, sweep] - least[1, few]) / (least[2, sweep] - least[2, few]) / 2
         whole = least[1, sweep] / least[2, sweep] / 2
         rows.append([plants, str(size[0] * size[1]), _spread(walls[1, sweep]), _spread(walls[2, sweep]),
@@ -94,39 +101,56 @@ def engines(folder: Path, repetitions: int) -> None:
 
 
 def twins(folder: Path, repetitions: int) -> None:
-    """Compare ways to run the twins of a grid that differ in pressure and gait only."""
+    """Compare ways to run the twins of a grid that differ in pressure and gait only, all of them warm."""
     sweep = load_sweep(written(folder, "twin", 10, 4, 4))
-    ways: dict[str, Callable[[Sweep], None]] = {
-        "one process": lambda sweep: _exhaust(local(1), sweep),
-        "two processes": lambda sweep: _exhaust(local(2), sweep),
+    ways: dict[str, Callable[[Sweep], Found]] = {
+        "two processes": lambda sweep: _rows(local(2), sweep),
         "two threads": _threads,
-        "in this process": lambda sweep: (
-            [run_point(sweep.experiment, point) for point in sweep.points] and None
-        ),
+        "mujoco.batch, two threads": lambda sweep: _together(sweep, 2),
+        "one process": lambda sweep: _rows(local(1), sweep),
+        "mujoco.batch, one thread": lambda sweep: _together(sweep, 1),
     }
-    walls = {name: [_timed(way, sweep) for _ in range(repetitions)] for name, way in ways.items()}
-    print(table(["16 twins, 10 s", "wall, s"], [[name, _spread(found)] for name, found in walls.items()]))
+    found = {name: way(sweep) for name, way in ways.items()}
+    walls = [[_timed(way, sweep) for way in ways.values()] for _ in range(repetitions)]
+    rows = []
+    for k, name in enumerate(ways):
+        ratio = statistics.median(row[k] / row[0] for row in walls)
+        rows.append([name, _spread([row[k] for row in walls]), f"{ratio:.2f}"])
+    print(table(["16 twins, 10 s", "wall, s", "over two processes"], rows))
+    same = all(each == found["two processes"] for each in found.values())
+    print(f"results: {'all the same' if same else 'NOT the same'}")
+    if not same:
+        sys.exit(1)
 
 
-def _exhaust(engine: object, sweep: Sweep) -> None:
-    for _ in engine(sweep.experiment, sweep.points):  # type: ignore[operator]
-        pass
+def _rows(engine: Engine, sweep: Sweep) -> Found:
+    rows = [done.result for done in engine(sweep.experiment, sweep.points)]
+    return {row.key: row.values for row in rows if row is not None}
 
 
-def _threads(sweep: Sweep) -> None:
-    from functools import partial
-
-    from srs_twin import Job, run_many
-    from srs_twin.comparison.metrics import plant_metrics
-    from srs_twin.scenario import parse_scenario
-
-    scenarios = [parse_scenario(sweep.experiment.document(point.changes)) for point in sweep.points]
+def _threads(sweep: Sweep) -> Found:
+    scenarios = _scenarios(sweep)
     jobs = [Job(partial(s.build_plant, "twin"), s.build_controller, s.duration) for s in scenarios]
-    for run in run_many(jobs, threads=2):
-        plant_metrics(run)  # type: ignore[arg-type]
+    return _measured(sweep, run_many(jobs, threads=2))
 
 
-def _timed(way: Callable[[Sweep], None], sweep: Sweep) -> float:
+def _together(sweep: Sweep, threads: int) -> Found:
+    from twin_batch import run_together
+
+    return _measured(sweep, run_together(_scenarios(sweep), threads))
+
+
+def _scenarios(sweep: Sweep) -> list[Scenario]:
+    return [parse_scenario(sweep.experiment.document(point.changes)) for point in sweep.points]
+
+
+def _measured(sweep: Sweep, runs: Sequence[Trajectory | DivergedError]) -> Found:
+    return {
+        point.key: _flat("twin", plant_metrics(run)) for point, run in zip(sweep.points, runs, strict=True)
+    }
+
+
+def _timed(way: Callable[[Sweep], Found], sweep: Sweep) -> float:
     begun = time.perf_counter()
     way(sweep)
     return time.perf_counter() - begun

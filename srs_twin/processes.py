@@ -11,13 +11,13 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
 from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedError
+from srs_twin.process_server import start_process
 from srs_twin.threads import processors
 
 Argument = TypeVar("Argument")
@@ -27,6 +27,8 @@ SHORT_S = 0.1
 """Below this a worker gets its next argument ahead: waiting for it would cost a good part of the task."""
 GRACE_S = 2.0
 """How long a worker that is to end may take to leave its task and clean up."""
+_LOST = 255
+"""Exit code of a process whose end nobody saw, as multiprocessing has it."""
 
 
 @dataclass(frozen=True)
@@ -105,11 +107,11 @@ class _Pool:
 
     def hand_out(self) -> None:
         """Start the workers that are missing and give arguments to those that can take one."""
-        # Started outside the block below: it would let Ctrl-C through again.
-        resource_tracker.ensure_running()
         while len(self._workers) < min(self._count, self.left):
-            with _interrupts_held_back():
+            try:
                 self._workers.append(_Worker(self._program))
+            except (OSError, EOFError):
+                self._count_stillborn(_LOST)
         for at in (0, 1):
             for worker in self._workers:
                 if self._waiting and worker.takes(at):
@@ -136,9 +138,7 @@ class _Pool:
         self._workers.remove(worker)
         code = worker.end(time.monotonic() + GRACE_S)
         if not worker.ready:
-            self._stillborn += 1
-            if self._stillborn == self._attempts:
-                raise WorkerDiedError(code, self._attempts)
+            self._count_stillborn(code)
         self._waiting.extendleft(reversed(worker.numbers))
         if not worker.numbers:
             return []
@@ -148,6 +148,11 @@ class _Pool:
             return []
         self._waiting.remove(at)
         return [Done(at, None, WorkerDiedError(code, self._attempts))]
+
+    def _count_stillborn(self, code: int) -> None:
+        self._stillborn += 1
+        if self._stillborn == self._attempts:
+            raise WorkerDiedError(code, self._attempts)
 
     def end(self) -> None:
         """End the workers, whatever they are at."""
@@ -169,10 +174,8 @@ class _Worker:
     """
 
     def __init__(self, program: bytes) -> None:
-        context = get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, program), daemon=True)
-        self.process.start()
+        self.pipe, theirs = Pipe()
+        self.process = start_process(_work, (theirs, program))
         theirs.close()
         self.ready = self.dead = False
         self.numbers: deque[int] = deque()
@@ -221,16 +224,6 @@ class _Worker:
         code = self.process.exitcode
         self.process.close()
         return code if code is not None else 0
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Let Ctrl-C wait: a process started here begins deaf to it, and this one hears it afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _work(pipe: Connection, program: bytes) -> None:

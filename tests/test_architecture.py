@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a module imports only from its own step or from steps to its left.
 ORDER = (
-    ("errors", "compiled", "plausible", "records", "threads", "processes"),
+    ("errors", "compiled", "plausible", "records", "threads", "process_server", "processes"),
     ("files", "folders", "documents", "validation", "parquet"),
     ("modules", "sourced", "modules_file", "spec", "robots", "robot_file", "world"),
     ("trajectory",),

@@ -15,8 +15,10 @@ import speed
 from lsoda import CompleteModel, solve, stretches, trajectory
 from scaling import ThreadCost, chain
 from timing import Ratio, Result, Task, Timing, interleaved, machine
+from twin_batch import run_together
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
+from srs_twin.scenario import load_scenario, parse_scenario
 
 SPEC = load_robot("gen2")
 SUPPLY = 48.3e3
@@ -116,3 +118,17 @@ def test_command_prints_tables_writes_json_and_says_what_it_leaves_out(monkeypat
     found = json.loads((tmp_path / "speed.json").read_text("utf-8"))
     assert found["a"] == {"title": "(a) one against another", "ratio": 2.0}
     assert found["quick"] is True and "c" not in found and found["machine"]["cpus"] >= 1
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_twins_stepped_together_are_single_twins_to_the_bit(threads):
+    document = load_scenario("gen2_straight").document
+    scenarios = [
+        parse_scenario({**document, "duration_s": 2.0, "supply": {"pressure_kpa": pressure}})
+        for pressure in (42.0, 48.0, 54.0)
+    ]
+    for scenario, run in zip(scenarios, run_together(scenarios, threads), strict=True):
+        alone = rollout(scenario.build_plant("twin"), scenario.build_controller(), scenario.duration)
+        assert run.columns.keys() == alone.columns.keys()
+        for name in alone.columns:
+            assert run[name].tobytes() == alone[name].tobytes(), name

@@ -15,6 +15,7 @@ import pytest
 
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.files import atomic_write
+from srs_twin.process_server import METHOD
 from srs_twin.processes import each
 
 # Tasks: a worker imports them from here.
@@ -44,6 +45,20 @@ def suicide_at_first(folder, x):
     if len(tries) == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return len(tries), square(x)
+
+
+def end_the_server_at_first(folder, x):
+    """Kill what this worker came from, the first time that anybody gets here."""
+    try:
+        (folder / "killed").touch(exist_ok=False)
+    except FileExistsError:
+        return square(x)
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(600)
+
+
+def loaded(module, _):
+    return module in sys.modules
 
 
 def fail(x):
@@ -150,6 +165,13 @@ def test_a_task_that_leaves_the_interpreter_counts_as_a_death():
     assert "ended with exit code 5; " in str(done.error)
 
 
+@pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system come from no server")
+def test_the_end_of_the_server_costs_an_attempt_and_another_takes_its_place(tmp_path):
+    task = partial(end_the_server_at_first, tmp_path)
+    assert results(list(each(task, range(20), workers=2, attempts=2))) == [x * x for x in range(20)]
+    assert (tmp_path / "killed").exists()
+
+
 def test_what_tasks_raise_comes_back_and_the_others_go_on():
     done = {d.number: d for d in each(fail, range(6), workers=1)}
     assert [d.result for d in done.values()] == [None, None, None, None, 1.0, 0.5]
@@ -226,6 +248,39 @@ def test_workers_do_not_outlive_a_parent_that_was_killed(parent):
     process.wait()
     wait_until(lambda: not exists(worker))
     assert [path.name for path in folder.iterdir()] == ["pid"]
+
+
+PRELOADING = """
+import sys
+from functools import partial
+from test_processes import loaded
+from srs_twin.process_server import start_server
+from srs_twin.processes import each
+
+if __name__ == "__main__":
+    start_server("srs_twin.sweep.warm")
+    names = ("srs_twin.sweep.warm", "srs_twin.plants.analytical", "mujoco")
+    print(*(done.result for name in names for done in each(partial(loaded, name), [0], workers=1)))
+"""
+
+
+@pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system load everything themselves")
+def test_workers_begin_with_what_the_server_has_loaded_from_no_folder_of_the_users(tmp_path):
+    # multiprocessing keeps silent about a module that cannot be imported: this is where it would be seen.
+    script, elsewhere = tmp_path / "parent.py", tmp_path / "elsewhere"
+    script.write_text(PRELOADING)
+    elsewhere.mkdir()
+    for name in ("numpy", "numba", "srs_twin", "random"):
+        (elsewhere / f"{name}.py").write_text("raise SystemExit('of the folder that we stand in')")
+    paths = {"PYTHONPATH": str(Path(__file__).parent)}
+    run = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=elsewhere,
+        env={**os.environ, **paths},
+        capture_output=True,
+        text=True,
+    )
+    assert (run.stdout, run.stderr) == ("True True False\n", "")
 
 
 def test_closing_ends_the_workers():

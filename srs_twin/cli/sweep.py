@@ -74,6 +74,11 @@ def sweep(
 
 
 def _engine(name: str, workers: int | None, address: str | None) -> Engine:
+    if name == "local":
+        from srs_twin.process_server import start_server
+
+        # First of all: it loads what workers need while this process loads what it needs itself.
+        start_server("srs_twin.sweep.warm")
     from srs_twin.errors import UnknownNameError
     from srs_twin.sweep import engines
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from srs_twin.errors import InputError
+from srs_twin.process_server import start_server
 from srs_twin.processes import Done, each
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.sweep.task import Row, run_point
@@ -23,14 +24,15 @@ Engine = Callable[[Experiment, Sequence[Point]], Iterator[Done[Row]]]
 def local(workers: int | None = None) -> Engine:
     """Return the engine that runs points in processes of this machine.
 
-    Threads would share the interpreter's lock for the part of a run that is not compiled (see
-    benchmarks/sweeps.py), and one run that goes down would take the others along.
+    Threads, or `mujoco.batch` for twins of one model, would be no faster (see benchmarks/sweeps.py), and one
+    run that goes down would take the others along.
 
     Args:
         workers: how many processes; default one a processor.
     """
 
     def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+        start_server("srs_twin.sweep.warm")
         return each(partial(run_point, experiment), points, workers=workers)
 
     return run

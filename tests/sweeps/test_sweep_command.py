@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -70,6 +71,30 @@ def test_bad_input(srs_twin, tmp_path, words, message):
     run = srs_twin("sweep", *words, cwd=tmp_path)
     assert run.returncode == 2 and message in run.stderr, run.stderr
     assert "Traceback" not in run.stderr and os.listdir(tmp_path) == ["small.yaml"]
+
+
+@pytest.mark.parametrize("words", [("nope",), ("small.yaml",)])
+def test_nothing_runs_on_when_the_command_has_ended(tmp_path, words):
+    write(tmp_path)
+    process = subprocess.Popen(
+        [str(COMMAND), "sweep", *words, "-q"], cwd=tmp_path, stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )  # fmt: skip
+    assert process.wait() == (2 if words == ("nope",) else 0)
+    # One without a command line is ending; the resource tracker does as soon as it sees that nobody is left.
+    left = [line for line in session(process.pid) if line and "resource_tracker" not in line]
+    assert left == []
+
+
+def session(number: int) -> list[str]:
+    """Return the command lines of the processes of a session."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            words = (folder / "stat").read_text().rpartition(")")[2].split()
+            if int(words[3]) == number and words[0] != "Z":
+                found.append((folder / "cmdline").read_bytes().decode())
+    return found
 
 
 def started(tmp_path) -> subprocess.Popen[str]:
