@@ -240,10 +240,18 @@ def _work(pipe: Connection, program: bytes) -> None:
         if prepare is not None:
             prepare()
 
-    pipe.send_bytes(_answer(begin))
+    _send(pipe, _answer(begin))
     while True:
         raw = inbox.get()
-        pipe.send_bytes(_answer(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
+        _send(pipe, _answer(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
+
+
+def _send(pipe: Connection, answer: bytes) -> None:
+    """Send an answer; leave where nobody waits for it any more."""
+    try:
+        pipe.send_bytes(answer)
+    except OSError:
+        raise SystemExit(1) from None
 
 
 def _answer(call: Callable[[], Any]) -> bytes:

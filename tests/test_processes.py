@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from functools import partial
-from multiprocessing import active_children
+from multiprocessing import Pipe, active_children
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,7 @@ import pytest
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.files import atomic_write
 from srs_twin.process_server import METHOD
-from srs_twin.processes import each
+from srs_twin.processes import _send, each
 
 # Tasks: a worker imports them from here.
 PREPARED: list[str] = []
@@ -289,6 +289,13 @@ def test_closing_ends_the_workers():
     assert len(active_children()) == 2
     done.close()
     assert active_children() == []
+
+
+def test_a_worker_whose_answer_nobody_waits_for_leaves():
+    ours, theirs = Pipe()
+    ours.close()
+    with pytest.raises(SystemExit):
+        _send(theirs, b"answer")
 
 
 def test_errors_are_of_one_family():
