@@ -58,18 +58,26 @@ def start_process(target: Callable[..., None], arguments: tuple[Any, ...]) -> Ba
     process = get_context(METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
     # The server is deaf to Ctrl-C and so is who comes from it, while this process may have to wait for it.
     with contextlib.nullcontext() if METHOD == "forkserver" else _interrupts_held_back():
-        process.start()
+        try:
+            process.start()
+        except (OSError, EOFError):
+            _end_server(os.WNOWAIT)  # one that has closed its door, but is not gone yet, would be asked again
+            raise
     started: BaseProcess = process
     return started
 
 
-def _end_server() -> None:
-    """End the server, whatever it is at; by itself it would first finish what it imports."""
+def _end_server(left: int = 0) -> None:
+    """End the server, whatever it is at; by itself it would first finish what it imports.
+
+    Args:
+        left: WNOWAIT leaves it to multiprocessing to see that it is gone, and to start another.
+    """
     pid = _server_pid()
     if pid is not None:
         with contextlib.suppress(ProcessLookupError, ChildProcessError):
             os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
+            os.waitid(os.P_PID, pid, os.WEXITED | left)
 
 
 def _server_pid() -> int | None:

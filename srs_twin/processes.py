@@ -102,7 +102,7 @@ class _Pool:
         self._program, self._arguments, self._count, self._attempts = program, arguments, count, attempts
         self._waiting = deque(range(len(arguments)))
         self._deaths = [0] * len(arguments)
-        self._stillborn = 0
+        self._stillborn, self._last_stillborn = 0, 0.0
         self._workers: list[_Worker] = []
 
     def hand_out(self) -> None:
@@ -137,7 +137,7 @@ class _Pool:
         """Put back what a dead worker had; return the task that it was at where that is given up."""
         self._workers.remove(worker)
         code = worker.end(time.monotonic() + GRACE_S)
-        if not worker.ready:
+        if not worker.ready and worker.begun > self._last_stillborn:  # not one of several that died as one
             self._count_stillborn(code)
         self._waiting.extendleft(reversed(worker.numbers))
         if not worker.numbers:
@@ -150,7 +150,7 @@ class _Pool:
         return [Done(at, None, WorkerDiedError(code, self._attempts))]
 
     def _count_stillborn(self, code: int) -> None:
-        self._stillborn += 1
+        self._stillborn, self._last_stillborn = self._stillborn + 1, time.monotonic()
         if self._stillborn == self._attempts:
             raise WorkerDiedError(code, self._attempts)
 
@@ -168,12 +168,14 @@ class _Worker:
 
     Attributes:
         pipe: arguments go there, answers come back in the same order.
+        begun: when it was started, on the monotonic clock, s.
         ready: whether it has answered that it can begin.
         numbers: of the arguments that it has; it is at the first.
         dead: whether no more answers will come.
     """
 
     def __init__(self, program: bytes) -> None:
+        self.begun = time.monotonic()
         self.pipe, theirs = Pipe()
         self.process = start_process(_work, (theirs, program))
         theirs.close()
