@@ -14,7 +14,12 @@ from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 MAX_BYTES = 64 * 1024
 """No file that a person writes is larger; what is, was not meant for us."""
 
-_FOLDERS = {"robot": "calibration/robots", "scenario": "scenarios", "sweep": "scenarios/sweeps"}
+_FOLDERS = {
+    "robot": "calibration/robots",
+    "footprint": "calibration/footprints",
+    "scenario": "scenarios",
+    "sweep": "scenarios/sweeps",
+}
 _SUFFIXES = (".yaml", ".yml")
 
 
@@ -29,7 +34,7 @@ def data_root() -> Path:
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder in which names of this kind ("robot", "scenario" or "sweep") are looked up."""
+    """Return the folder in which names of this kind (as in `find`) are looked up."""
     return data_root() / _FOLDERS[kind]
 
 
@@ -45,7 +50,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     anything else is a name, looked up in the shipped folder.
 
     Args:
-        kind: "robot", "scenario" or "sweep".
+        kind: "robot", "footprint", "scenario" or "sweep".
         name_or_path: as a person wrote it.
 
     Raises:

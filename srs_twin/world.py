@@ -6,6 +6,21 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Pose:
+    """Where the centre of mass is, and the way ahead.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: counter-clockwise from x, rad.
+    """
+
+    x: float
+    y: float
+    heading: float
+
+
+@dataclass(frozen=True)
 class Circle:
     """A round obstacle.
 
@@ -18,6 +33,17 @@ class Circle:
     x: float
     y: float
     radius: float
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """An obstacle with straight sides that do not cross each other; either sense of rotation.
+
+    Attributes:
+        corners: (x, y) of each, m, three at least; the last is joined to the first.
+    """
+
+    corners: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -42,12 +68,14 @@ class Goal:
         y: m.
         heading: arrival heading, rad; None where any will do.
         radius: how near is near enough, m.
+        heading_tolerance: how near the arrival heading is near enough, rad.
     """
 
     x: float
     y: float
     heading: float | None
     radius: float
+    heading_tolerance: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -57,3 +85,4 @@ class World:
     obstacles: tuple[Circle, ...] = ()
     bounds: Bounds | None = None
     goal: Goal | None = None
+    polygons: tuple[Polygon, ...] = ()

@@ -1,0 +1,140 @@
+r"""Dubins paths: the shortest way between two poses for a snake that only goes ahead and turns so tightly.
+
+Dubins (1957): with a least radius r it consists of three pieces, arcs of radius r (L, R) and straights (S),
+in one of the six words LSL, LSR, LRL and their mirror images. Below, lengths are in radii, angles from the line
+between the poses: with distance d, headings a and b, for the words that begin with L,
+
+.. math::
+    LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
+    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b)
+
+and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. Where any arrival heading will do, the
+shortest is an arc and a straight, or, to a point inside a turning circle, two arcs (Bui et al., 1994).
+
+The packages that offer this (`dubins`, wrappers of one C file) have had no release for years and no wheels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.world import Pose
+
+_FULL = 2 * math.pi
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class DubinsPath:
+    """A shortest path of bounded curvature.
+
+    Attributes:
+        curvatures: of the three pieces, 1/m.
+        lengths: of the three pieces, m; some may be 0.
+    """
+
+    curvatures: tuple[float, float, float]
+    lengths: tuple[float, float, float]
+
+    @property
+    def length(self) -> float:
+        """Of the whole path, m."""
+        return sum(self.lengths)
+
+
+def shortest(start: Pose, x: float, y: float, heading: float | None, radius: float) -> DubinsPath:
+    """Return the shortest path from a pose to a pose, or to a point where the heading is None.
+
+    Args:
+        start: where it begins.
+        x: of the end, m.
+        y: of the end, m.
+        heading: at the end, rad; None where any will do.
+        radius: least turning radius, m.
+    """
+    free = heading is None
+    first, middle, last, t, p, q = word(
+        start.x, start.y, start.heading, x, y, 0.0 if heading is None else heading, free, radius
+    )
+    signs = (first / radius, middle / radius, last / radius)
+    return DubinsPath(signs, (float(t), float(p), float(q)))
+
+
+@compiled
+def word(x, y, heading, to_x, to_y, to_heading, free, radius):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the turns (+1 left, 0 straight, -1 right) and lengths (m) of the three pieces of a shortest path.
+
+    Args:
+        x, y, heading: where it begins, m and rad.
+        to_x, to_y, to_heading: where it ends; the heading counts unless `free`.
+        radius: of the turns, m.
+    """
+    dx, dy = (to_x - x) / radius, (to_y - y) / radius
+    best = (0.0, 0.0, 0.0, np.inf, np.inf, np.inf)
+    if free:
+        c, s = np.cos(heading), np.sin(heading)
+        u, w = c * dx + s * dy, c * dy - s * dx
+        for side in (1.0, -1.0):
+            best = _to_point(best, side, u, side * w)
+    else:
+        d, line = np.sqrt(dx * dx + dy * dy), np.arctan2(dy, dx)
+        for side in (1.0, -1.0):
+            best = _to_pose(best, side, d, side * (heading - line), side * (to_heading - line))
+    first, middle, last, t, p, q = best
+    return first, middle, last, radius * t, radius * p, radius * q
+
+
+@compiled
+def _to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]
+    """Return the shortest of `best` and the words that begin with L; `side` -1: of their mirror images."""
+    sa, sb, ca, cb, cab = np.sin(a), np.sin(b), np.cos(a), np.cos(b), np.cos(a - b)
+    square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
+    turn = np.arctan2(cb - ca, d + sa - sb)
+    best = _shorter(best, side, 0.0, side, _turn(turn - a), np.sqrt(max(square, 0.0)), _turn(b - turn))
+    square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
+    if square >= 0:
+        p = np.sqrt(square)
+        turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
+        best = _shorter(best, side, 0.0, -side, _turn(turn - a), p, _turn(turn - b))
+    cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
+    if abs(cosine) <= 1:
+        p = _FULL - np.arccos(cosine)
+        t = _turn(p / 2 - a - np.arctan2(ca - cb, d + sa - sb))
+        best = _shorter(best, side, -side, side, t, p, _turn(b - a - t + p))
+    return best
+
+
+@compiled
+def _to_point(best, side, u, w):  # type: ignore[no-untyped-def]
+    """Return the shortest of `best`, LS and RL to a point u ahead and w to the left; `side` -1: mirrored."""
+    away = u * u + (w - 1) * (w - 1)
+    if away >= 1:
+        tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
+        return _shorter(best, side, 0.0, 0.0, _turn(tangent), np.sqrt(away - 1), 0.0)
+    # Inside the left circle: right first, about (0, -1), then left on a circle that touches both.
+    far = np.sqrt(u * u + (w + 1) * (w + 1))
+    opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
+    for sign in (1.0, -1.0):
+        t = _turn(np.arctan2(u, w + 1) + sign * opening)
+        cx, cy = 2 * np.sin(t), 2 * np.cos(t) - 1
+        q = _turn(np.arctan2(w - cy, u - cx) - np.arctan2(-np.cos(t), -np.sin(t)))
+        best = _shorter(best, -side, side, 0.0, t, q, 0.0)
+    return best
+
+
+@compiled
+def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def]
+    if t + p + q < best[3] + best[4] + best[5]:
+        return first, middle, last, t, p, q
+    return best
+
+
+@compiled
+def _turn(angle):  # type: ignore[no-untyped-def]
+    """Return an angle in [0, 2 pi); what rounding puts just below a full turn is none."""
+    angle = angle - _FULL * np.floor(angle / _FULL)
+    return angle if angle < _FULL - _ROUNDING else 0.0

@@ -1,0 +1,200 @@
+r"""Footprint: the floor that the snake sweeps about the path of its centre of mass, and how fast it goes there.
+
+Section 5.2.1 (Fig. 52 and 58): under a constant offset the centre of mass follows an arc of curvature κ. Two
+arcs about the same centre bound the body: on a point of the path, the body stays within
+
+.. math:: -r(κ) ≤ n ≤ l(κ)
+
+where n is the distance to the left of the path, l the left and r the right edge. Across the path the footprint
+ends where head and tail are: `ahead` before and `behind` after the centre of mass, along the arc.
+
+Offset, speed and edges are read from a table by curvature, linear between its rows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.errors import InputError
+
+SMALL_TURN = 1e-9
+"""Curvatures beyond the table by less are rounding, 1/m."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What one curvature means for the snake.
+
+    Attributes:
+        offset: phase offset of the gait, positive to the left.
+        speed: of the centre of mass, m/s.
+        left: distance of the left edge from the path, m.
+        right: distance of the right edge from the path, m.
+    """
+
+    offset: float
+    speed: float
+    left: float
+    right: float
+
+
+@dataclass(frozen=True)
+class Transient:
+    """How far the snake leaves the new arc after a change of offset, beyond the steady edges.
+
+    Attributes:
+        before: offset before the change.
+        after: offset after it.
+        left: how much wider the left edge has to be, m.
+        right: how much wider the right edge has to be, m.
+        length: path after the change over which that holds, m.
+    """
+
+    before: float
+    after: float
+    left: float
+    right: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A robot's footprint in one gait at one pressure; rows by rising offset, (rows,) each.
+
+    Attributes:
+        name: short name.
+        title: one line for people.
+        offsets: phase offsets, rising.
+        curvatures: of the path of the centre of mass, 1/m, rising, left positive.
+        speeds: m/s.
+        left: distances of the left edge from the path, m.
+        right: distances of the right edge from the path, m.
+        ahead: from the centre of mass to the head, along the path, m.
+        behind: from the centre of mass to the tail, along the path, m.
+        transients: measured changes of offset; empty where the dissertation's assumption holds, that there is
+            no transient.
+    """
+
+    name: str
+    title: str
+    offsets: tuple[float, ...]
+    curvatures: tuple[float, ...]
+    speeds: tuple[float, ...]
+    left: tuple[float, ...]
+    right: tuple[float, ...]
+    ahead: float
+    behind: float
+    transients: tuple[Transient, ...] = ()
+
+    @classmethod
+    def box(
+        cls, width: float, shift: float, *, speed: float, curvature: float, offset: float = 0.3,
+        ahead: float = 0.0, behind: float = 0.0,
+    ) -> Footprint:  # fmt: skip
+        """Return the text's box: constant width, shifted outward in proportion to the turn (Fig. 54, Table 9).
+
+        Outward, since Table 8's inner edges draw nearer and the outer ones hardly do.
+
+        Args:
+            width: from edge to edge, m.
+            shift: of both edges at the tightest turn, m.
+            speed: m/s.
+            curvature: of the tightest turn, 1/m.
+            offset: of the tightest turn.
+            ahead: see the class, m; the text's box has no length of its own.
+            behind: see the class, m.
+        """
+        half = width / 2
+        return cls(
+            "box", f"box {1000 * width:g} mm, shift {1000 * shift:g} mm", (-offset, 0.0, offset),
+            (-curvature, 0.0, curvature), (speed,) * 3, (half + shift, half, half - shift),
+            (half - shift, half, half + shift), ahead, behind,
+        )  # fmt: skip
+
+    @property
+    def tightest(self) -> tuple[float, float]:
+        """Largest curvatures to the right and to the left, both above 0, 1/m."""
+        return -self.curvatures[0], self.curvatures[-1]
+
+    @property
+    def narrowest(self) -> float:
+        """Distance that every point of the path keeps from everything, whatever the curvature, m."""
+        return min(*self.left, *self.right)
+
+    def at(self, curvature: float) -> Motion:
+        """Return what a curvature (1/m) means.
+
+        Raises:
+            InputError: the snake cannot turn so tightly.
+        """
+        low, high = self.curvatures[0], self.curvatures[-1]
+        if not low - SMALL_TURN <= curvature <= high + SMALL_TURN:
+            raise InputError(f"curvature {curvature:g} 1/m is not in the footprint's {low:g} to {high:g} 1/m")
+        offset, speed, left, right = (
+            float(np.interp(curvature, self.curvatures, column))
+            for column in (self.offsets, self.speeds, self.left, self.right)
+        )
+        return Motion(offset, speed, left, right)
+
+    def transient(self, before: float, after: float) -> tuple[float, float, float]:
+        """Return (left, right, length), m, of a change of offset, linear in how large the change is.
+
+        Changes larger than any measured one in that direction count as the largest.
+        """
+        change = after - before
+        same = [t for t in self.transients if (t.after - t.before) * change > 0]
+        if not same:
+            return 0.0, 0.0, 0.0
+        same.sort(key=lambda t: abs(t.after - t.before))
+        sizes = [0.0, *(abs(t.after - t.before) for t in same)]
+        left, right = (
+            float(np.interp(abs(change), sizes, [0.0, *column]))
+            for column in ([t.left for t in same], [t.right for t in same])
+        )
+        return left, right, max(t.length for t in same)
+
+
+def problems(footprint: Footprint) -> list[tuple[str, str]]:
+    """Return (field, message) of all that a footprint cannot be."""
+    found = []
+    rows = len(footprint.offsets)
+    for name in ("curvatures", "speeds", "left", "right"):
+        if len(getattr(footprint, name)) != rows:
+            found.append((name, f"{len(getattr(footprint, name))} values for {rows} offsets"))
+    for name in ("offsets", "curvatures"):
+        values = getattr(footprint, name)
+        if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+            found.append((name, "must rise from row to row: a larger offset turns more to the left"))
+    if found:
+        return found
+    low, high = footprint.curvatures[0], footprint.curvatures[-1]
+    if not low < 0 < high:
+        found.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
+    extra = [max((getattr(t, side) for t in footprint.transients), default=0.0) for side in ("left", "right")]
+    for name, inner, curvature, more in (
+        ("left", max(footprint.left), high, extra[0]),
+        ("right", max(footprint.right), -low, extra[1]),
+    ):
+        if (inner + more) * curvature >= 1:
+            message = f"{inner + more:g} m reaches the centre of the tightest turn, radius {1 / curvature:g} m"
+            found.append((name, message))
+    return found
+
+
+def checked(footprint: Footprint) -> Footprint:
+    """Return the footprint.
+
+    Raises:
+        InputError: it cannot be one, or a number is not finite.
+    """
+    numbers = (*footprint.offsets, *footprint.curvatures, *footprint.speeds, footprint.ahead, footprint.behind)
+    if not all(math.isfinite(value) for value in (*numbers, *footprint.left, *footprint.right)):
+        raise InputError(f"footprint {footprint.name}: a number is not finite")
+    if min(footprint.speeds) <= 0 or footprint.narrowest <= 0 or min(footprint.ahead, footprint.behind) < 0:
+        raise InputError(f"footprint {footprint.name}: speeds and edges must be above 0, ahead and behind not below")
+    for field, message in problems(footprint):
+        raise InputError(f"footprint {footprint.name}: {field}: {message}")
+    return footprint
