@@ -1,0 +1,208 @@
+r"""Best-first search over arcs of constant curvature, compiled (hybrid A*).
+
+A node is a pose that arcs lead to from the start; its key is g + w h, with g the length of the path so far
+and h the Dubins length of the rest at the tightest curvature the footprint has. No path of the snake to the
+goal is shorter than h, and h falls along no arc by more than the arc's length, so with w = 1 keys never fall;
+with w > 1 a path is at most w times as long as the best that the same arcs and cells admit.
+
+When a node is taken from the open list, the Dubins path from it to the goal is tried. If it is free, the two
+together are a plan. The closed set holds one node a cell of poses: a later one is kept only if it is nearer to
+the start. That is what makes the search finite, and what makes it incomplete: a pose in the same cell might
+have got through where the one that stands for it does not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.planning.dubins import word
+from srs_twin.planning.frontier import EXPANDED, NODES, OPEN, pop, push, slot_of
+from srs_twin.planning.swept import along, blocked
+
+CONNECTED, ARRIVED, PAUSED, EXHAUSTED, FULL = range(5)
+"""How `expand` ends: a free Dubins path to the goal; within tolerance; after its share; no node open; no room."""
+
+_BETTER = 1e-9
+
+
+class Moves(NamedTuple):
+    """What the snake can do.
+
+    Attributes:
+        curvatures: rising, 1/m, shape (n,).
+        left: edges, m, shape (n,).
+        right: edges, m, shape (n,).
+        changes: wider left, wider right, length (m) after a change from one to another; row n: from rest;
+            shape (n + 1, n, 3).
+        turns: moves of a Dubins path to the right, straight, to the left, shape (3,).
+        length: of an arc, m.
+        ahead: of the centre of mass, m.
+        behind: of the centre of mass, m.
+    """
+
+    curvatures: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    changes: np.ndarray
+    turns: np.ndarray
+    length: float
+    ahead: float
+    behind: float
+
+
+class Target(NamedTuple):
+    """Where to arrive.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: rad; counts unless `free`.
+        free: any heading will do.
+        radius: tolerance, m.
+        tolerance: of the heading, rad.
+        least: radius of the tightest turn to either side, for the bound, m.
+        turning: radius of the Dubins paths, which both sides can follow, m.
+    """
+
+    x: float
+    y: float
+    heading: float
+    free: bool
+    radius: float
+    tolerance: float
+    least: float
+    turning: float
+
+
+@compiled
+def rest(x, y, heading, target):  # type: ignore[no-untyped-def]
+    """Return the bound h on the length from a pose to the goal, m."""
+    path = word(x, y, heading, target.x, target.y, target.heading, target.free, target.least)
+    return path[3] + path[4] + path[5]
+
+
+@compiled
+def plant_root(frontier, x, y, heading, target, cell, sector, moves):  # type: ignore[no-untyped-def]
+    """Put the start into an empty frontier."""
+    bound = rest(x, y, heading, target)
+    _enter(frontier, slot_of(frontier, x, y, heading, cell, sector), x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
+    frontier.links[0, 0], frontier.links[0, 1] = -1, moves.curvatures.shape[0]
+    push(frontier, 0, bound)
+
+
+@compiled
+def expand(frontier, moves, target, around, cell, sector, weight, best, share):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Expand nodes until something happens; return what (see `CONNECTED`) and at which node.
+
+    Args:
+        frontier: changed in place.
+        weight: w.
+        best: length of the best plan known, m; nodes that cannot beat it are dropped.
+        share: how many nodes to expand at most.
+    """
+    until = frontier.counts[EXPANDED] + share
+    while frontier.counts[OPEN] > 0:
+        if frontier.counts[EXPANDED] >= until:
+            return PAUSED, -1
+        if frontier.counts[NODES] + moves.curvatures.shape[0] > frontier.nodes.shape[0]:
+            return FULL, -1
+        node = pop(frontier)
+        x, y, heading, cost, bound = frontier.nodes[node, :5]
+        if frontier.owners[slot_of(frontier, x, y, heading, cell, sector)] != node + 1 or cost + bound >= best:
+            continue
+        frontier.counts[EXPANDED] += 1
+        if _arrived(x, y, heading, target):
+            return ARRIVED, node
+        if _connects(frontier, node, moves, target, around, best):
+            return CONNECTED, node
+        for move in range(moves.curvatures.shape[0]):
+            _try(frontier, node, move, moves, target, around, cell, sector, weight, best)
+    return EXHAUSTED, -1
+
+
+@compiled
+def _try(frontier, node, move, moves, target, around, cell, sector, weight, best):  # type: ignore[no-untyped-def]
+    """Make a child if it is the first or nearest in its cell, may beat the best plan, and its arc is free."""
+    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
+    curvature, length = moves.curvatures[move], moves.length
+    to_x, to_y, to_heading = along(x, y, heading, curvature, length)
+    slot, cost = slot_of(frontier, to_x, to_y, to_heading, cell, sector), cost + length
+    owner = frontier.owners[slot] - 1
+    if owner >= 0 and frontier.nodes[owner, 3] <= cost + _BETTER:
+        return
+    left, right, lasting = wider(left, right, lasting, moves.changes[frontier.links[node, 1], move])
+    if not _free(x, y, heading, move, length, left, right, moves, around):
+        return
+    bound = rest(to_x, to_y, to_heading, target)
+    if cost + bound >= best:
+        return
+    child = _enter(
+        frontier, slot, to_x, to_y, to_heading, cost, bound, left, right, max(0.0, lasting - length)
+    )
+    frontier.links[child, 0], frontier.links[child, 1] = node, move
+    push(frontier, child, cost + weight * bound)
+
+
+@compiled
+def _enter(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  # type: ignore[no-untyped-def]
+    child = frontier.counts[NODES]
+    frontier.counts[NODES] += 1
+    frontier.owners[slot] = child + 1
+    row = frontier.nodes[child]
+    row[0], row[1], row[2], row[3], row[4] = x, y, heading, cost, bound
+    row[5], row[6], row[7] = left, right, lasting
+    return child
+
+
+@compiled
+def wider(left, right, lasting, change):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return what the edges are wider by on the next arc, m, and for how long.
+
+    Args:
+        left, right, lasting: what is left of earlier changes, m.
+        change: left, right, length of the change that leads to the arc, m.
+    """
+    if lasting <= 0:
+        left, right, lasting = 0.0, 0.0, 0.0
+    return max(left, change[0]), max(right, change[1]), max(lasting, change[2])
+
+
+@compiled
+def _free(x, y, heading, move, length, left, right, moves, around):  # type: ignore[no-untyped-def]
+    left, right = moves.left[move] + left, moves.right[move] + right
+    return not blocked(
+        x, y, heading, moves.curvatures[move], length, moves.ahead, moves.behind, left, right,
+        around.circles, around.sides, around.bounds,
+    )  # fmt: skip
+
+
+@compiled
+def _arrived(x, y, heading, target):  # type: ignore[no-untyped-def]
+    dx, dy = target.x - x, target.y - y
+    if dx * dx + dy * dy > target.radius * target.radius:
+        return False
+    turn = target.heading - heading
+    return target.free or abs(turn - 2 * np.pi * np.round(turn / (2 * np.pi))) <= target.tolerance
+
+
+@compiled
+def _connects(frontier, node, moves, target, around, best):  # type: ignore[no-untyped-def]
+    """Say whether the Dubins path from a node to the goal is free and makes a better plan."""
+    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
+    before = frontier.links[node, 1]
+    path = word(x, y, heading, target.x, target.y, target.heading, target.free, target.turning)
+    if cost + path[3] + path[4] + path[5] >= best:
+        return False
+    for piece in range(3):
+        length = path[3 + piece]
+        if length > 0:
+            move = moves.turns[1 + int(path[piece])]
+            left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
+            if not _free(x, y, heading, move, length, left, right, moves, around):
+                return False
+            x, y, heading = along(x, y, heading, moves.curvatures[move], length)
+            lasting, before = max(0.0, lasting - length), move
+    return True

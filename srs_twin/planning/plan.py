@@ -1,0 +1,156 @@
+"""What a planner is asked, and what it answers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.primitives import Primitives
+from srs_twin.planning.swept import along
+from srs_twin.world import Goal, Pose, World
+
+# What stays below is rounding, m and rad.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Problem:
+    """From where to where, among what, with which body.
+
+    Attributes:
+        start: the snake lies there straight.
+        goal: where it is to arrive.
+        world: obstacles and bounds.
+        footprint: what the body sweeps, and how tightly it turns.
+        primitives: arcs to plan with; None: `best_first` chooses its own. `greedy` needs them.
+    """
+
+    start: Pose
+    goal: Goal
+    world: World
+    footprint: Footprint
+    primitives: Primitives | None = None
+
+
+class Outcome(StrEnum):
+    """How planning ended; `Plan.reason` says why.
+
+    FOUND: a free path. UNREACHABLE: there is none; the reason says whether that is proven of every path or of
+    the poses that were tried. BUDGET_SPENT: neither is known. STUCK: `greedy` stood where every arc is blocked.
+    """
+
+    FOUND = "found"
+    UNREACHABLE = "unreachable"
+    BUDGET_SPENT = "budget_spent"
+    STUCK = "stuck"
+
+
+@dataclass(frozen=True)
+class Segment:
+    """An arc of a plan.
+
+    Attributes:
+        start: of the centre of mass.
+        curvature: left positive, 1/m.
+        length: m.
+        offset: of the gait that drives it.
+        speed: m/s.
+    """
+
+    start: Pose
+    curvature: float
+    length: float
+    offset: float
+    speed: float
+
+    def pose(self, length: float) -> Pose:
+        """Return the pose after a length (m)."""
+        start = self.start
+        return Pose(*map(float, along(start.x, start.y, start.heading, self.curvature, length)))
+
+    @property
+    def end(self) -> Pose:
+        """Where the next one begins."""
+        return self.pose(self.length)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planner's answer; equal for equal problems, whatever the machine.
+
+    Attributes:
+        outcome: how it ended.
+        reason: the same in words, with the remedy.
+        segments: the path; empty unless found.
+        expanded: nodes whose children were looked at.
+        cell: size of the cells of poses in which one node stands for all, (m, rad); None where there are none.
+        seconds: wall time; not compared.
+    """
+
+    outcome: Outcome
+    reason: str
+    segments: tuple[Segment, ...] = ()
+    expanded: int = 0
+    cell: tuple[float, float] | None = None
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a path."""
+        return self.outcome is Outcome.FOUND
+
+    @property
+    def length(self) -> float:
+        """Of the path, m."""
+        return math.fsum(s.length for s in self.segments)
+
+    @property
+    def duration(self) -> float:
+        """Of the path at the footprint's speeds, s."""
+        return math.fsum(s.length / s.speed for s in self.segments)
+
+    @property
+    def end(self) -> Pose | None:
+        """Where the path ends."""
+        return self.segments[-1].end if self.segments else None
+
+    @property
+    def kink(self) -> float:
+        """Largest jump of the heading between segments, rad; 0 but for `greedy`'s joint."""
+        pairs = zip(self.segments, self.segments[1:], strict=False)
+        jumps = (abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi)) for a, b in pairs)
+        largest = max(jumps, default=0.0)
+        return largest if largest > _ROUNDING else 0.0
+
+    def samples(self, spacing: float = 0.01) -> np.ndarray:
+        """Return poses (x, y, heading) along the path, so far apart at most, m; shape (n, 3)."""
+        rows = []
+        for segment in self.segments:
+            pieces = max(1, math.ceil(segment.length / spacing))
+            poses = [segment.pose(segment.length * k / pieces) for k in range(pieces)]
+            rows += [(p.x, p.y, p.heading) for p in poses]
+        if self.end:
+            rows.append((self.end.x, self.end.y, self.end.heading))
+        return np.array(rows, dtype=float).reshape(-1, 3)
+
+
+def path_of(start: Pose, pieces: list[tuple[float, float]], footprint: Footprint) -> tuple[Segment, ...]:
+    """Return (curvature, length) pieces laid end to end; neighbours of one curvature become one segment."""
+    merged: list[list[float]] = []
+    for curvature, length in pieces:
+        if length <= 0:
+            continue
+        if merged and math.isclose(merged[-1][0], curvature, abs_tol=1e-12):
+            merged[-1][1] += length
+        else:
+            merged.append([curvature, length])
+    segments: list[Segment] = []
+    for curvature, length in merged:
+        motion = footprint.at(curvature)
+        segments.append(Segment(start, curvature, length, motion.offset, motion.speed))
+        start = segments[-1].end
+    return tuple(segments)
