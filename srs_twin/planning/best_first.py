@@ -85,12 +85,13 @@ def rest(x, y, heading, target):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def plant_root(frontier, x, y, heading, target, cell, sector, moves):  # type: ignore[no-untyped-def]
-    """Put the start into an empty frontier."""
-    bound = rest(x, y, heading, target)
-    _enter(frontier, slot_of(frontier, x, y, heading, cell, sector), x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
-    frontier.links[0, 0], frontier.links[0, 1] = -1, moves.curvatures.shape[0]
-    push(frontier, 0, bound)
+def add_root(frontier, x, y, heading, target, cell, sector, moves):  # type: ignore[no-untyped-def]
+    """Put a pose to begin at into a frontier; the first in a cell counts."""
+    slot, bound = slot_of(frontier, x, y, heading, cell, sector), rest(x, y, heading, target)
+    if frontier.owners[slot] == 0:
+        root = _enter(frontier, slot, x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
+        frontier.links[root, 0], frontier.links[root, 1] = -1, moves.curvatures.shape[0]
+        push(frontier, root, bound)
 
 
 @compiled

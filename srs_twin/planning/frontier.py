@@ -16,11 +16,9 @@ _HALF = 1 << (_BITS - 1)
 
 
 class Frontier(NamedTuple):
-    """State of a search; room for a fixed number of nodes.
+    """State of a search with room for so many nodes.
 
-    Memory that is not touched is not used, so the room may be ample.
-
-    Attributes:
+        Attributes:
         nodes: x, y, heading, cost so far (m), bound on the rest (m), wider left, wider right (m), how much
             longer they are wider (m); shape (room, 8).
         links: parent (-1 at the root) and move that led here, shape (room, 2).
@@ -47,6 +45,17 @@ def empty_frontier(room: int) -> Frontier:
         np.empty((room, 8)), np.empty((room, 2), dtype=np.int32), np.empty(room), np.empty(room, dtype=np.int32),
         np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32), np.zeros(3, dtype=np.int64),
     )  # fmt: skip
+
+
+def grown(frontier: Frontier) -> Frontier:
+    """Return the same search with eight times the room."""
+    larger = empty_frontier(8 * len(frontier.nodes))
+    made = int(frontier.counts[NODES])
+    for old, new in zip(frontier[:4], larger[:4], strict=True):
+        new[:made] = old[:made]
+    larger.counts[:] = frontier.counts
+    _move_cells(frontier, larger)
+    return larger
 
 
 @compiled
@@ -95,7 +104,11 @@ def slot_of(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-d
     row, column = np.int64(np.floor(x / cell)) + _HALF, np.int64(np.floor(y / cell)) + _HALF
     turns = heading / (2 * np.pi)
     layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
-    key = (layer << (2 * _BITS)) | (row << _BITS) | column
+    return _slot(frontier, (layer << (2 * _BITS)) | (row << _BITS) | column)
+
+
+@compiled
+def _slot(frontier, key):  # type: ignore[no-untyped-def]
     # Fibonacci hashing; the product may wrap.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
@@ -103,3 +116,10 @@ def slot_of(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-d
         slot = (slot + 1) & last
     frontier.cells[slot] = key
     return slot
+
+
+@compiled
+def _move_cells(frontier, larger):  # type: ignore[no-untyped-def]
+    for old in range(frontier.cells.shape[0]):
+        if frontier.owners[old] != 0:
+            larger.owners[_slot(larger, frontier.cells[old])] = frontier.owners[old]

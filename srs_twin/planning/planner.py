@@ -1,0 +1,98 @@
+"""plan(problem) -> Plan: the one verb of this package."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.planning.collision import Checker, inside
+from srs_twin.planning.footprint import checked
+from srs_twin.planning.plan import Plan, Problem
+from srs_twin.planning.settings import Settings
+from srs_twin.world import World
+
+PLANNERS = ("best_first", "greedy", "ompl")
+"""Names; `ompl` needs the extra of that name."""
+
+_FAR = 2000.0
+"""Places are at most so far from the origin, m; cells are counted within."""
+
+
+def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "best_first") -> Plan:
+    """Find a free path.
+
+    Args:
+        problem: from where to where, among what, with which body.
+        settings: how hard to try; `greedy` has nothing to set.
+        planner: `best_first`; `greedy`, the text's; `ompl`, RRT-Connect of the Open Motion Planning Library.
+
+    Raises:
+        InputError: start or goal is in an obstacle or out of bounds, or a number cannot be meant.
+        UnknownNameError: no such planner.
+    """
+    if planner not in PLANNERS:
+        raise UnknownNameError("planner", planner, PLANNERS)
+    _refuse(problem)
+    begun = time.perf_counter()
+    answer = _answer(problem, settings or Settings(), planner)
+    return replace(answer, seconds=time.perf_counter() - begun)
+
+
+def _answer(problem: Problem, settings: Settings, planner: str) -> Plan:
+    if planner == "greedy":
+        from srs_twin.planning.greedy import greedy
+
+        return greedy(problem)
+    if planner == "ompl":
+        from srs_twin.planning.ompl_baseline import rrt_connect
+
+        return rrt_connect(problem, settings)
+    from srs_twin.planning.search import best_first
+
+    return best_first(problem, settings)
+
+
+def _refuse(problem: Problem) -> None:
+    """Raise what is wrong with a problem before anything is tried."""
+    checked(problem.footprint)
+    _refuse_numbers(problem)
+    _refuse_world(problem.world)
+    start, goal = problem.start, problem.goal
+    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
+        if hit := inside(problem.world, x, y):
+            relation = "outside of" if hit.startswith("the bounds") else "inside"
+            raise InputError(f"{name} ({x:g}, {y:g}) lies {relation} {hit}")
+    if hit := Checker(problem.world, problem.footprint).blocker(start):
+        verb = "leaves" if hit.startswith("the bounds") else "touches"
+        raise InputError(f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb} {hit}")
+
+
+def _refuse_numbers(problem: Problem) -> None:
+    start, goal = problem.start, problem.goal
+    angles = (start.heading, goal.heading or 0.0)
+    if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
+        raise InputError(f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite, -100 to 100")
+    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
+        if not (abs(x) <= _FAR and abs(y) <= _FAR):
+            raise InputError(f"{name} ({x:g}, {y:g}) m: must be finite, -{_FAR:g} to {_FAR:g}")
+    if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
+        raise InputError(
+            f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance {goal.heading_tolerance:g} rad "
+            "from 0 to pi"
+        )
+
+
+def _refuse_world(world: World) -> None:
+    import shapely
+
+    for k, circle in enumerate(world.obstacles):
+        if not (math.isfinite(circle.x) and math.isfinite(circle.y) and 0 < circle.radius < math.inf):
+            raise InputError(f"obstacle {k + 1}: numbers must be finite, the radius above 0")
+    for k, polygon in enumerate(world.polygons):
+        finite = all(math.isfinite(value) for corner in polygon.corners for value in corner)
+        if len(polygon.corners) < 3 or not finite or not shapely.Polygon(polygon.corners).is_valid:
+            raise InputError(f"polygon {k + 1}: needs three finite corners or more, and sides that do not cross")
+    if world.bounds and not all(low < high for low, high in (world.bounds.x, world.bounds.y)):
+        raise InputError("bounds: the lowest comes first, and must be below the highest")

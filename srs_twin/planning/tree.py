@@ -1,0 +1,148 @@
+"""One tree of a search: from the start, or, on the reversed problem, from the goal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.planning.best_first import (
+    ARRIVED, CONNECTED, EXHAUSTED, FULL, Moves, Target, add_root, expand,
+)  # fmt: skip
+from srs_twin.planning.collision import Surroundings
+from srs_twin.planning.dubins import shortest
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.frontier import EXPANDED, Frontier, empty_frontier, grown
+from srs_twin.planning.primitives import Primitives
+from srs_twin.world import Goal, Pose
+
+Pieces = list[tuple[float, float]]
+"""(curvature, length) of arcs laid end to end."""
+
+_ROOM = 4096
+_SPREAD = (0.0, -0.7, 0.7)
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a search looks.
+
+    Attributes:
+        primitives: arcs that lead from node to node.
+        cell: side of a cell of poses, m.
+        sector: its width in heading, rad.
+    """
+
+    primitives: Primitives
+    cell: float
+    sector: float
+
+
+def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
+    """Return what a snake can do: the primitives it can follow, its tightest turns, and straight ahead.
+
+    Raises:
+        InputError: the footprint cannot follow one of the primitives.
+    """
+    right, left = footprint.tightest
+    both = min(right, left)
+    curvatures = np.unique(np.round([*primitives.curvatures, -right, -both, 0.0, both, left], 9))
+    # Rounding, which merges equal ones, must not leave the footprint's range.
+    curvatures = np.clip(curvatures, -right, left)
+    motions = [footprint.at(float(k)) for k in curvatures]
+    offsets = [m.offset for m in motions]
+    changes = [[footprint.transient(a, b) for b in offsets] for a in offsets]
+    changes.append([(0.0, 0.0, 0.0)] * len(offsets))
+    turns = [int(np.argmin(abs(curvatures - k))) for k in (-both, 0.0, both)]
+    return Moves(
+        curvatures, np.array([m.left for m in motions]), np.array([m.right for m in motions]), np.array(changes),
+        np.array(turns), primitives.length, footprint.ahead, footprint.behind,
+    )  # fmt: skip
+
+
+def target_of(goal: Goal, footprint: Footprint) -> Target:
+    """Return a goal as the kernel takes it."""
+    free, tightest = goal.heading is None, footprint.tightest
+    return Target(
+        goal.x, goal.y, goal.heading or 0.0, free, goal.radius, goal.heading_tolerance, 1 / max(tightest), 1 / min(tightest)
+    )
+
+
+def reversed_moves(moves: Moves) -> Moves:
+    """Return what the moves are for whom goes the same paths from their end: turned by pi, sides exchanged."""
+    last = len(moves.curvatures) - 1
+    return Moves(
+        -moves.curvatures[::-1].copy(), moves.right[::-1].copy(), moves.left[::-1].copy(), np.zeros_like(moves.changes),
+        last - moves.turns[::-1], moves.length, moves.behind, moves.ahead,
+    )  # fmt: skip
+
+
+class Tree:
+    """A best-first search that can be continued.
+
+    Args:
+        roots: poses to begin at.
+        moves: what the snake can do.
+        target: where to arrive.
+        around: the world.
+        resolution: cells.
+        weight: of the bound.
+    """
+
+    def __init__(
+        self, roots: list[Pose], moves: Moves, target: Target, around: Surroundings, resolution: Resolution, weight: float
+    ) -> None:  # fmt: skip
+        self.moves, self.target, self.around = moves, target, around
+        self.cells, self.weight = (resolution.cell, resolution.sector), weight
+        self.frontier: Frontier = empty_frontier(max(_ROOM, 2 * len(roots)))
+        for root in roots:
+            add_root(self.frontier, root.x, root.y, root.heading, target, *self.cells, moves)
+        self.exhausted = False
+
+    @property
+    def expanded(self) -> int:
+        """Nodes expanded so far."""
+        return int(self.frontier.counts[EXPANDED])
+
+    def grow(self, share: int, best: float) -> tuple[Pose, Pieces] | None:
+        """Expand so many nodes at most; return root and pieces of a plan shorter than `best` (m), if found."""
+        until = self.expanded + share
+        while True:
+            ended, node = expand(
+                self.frontier, self.moves, self.target, self.around, *self.cells, self.weight, best, until - self.expanded
+            )
+            if ended != FULL:
+                break
+            self.frontier = grown(self.frontier)
+        self.exhausted = ended == EXHAUSTED
+        return self._path(int(node), connected=ended == CONNECTED) if ended in (CONNECTED, ARRIVED) else None
+
+    def _path(self, node: int, *, connected: bool) -> tuple[Pose, Pieces]:
+        target, pieces = self.target, []
+        end = Pose(*map(float, self.frontier.nodes[node, :3]))
+        if connected:
+            heading = None if target.free else target.heading
+            path = shortest(end, target.x, target.y, heading, target.turning)
+            pieces = list(zip(path.curvatures, path.lengths, strict=True))[::-1]
+        while (parent := int(self.frontier.links[node, 0])) >= 0:
+            pieces.append((float(self.moves.curvatures[self.frontier.links[node, 1]]), self.moves.length))
+            node = parent
+        return Pose(*map(float, self.frontier.nodes[node, :3])), pieces[::-1]
+
+
+def arrivals(goal: Goal, sector: float) -> list[Pose]:
+    """Return poses spread over a goal's tolerance, the goal's own first."""
+    if goal.heading is None:
+        headings = list(np.arange(0.0, 2 * math.pi, sector))
+    else:
+        headings = [goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)]
+    return [
+        Pose(goal.x + dx * goal.radius, goal.y + dy * goal.radius, float(heading))
+        for heading in headings for dx in _SPREAD for dy in _SPREAD
+    ]  # fmt: skip
+
+
+def turned(pose: Pose) -> Pose:
+    """Return a pose looking back."""
+    return Pose(pose.x, pose.y, pose.heading + math.pi)
