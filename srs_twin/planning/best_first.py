@@ -193,10 +193,22 @@ def _arrived(x, y, heading, target):  # type: ignore[no-untyped-def]
 def _connects(frontier, node, moves, target, around, best):  # type: ignore[no-untyped-def]
     """Say whether the Dubins path from a node to the goal is free and makes a better plan."""
     x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
-    before = frontier.links[node, 1]
     path = word(x, y, heading, target.x, target.y, target.heading, target.free, target.turning)
     if cost + path[3] + path[4] + path[5] >= best:
         return False
+    return passes(x, y, heading, path, frontier.links[node, 1], left, right, lasting, moves, around)
+
+
+@compiled
+def passes(x, y, heading, path, before, left, right, lasting, moves, around):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Say whether a Dubins path is free.
+
+    Args:
+        x, y, heading: where it begins.
+        path: as `dubins.word` returns it.
+        before: move that led there.
+        left, right, lasting: what is left of earlier changes, m.
+    """
     for piece in range(3):
         length = path[3 + piece]
         if length > 0:

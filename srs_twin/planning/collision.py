@@ -92,17 +92,20 @@ class Checker:
         return found
 
     def free_path(self, segments: Sequence[Segment]) -> bool:
-        """Say whether a path is free, with the transients after its changes of offset."""
-        wider, left_over = (0.0, 0.0), 0.0
+        """Say whether a path is free, wider by the transients where its changes of offset still last."""
+        wider, lasting, none = (0.0, 0.0), 0.0, (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
             if before is not None:
                 left, right, length = self.footprint.transient(before.offset, segment.offset)
-                if length > 0:
-                    old = wider if left_over > 0 else (0.0, 0.0)
-                    wider, left_over = (max(left, old[0]), max(right, old[1])), max(length, left_over)
-            if not self.free(segment.start, segment.curvature, segment.length, wider if left_over > 0 else (0.0, 0.0)):
+                old = wider if lasting > 0 else none
+                wider, lasting = (max(left, old[0]), max(right, old[1])), max(length, lasting)
+            first = min(lasting, segment.length)
+            if first > 0 and not self.free(segment.start, segment.curvature, first, wider):
                 return False
-            left_over = max(0.0, left_over - segment.length)
+            rest = segment.length - first
+            if rest > 0 and not self.free(segment.pose(first), segment.curvature, rest):
+                return False
+            lasting -= first
         return True
 
     def blocker(self, pose: Pose) -> str:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from srs_twin.planning.collision import Checker
+from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.plan import Outcome, Plan, Problem, Segment, path_of
 from srs_twin.planning.primitives import Primitives
 from srs_twin.planning.settings import Settings
@@ -16,13 +16,14 @@ from srs_twin.planning.tree import (
     Pieces, Resolution, Tree, arrivals, moves_of, reversed_moves, target_of, turned,
 )  # fmt: skip
 from srs_twin.planning.unreachable import disconnected
-from srs_twin.world import Goal, Pose
+from srs_twin.world import Goal
 
-_COARSEST_TURN = 0.5
-_COUNT = 5
-_CELL = 0.35
-_SECTORS = 48
+# The coarsest arcs: five curvatures, turns of 0.5 rad at most; a cell is about a third of an arc and half of
+# the smallest change of heading wide, so that a node's children do not fall into one cell.
+_COUNT, _COARSEST_TURN = 5, 0.5
+_CELL, _SECTORS = 0.35, 48
 _SHARE = 1000
+"""Nodes of the first turn of each tree; every turn is twice the last."""
 
 
 @dataclass
@@ -39,43 +40,49 @@ class _Budget:
         return late or self.nodes <= 0
 
 
+@dataclass(frozen=True)
+class _Ended:
+    """How the search at one resolution ended.
+
+    Attributes:
+        path: a free one, if found.
+        why: there is none, in words; empty where the budget ended it.
+        final: no finer resolution can find one.
+    """
+
+    path: Pieces | None = None
+    why: str = ""
+    final: bool = False
+
+
 def best_first(problem: Problem, settings: Settings) -> Plan:
     """Plan; see `planning.plan`."""
     checker, budget = Checker(problem.world, problem.footprint), _Budget(settings.nodes, settings.seconds)
-    narrowest = problem.footprint.narrowest
-    if disconnected(problem.start, problem.goal, problem.world, narrowest):
-        reason = (
-            f"no path of any shape: start and goal are apart by gaps narrower than {2 * narrowest:g} m, "
-            "the footprint's least; move obstacles, or plan with a narrower footprint"
-        )
-        return Plan(Outcome.UNREACHABLE, reason)
     best: tuple[Segment, ...] = ()
-    reached, resolution = "", None
-    for resolution in _resolutions(problem, settings.levels):
-        found = _at(resolution, problem, settings, checker, budget, _length(best))
-        if isinstance(found, str):
-            reached = found
-        else:
-            best = _smoothed(found, problem, checker) if settings.smooth else found
-            reached = "found"
-        if budget.spent or (best and not settings.improve):
+    for level, resolution in enumerate(_resolutions(problem, settings.levels)):
+        trees = _trees(resolution, problem, settings, checker.surroundings)
+        ended = _at(trees, problem, budget, _length(best), prove=level == 0)
+        if ended.path is not None:
+            best = _finished(ended.path, trees[0], problem, settings, checker)
+        if ended.final or budget.spent or (best and not settings.improve):
             break
-    assert resolution is not None, "there is a level"
     expanded, cell = settings.nodes - budget.nodes, (resolution.cell, resolution.sector)
     if best:
         return Plan(Outcome.FOUND, "a free path", best, expanded, cell)
+    if ended.final:
+        return Plan(Outcome.UNREACHABLE, ended.why, (), expanded)
     words = f"cells of {1000 * cell[0]:.3g} mm and {math.degrees(cell[1]):.3g} degrees"
-    if reached:
-        reason = f"{reached}, at {words}; finer ones (levels) may still find a way"
+    if ended.why:
+        reason = f"{ended.why}, at {words}; finer ones (more levels) may still find a way"
         return Plan(Outcome.UNREACHABLE, reason, (), expanded, cell)
     reason = f"neither a path nor a proof after {expanded} nodes, at {words}; give more nodes or seconds"
     return Plan(Outcome.BUDGET_SPENT, reason, (), expanded, cell)
 
 
 def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
-    """Yield finer and finer ones: arcs and cells halve, curvatures double; given primitives come first."""
-    right, left = problem.footprint.tightest
-    first = problem.primitives or Primitives(_COUNT, _COARSEST_TURN, _COARSEST_TURN / min(right, left))
+    """Yield finer and finer ones: arcs and cells halve, in the end curvatures double; given arcs come first."""
+    both = min(problem.footprint.tightest)
+    first = problem.primitives or Primitives(_COUNT, _COARSEST_TURN, _COARSEST_TURN / both)
     for level in range(levels):
         part = 2**level
         count = first.count if level < 2 else 2 * first.count - 1
@@ -83,34 +90,40 @@ def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
         yield Resolution(arcs, _CELL * arcs.length, 2 * math.pi / (_SECTORS * part))
 
 
-def _at(
-    resolution: Resolution, problem: Problem, settings: Settings, checker: Checker, budget: _Budget, best: float
-) -> tuple[Segment, ...] | str:  # fmt: skip
-    """Search at one resolution; return a path, why there is none, or "" where the budget ended it.
+def _at(trees: list[Tree], problem: Problem, budget: _Budget, best: float, *, prove: bool) -> _Ended:
+    """Search at one resolution.
 
     The trees take turns with growing shares. The one from the goal rarely is the first to find a path; it is
     there for goals that nothing leads to, which it knows at once, and the other tree after all cells.
     """
-    trees = _trees(resolution, problem, settings, checker)
     share = _SHARE
     while not budget.spent:
-        for backward, tree in enumerate(trees):
+        for tree, end in zip(trees, ("on from the start", "back from the goal"), strict=False):
             before = tree.expanded
             found = tree.grow(max(1, min(share, budget.nodes)), best)
             budget.nodes -= tree.expanded - before
-            if found:
-                return _path(found, problem, backward=bool(backward))
-            if tree.exhausted:
-                return f"no free arc leads on {'back from the goal' if backward else 'from the start'} to an untried pose"
-            if budget.spent:
+            if found is not None:
+                # What leads back from the goal leads there with its turns exchanged.
+                return _Ended(found if tree is trees[0] else [(-c, length) for c, length in reversed(found)])
+            if tree.exhausted and not prove:
+                return _Ended(why=f"no free arc leads {end} to a pose not yet tried")
+            if tree.exhausted or budget.spent:
                 break
-        share *= 2
-    return ""
+        # Easy problems are over before the proof would be.
+        narrowest = problem.footprint.narrowest
+        if prove and disconnected(problem.start, problem.goal, problem.world, narrowest):
+            why = (
+                f"no path of any shape: start and goal are apart by gaps narrower than {2 * narrowest:g} m, the "
+                "footprint's least width; move obstacles, or plan with a narrower footprint"
+            )
+            return _Ended(why=why, final=True)
+        prove, share = False, 2 * share
+    return _Ended()
 
 
-def _trees(resolution: Resolution, problem: Problem, settings: Settings, checker: Checker) -> list[Tree]:
+def _trees(resolution: Resolution, problem: Problem, settings: Settings, around: Surroundings) -> list[Tree]:
     """Return the tree from the start, and that from the goal unless transients make paths one-way."""
-    body, around, start = problem.footprint, checker.surroundings, problem.start
+    body, start = problem.footprint, problem.start
     moves = moves_of(resolution.primitives, body)
     trees = [Tree([start], moves, target_of(problem.goal, body), around, resolution, settings.weight)]
     if not body.transients:
@@ -121,17 +134,16 @@ def _trees(resolution: Resolution, problem: Problem, settings: Settings, checker
     return trees
 
 
-def _path(found: tuple[Pose, Pieces], problem: Problem, *, backward: bool) -> tuple[Segment, ...]:
-    pieces = found[1]
-    if backward:
-        pieces = [(-curvature, length) for curvature, length in reversed(pieces)]
-    return path_of(problem.start, pieces, problem.footprint)
-
-
-def _smoothed(path: tuple[Segment, ...], problem: Problem, checker: Checker) -> tuple[Segment, ...]:
-    shorter = shortened(path, problem.footprint, checker)
-    # Transients hang on what came before; a path that is no longer free with them is not taken.
-    return shorter if checker.free_path(shorter) else path
+def _finished(found: Pieces, tree: Tree, problem: Problem, settings: Settings, checker: Checker) -> tuple[Segment, ...]:
+    """Return the path as segments, shortened where it is to be."""
+    start, body = problem.start, problem.footprint
+    path = path_of(start, found, body)
+    if settings.smooth:
+        radius = 1 / min(body.tightest)
+        shorter = path_of(start, shortened(start, found, tree.moves, checker.surroundings, radius), body)
+        # Transients hang on what came before; a path that is no longer free with them is not taken.
+        path = shorter if _length(shorter) < _length(path) and checker.free_path(shorter) else path
+    return path
 
 
 def _length(path: tuple[Segment, ...]) -> float:

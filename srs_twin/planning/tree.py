@@ -47,7 +47,7 @@ def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
     """
     right, left = footprint.tightest
     both = min(right, left)
-    curvatures = np.unique(np.round([*primitives.curvatures, -right, -both, 0.0, both, left], 9))
+    curvatures = np.unique(np.round([*primitives.curvatures, -right, -both, 0.0, both, left], 12))
     # Rounding, which merges equal ones, must not leave the footprint's range.
     curvatures = np.clip(curvatures, -right, left)
     motions = [footprint.at(float(k)) for k in curvatures]
@@ -105,8 +105,8 @@ class Tree:
         """Nodes expanded so far."""
         return int(self.frontier.counts[EXPANDED])
 
-    def grow(self, share: int, best: float) -> tuple[Pose, Pieces] | None:
-        """Expand so many nodes at most; return root and pieces of a plan shorter than `best` (m), if found."""
+    def grow(self, share: int, best: float) -> Pieces | None:
+        """Expand so many nodes at most; return the pieces of a plan shorter than `best` (m), if found."""
         until = self.expanded + share
         while True:
             ended, node = expand(
@@ -118,8 +118,9 @@ class Tree:
         self.exhausted = ended == EXHAUSTED
         return self._path(int(node), connected=ended == CONNECTED) if ended in (CONNECTED, ARRIVED) else None
 
-    def _path(self, node: int, *, connected: bool) -> tuple[Pose, Pieces]:
-        target, pieces = self.target, []
+    def _path(self, node: int, *, connected: bool) -> Pieces:
+        target = self.target
+        pieces: Pieces = []
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.free else target.heading
@@ -128,7 +129,7 @@ class Tree:
         while (parent := int(self.frontier.links[node, 0])) >= 0:
             pieces.append((float(self.moves.curvatures[self.frontier.links[node, 1]]), self.moves.length))
             node = parent
-        return Pose(*map(float, self.frontier.nodes[node, :3])), pieces[::-1]
+        return pieces[::-1]
 
 
 def arrivals(goal: Goal, sector: float) -> list[Pose]:

@@ -1,0 +1,98 @@
+"""Checks a plan by sampling the body along it: plain geometry of points, none of the planner's code."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from srs_twin.planning import Footprint, Plan, Problem
+from srs_twin.world import World
+
+TOUCH = 1e-6
+"""How deep a point has to lie in an obstacle to count, m."""
+
+
+def deepest(plan: Plan, problem: Problem, spacing: float = 0.004) -> float:
+    """Return how deep the deepest sampled point of the body lies in anything, m; below 0: the least distance.
+
+    Polygons count by whether a point lies in them: 1 m deep.
+    """
+    depth, body = -math.inf, problem.footprint
+    last, wider, lasting = None, (0.0, 0.0), 0.0
+    for segment in plan.segments:
+        if last is not None:
+            left, right, length = body.transient(last, segment.offset)
+            old = wider if lasting > 0 else (0.0, 0.0)
+            wider, lasting = (max(left, old[0]), max(right, old[1])), max(lasting, length)
+        start = (segment.start.x, segment.start.y, segment.start.heading)
+        points = [swept_points(start, segment.curvature, segment.length, body, spacing)]
+        if lasting > 0:
+            points.append(
+                swept_points(start, segment.curvature, min(lasting, segment.length), body, spacing, wider)
+            )
+        depth = max(depth, depth_in(np.vstack(points), problem.world))
+        last, lasting = segment.offset, lasting - segment.length
+    return depth
+
+
+def swept_points(
+    start: tuple[float, float, float], curvature: float, length: float, body: Footprint, spacing: float,
+    wider: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:  # fmt: skip
+    """Return points of the floor that the body covers while its centre of mass goes along an arc, shape (n, 2)."""
+    x, y, heading = start
+    edges = [np.interp(curvature, body.curvatures, c) + w for c, w in zip((body.left, body.right), wider, strict=True)]
+    s = np.linspace(-body.behind, length + body.ahead, 2 + int((length + body.ahead + body.behind) / spacing))
+    n = np.linspace(-edges[1], edges[0], 2 + int(sum(edges) / spacing))
+    s, n = (grid.ravel() for grid in np.meshgrid(s, n))
+    if abs(curvature) < 1e-9:
+        along, across = s, n
+    else:
+        # About the centre of the turn, which lies 1/curvature to the left.
+        radius = 1 / curvature
+        along, across = (radius - n) * np.sin(s / radius), radius - (radius - n) * np.cos(s / radius)
+    c, sn = math.cos(heading), math.sin(heading)
+    return np.column_stack([x + c * along - sn * across, y + sn * along + c * across])
+
+
+def depth_in(points: np.ndarray, world: World) -> float:
+    """Return how deep the deepest of some points lies in anything, m."""
+    x, y = points.T
+    depth = [-math.inf]
+    depth += [float(np.max(c.radius - np.hypot(x - c.x, y - c.y))) for c in world.obstacles]
+    if world.bounds:
+        (west, east), (south, north) = world.bounds.x, world.bounds.y
+        depth += [float(v) for v in (west - x.min(), x.max() - east, south - y.min(), y.max() - north)]
+    depth += [1.0 for p in world.polygons if np.any(_in_polygon(x, y, p.corners))]
+    return max(depth)
+
+
+def _in_polygon(x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Say of each point whether a ray from it crosses an odd number of sides."""
+    odd = np.zeros(len(x), dtype=bool)
+    for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
+        spans = (ay > y) != (by > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            odd ^= spans & (x < ax + (y - ay) / (by - ay) * (bx - ax))
+    return odd
+
+
+def joints(plan: Plan, problem: Problem) -> float:
+    """Return the largest gap in place or heading between segments, and at the start; heading counts in m per rad."""
+    ends = [problem.start, *(s.end for s in plan.segments)]
+    gaps = [
+        math.hypot(a.x - s.start.x, a.y - s.start.y) + abs(math.remainder(a.heading - s.start.heading, 2 * math.pi))
+        for a, s in zip(ends, plan.segments, strict=False)
+    ]
+    return max(gaps, default=0.0)
+
+
+def misses(plan: Plan, problem: Problem) -> bool:
+    """Say whether a plan ends outside of the goal's tolerance."""
+    end, goal = plan.end or problem.start, problem.goal
+    far = math.hypot(end.x - goal.x, end.y - goal.y) > goal.radius + 1e-6
+    turned = goal.heading is not None and (
+        abs(math.remainder(end.heading - goal.heading, 2 * math.pi)) > goal.heading_tolerance + 1e-6
+    )
+    return far or turned

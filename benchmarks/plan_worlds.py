@@ -1,0 +1,62 @@
+"""Seeded problems of many kinds for the planner: narrow and wide bodies, round and cornered obstacles."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.planning import Footprint, Problem, load_footprint
+from srs_twin.planning.fields import strewn
+from srs_twin.planning.footprint import Transient
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+
+BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")
+
+
+def drawn_problem(seed: int) -> Problem:
+    """Return a problem with this seed: body, field, start, goal and tolerance vary."""
+    rng = np.random.default_rng(seed)
+    body = load_footprint(BODIES[seed % 3])
+    if seed % 5 == 4:
+        body = _with_transients(body)
+    scale = 1.0 if seed % 3 == 0 else 2.5
+    bounds = Bounds((0.0, 2.4 * scale), (0.0, 1.6 * scale))
+    width = max(a + b for a, b in zip(body.left, body.right, strict=True))
+    start = Pose(0.3 * scale, float(rng.uniform(0.3, 1.3)) * scale, float(rng.uniform(-0.8, 0.8)))
+    heading = None if seed % 4 == 3 else float(rng.uniform(-1.0, 1.0))
+    goal = Goal(2.1 * scale, float(rng.uniform(0.3, 1.3)) * scale, heading, 0.02 * scale, 0.1)
+    clear = ((start.x, start.y, 0.22 * scale), (goal.x, goal.y, 0.15 * scale))
+    gap = float(rng.uniform(0.3, 2.5)) * width
+    count = int(rng.integers(1, 41))
+    circles: tuple[Circle, ...] = ()
+    while count and not circles:
+        try:
+            circles = strewn(count, bounds, seed, radius=(0.03 * scale, 0.12 * scale), gap=gap, clear=clear)
+        except InputError:
+            count -= 1
+    if seed % 2:
+        world = World(circles[::2], bounds if seed % 7 else None, None, tuple(_cornered(c, rng) for c in circles[1::2]))
+    else:
+        world = World(circles, bounds)
+    return Problem(start, goal, world, body)
+
+
+def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
+    """Return a star-shaped polygon, not convex as a rule, in a circle."""
+    angles = (np.arange(7) + rng.uniform(0, 0.9, 7)) * 2 * math.pi / 7
+    radii = circle.radius * rng.uniform(0.4, 1.0, 7)
+    corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
+    return Polygon(tuple((float(x), float(y)) for x, y in corners))
+
+
+def _with_transients(body: Footprint) -> Footprint:
+    """Return a body that leaves the arc after a change of offset, to the outside of the old turn."""
+    wide, tight = 0.3 * body.narrowest, 1 / max(body.tightest)
+    changes = (
+        Transient(body.offsets[0], body.offsets[-1], 0.0, wide, tight / 3),
+        Transient(body.offsets[-1], body.offsets[0], wide, 0.0, tight / 3),
+    )
+    return Footprint(*(getattr(body, n) for n in (
+        "name", "title", "offsets", "curvatures", "speeds", "left", "right", "ahead", "behind")), changes)  # fmt: skip
