@@ -42,7 +42,10 @@ def swept_points(
 ) -> np.ndarray:  # fmt: skip
     """Return points of the floor that the body covers while its centre of mass goes along an arc, shape (n, 2)."""
     x, y, heading = start
-    edges = [np.interp(curvature, body.curvatures, c) + w for c, w in zip((body.left, body.right), wider, strict=True)]
+    edges = [
+        np.interp(curvature, body.curvatures, c) + w
+        for c, w in zip((body.left, body.right), wider, strict=True)
+    ]
     s = np.linspace(-body.behind, length + body.ahead, 2 + int((length + body.ahead + body.behind) / spacing))
     n = np.linspace(-edges[1], edges[0], 2 + int(sum(edges) / spacing))
     s, n = (grid.ravel() for grid in np.meshgrid(s, n))
@@ -82,7 +85,8 @@ def joints(plan: Plan, problem: Problem) -> float:
     """Return the largest gap in place or heading between segments, and at the start; heading counts in m per rad."""
     ends = [problem.start, *(s.end for s in plan.segments)]
     gaps = [
-        math.hypot(a.x - s.start.x, a.y - s.start.y) + abs(math.remainder(a.heading - s.start.heading, 2 * math.pi))
+        math.hypot(a.x - s.start.x, a.y - s.start.y)
+        + abs(math.remainder(a.heading - s.start.heading, 2 * math.pi))
         for a, s in zip(ends, plan.segments, strict=False)
     ]
     return max(gaps, default=0.0)

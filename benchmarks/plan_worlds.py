@@ -37,7 +37,9 @@ def drawn_problem(seed: int) -> Problem:
         except InputError:
             count -= 1
     if seed % 2:
-        world = World(circles[::2], bounds if seed % 7 else None, None, tuple(_cornered(c, rng) for c in circles[1::2]))
+        world = World(
+            circles[::2], bounds if seed % 7 else None, None, tuple(_cornered(c, rng) for c in circles[1::2])
+        )
     else:
         world = World(circles, bounds)
     return Problem(start, goal, world, body)

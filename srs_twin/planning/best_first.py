@@ -112,7 +112,10 @@ def expand(frontier, moves, target, around, cell, sector, weight, best, share): 
             return FULL, -1
         node = pop(frontier)
         x, y, heading, cost, bound = frontier.nodes[node, :5]
-        if frontier.owners[slot_of(frontier, x, y, heading, cell, sector)] != node + 1 or cost + bound >= best:
+        if (
+            frontier.owners[slot_of(frontier, x, y, heading, cell, sector)] != node + 1
+            or cost + bound >= best
+        ):
             continue
         frontier.counts[EXPANDED] += 1
         if _arrived(x, y, heading, target):

@@ -37,7 +37,9 @@ def surroundings(world: World) -> Surroundings:
     """Return a world as arrays."""
     circles = np.array([(c.x, c.y, c.radius) for c in world.obstacles], dtype=float).reshape(-1, 3)
     sides = [
-        (*a, *b) for p in world.polygons for a, b in zip(p.corners, p.corners[1:] + p.corners[:1], strict=True)
+        (*a, *b)
+        for p in world.polygons
+        for a, b in zip(p.corners, p.corners[1:] + p.corners[:1], strict=True)
     ]
     bounds = world.bounds or _ANYWHERE
     return Surroundings(
@@ -62,7 +64,9 @@ class Checker:
         """The world as arrays."""
         return surroundings(self.world)
 
-    def free(self, pose: Pose, curvature: float, length: float, wider: tuple[float, float] = (0.0, 0.0)) -> bool:
+    def free(
+        self, pose: Pose, curvature: float, length: float, wider: tuple[float, float] = (0.0, 0.0)
+    ) -> bool:
         """Say whether an arc is free: the body swept along it touches nothing and stays within the bounds.
 
         Args:
@@ -74,7 +78,16 @@ class Checker:
         body, motion = self.footprint, self.footprint.at(curvature)
         left, right = motion.left + wider[0], motion.right + wider[1]
         return not blocked(
-            pose.x, pose.y, pose.heading, curvature, length, body.ahead, body.behind, left, right, *self.surroundings
+            pose.x,
+            pose.y,
+            pose.heading,
+            curvature,
+            length,
+            body.ahead,
+            body.behind,
+            left,
+            right,
+            *self.surroundings,
         )
 
     def free_arcs(self, poses: np.ndarray, curvatures: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -88,7 +101,9 @@ class Checker:
         table = self.footprint
         left = np.interp(curvatures, table.curvatures, table.left)
         right = np.interp(curvatures, table.curvatures, table.right)
-        found: np.ndarray = _free_arcs(poses, curvatures, lengths, table.ahead, table.behind, left, right, self.surroundings)
+        found: np.ndarray = _free_arcs(
+            poses, curvatures, lengths, table.ahead, table.behind, left, right, self.surroundings
+        )
         return found
 
     def free_path(self, segments: Sequence[Segment]) -> bool:
@@ -126,7 +141,9 @@ def inside(world: World, x: float, y: float) -> str:
 
     point = shapely.Point(x, y)
     for name, each in _pieces(world):
-        if each.bounds and not (each.bounds.x[0] <= x <= each.bounds.x[1] and each.bounds.y[0] <= y <= each.bounds.y[1]):
+        if each.bounds and not (
+            each.bounds.x[0] <= x <= each.bounds.x[1] and each.bounds.y[0] <= y <= each.bounds.y[1]
+        ):
             return name
         if any(math.hypot(x - c.x, y - c.y) <= c.radius for c in each.obstacles):
             return name
@@ -140,7 +157,9 @@ def _pieces(world: World) -> list[tuple[str, World]]:
     found: list[tuple[str, World]] = []
     if (bounds := world.bounds) is not None:
         (west, east), (south, north) = bounds.x, bounds.y
-        found.append((f"the bounds (x {west:g} to {east:g} m, y {south:g} to {north:g} m)", World(bounds=bounds)))
+        found.append(
+            (f"the bounds (x {west:g} to {east:g} m, y {south:g} to {north:g} m)", World(bounds=bounds))
+        )
     for k, circle in enumerate(world.obstacles):
         found.append((f"obstacle {k + 1} ({_circle(circle)})", World((circle,))))
     for k, polygon in enumerate(world.polygons):
@@ -153,7 +172,9 @@ def _circle(circle: Circle) -> str:
 
 
 def _polygon(polygon: Polygon) -> str:
-    return f"{len(polygon.corners)} corners, the first at ({polygon.corners[0][0]:g}, {polygon.corners[0][1]:g})"
+    return (
+        f"{len(polygon.corners)} corners, the first at ({polygon.corners[0][0]:g}, {polygon.corners[0][1]:g})"
+    )
 
 
 @compiled

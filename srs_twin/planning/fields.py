@@ -70,5 +70,7 @@ def strewn(
         if apart and all(math.hypot(x - cx, y - cy) >= r + cr for cx, cy, cr in clear):
             kept.append(Circle(x, y, r))
     if len(kept) < count:
-        raise InputError(f"{count} circles do not fit with gaps of {gap:g} m: {len(kept)} did; take fewer or smaller")
+        raise InputError(
+            f"{count} circles do not fit with gaps of {gap:g} m: {len(kept)} did; take fewer or smaller"
+        )
     return tuple(kept)

@@ -179,7 +179,9 @@ def problems(footprint: Footprint) -> list[tuple[str, str]]:
         ("right", max(footprint.right), -low, extra[1]),
     ):
         if (inner + more) * curvature >= 1:
-            message = f"{inner + more:g} m reaches the centre of the tightest turn, radius {1 / curvature:g} m"
+            message = (
+                f"{inner + more:g} m reaches the centre of the tightest turn, radius {1 / curvature:g} m"
+            )
             found.append((name, message))
     return found
 
@@ -190,11 +192,19 @@ def checked(footprint: Footprint) -> Footprint:
     Raises:
         InputError: it cannot be one, or a number is not finite.
     """
-    numbers = (*footprint.offsets, *footprint.curvatures, *footprint.speeds, footprint.ahead, footprint.behind)
+    numbers = (
+        *footprint.offsets,
+        *footprint.curvatures,
+        *footprint.speeds,
+        footprint.ahead,
+        footprint.behind,
+    )
     if not all(math.isfinite(value) for value in (*numbers, *footprint.left, *footprint.right)):
         raise InputError(f"footprint {footprint.name}: a number is not finite")
     if min(footprint.speeds) <= 0 or footprint.narrowest <= 0 or min(footprint.ahead, footprint.behind) < 0:
-        raise InputError(f"footprint {footprint.name}: speeds and edges must be above 0, ahead and behind not below")
+        raise InputError(
+            f"footprint {footprint.name}: speeds and edges must be above 0, ahead and behind not below"
+        )
     for field, message in problems(footprint):
         raise InputError(f"footprint {footprint.name}: {field}: {message}")
     return footprint

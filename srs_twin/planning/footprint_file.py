@@ -74,7 +74,13 @@ class FootprintFile(Strict):
 
 
 # What a problem of the table is called in the file.
-_KEYS = {"offsets": "offset", "curvatures": "curvature_per_m", "speeds": "speed_m_s", "left": "left_m", "right": "right_m"}
+_KEYS = {
+    "offsets": "offset",
+    "curvatures": "curvature_per_m",
+    "speeds": "speed_m_s",
+    "left": "left_m",
+    "right": "right_m",
+}
 
 
 def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:

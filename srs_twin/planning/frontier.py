@@ -18,15 +18,15 @@ _HALF = 1 << (_BITS - 1)
 class Frontier(NamedTuple):
     """State of a search with room for so many nodes.
 
-        Attributes:
-        nodes: x, y, heading, cost so far (m), bound on the rest (m), wider left, wider right (m), how much
-            longer they are wider (m); shape (room, 8).
-        links: parent (-1 at the root) and move that led here, shape (room, 2).
-        keys: what the heap is ordered by, m, shape (room,).
-        heap: nodes in heap order, shape (room,).
-        cells: cell of each slot of the hash table, shape (slots,), slots a power of 2.
-        owners: 1 + the node that stands for the cell, 0 where the slot is empty, shape (slots,).
-        counts: nodes made, nodes open, nodes expanded.
+    Attributes:
+    nodes: x, y, heading, cost so far (m), bound on the rest (m), wider left, wider right (m), how much
+        longer they are wider (m); shape (room, 8).
+    links: parent (-1 at the root) and move that led here, shape (room, 2).
+    keys: what the heap is ordered by, m, shape (room,).
+    heap: nodes in heap order, shape (room,).
+    cells: cell of each slot of the hash table, shape (slots,), slots a power of 2.
+    owners: 1 + the node that stands for the cell, 0 where the slot is empty, shape (slots,).
+    counts: nodes made, nodes open, nodes expanded.
     """
 
     nodes: np.ndarray

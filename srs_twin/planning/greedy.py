@@ -41,7 +41,9 @@ def greedy(problem: Problem) -> Plan:
         InputError: the problem has no primitives, or its goal no heading.
     """
     if problem.primitives is None:
-        raise InputError("planner greedy needs primitives: their number N, alpha_max and the length of a step")
+        raise InputError(
+            "planner greedy needs primitives: their number N, alpha_max and the length of a step"
+        )
     if problem.goal.heading is None:
         raise InputError("planner greedy needs a goal with a heading: its second branch grows from there")
     there = Checker(problem.world, problem.footprint)
@@ -61,7 +63,9 @@ def greedy(problem: Problem) -> Plan:
             return Plan(Outcome.STUCK, reason, (), turn)
         branches[side].append((tips[side], taken[0]))
         tips[side] = taken[1]
-    return Plan(Outcome.BUDGET_SPENT, f"the branches did not meet in {_MOST} arcs each; try best_first", (), 2 * _MOST)
+    return Plan(
+        Outcome.BUDGET_SPENT, f"the branches did not meet in {_MOST} arcs each; try best_first", (), 2 * _MOST
+    )
 
 
 def arc_to(pose: Pose, x: float, y: float) -> tuple[float, float]:

@@ -53,7 +53,9 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     validator = _motion_validator(base)(info, moves, around, radius)
     info.setMotionValidator(validator)
     setup.setStateValidityChecker(lambda state: validator.passes(_pose(state), _pose(state)))
-    setup.setStartAndGoalStates(_state(space, problem.start), _state(space, Pose(goal.x, goal.y, goal.heading)))
+    setup.setStartAndGoalStates(
+        _state(space, problem.start), _state(space, Pose(goal.x, goal.y, goal.heading))
+    )
     # Compiled before the clock runs.
     validator.passes(problem.start, problem.start)
     setup.setPlanner(geometric.RRTConnect(info))
@@ -74,7 +76,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
 def _motion_validator(base: Any) -> Any:
     """Return the class that checks motions; its base is the library's, which may be missing."""
 
-    class Validator(base.MotionValidator):  # type: ignore[misc]
+    class Validator(base.MotionValidator):
         def __init__(self, info: Any, moves: Moves, around: Surroundings, radius: float) -> None:
             super().__init__(info)
             self.moves, self.around, self.radius = moves, around, radius

@@ -87,7 +87,8 @@ class Plan:
         reason: the same in words, with the remedy.
         segments: the path; empty unless found.
         expanded: nodes whose children were looked at.
-        cell: size of the cells of poses in which one node stands for all, (m, rad); None where there are none.
+        cell: size of the finest cells of poses looked at, one node in each, (m, rad); None where none were: `greedy`,
+            `ompl`, and a proof of every path.
         seconds: wall time; not compared.
     """
 
@@ -102,6 +103,11 @@ class Plan:
     def found(self) -> bool:
         """Whether there is a path."""
         return self.outcome is Outcome.FOUND
+
+    @property
+    def proven(self) -> bool:
+        """Whether it is certain that there is no path, however finely one looks."""
+        return self.outcome is Outcome.UNREACHABLE and self.cell is None
 
     @property
     def length(self) -> float:

@@ -93,6 +93,8 @@ def _refuse_world(world: World) -> None:
     for k, polygon in enumerate(world.polygons):
         finite = all(math.isfinite(value) for corner in polygon.corners for value in corner)
         if len(polygon.corners) < 3 or not finite or not shapely.Polygon(polygon.corners).is_valid:
-            raise InputError(f"polygon {k + 1}: needs three finite corners or more, and sides that do not cross")
+            raise InputError(
+                f"polygon {k + 1}: needs three finite corners or more, and sides that do not cross"
+            )
     if world.bounds and not all(low < high for low, high in (world.bounds.x, world.bounds.y)):
         raise InputError("bounds: the lowest comes first, and must be below the highest")

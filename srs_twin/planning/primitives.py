@@ -39,7 +39,9 @@ class Primitives:
 
     def __post_init__(self) -> None:
         if self.count < 3 or self.count % 2 == 0:
-            raise InputError(f"{self.count} primitives: the number must be odd, 3 or more (the middle one is straight)")
+            raise InputError(
+                f"{self.count} primitives: the number must be odd, 3 or more (the middle one is straight)"
+            )
         if not (0 < self.turn < math.pi and 0 < self.length < math.inf):
             raise InputError(
                 f"primitives of {self.length:g} m that turn by {self.turn:g} rad: lengths are above 0, "
@@ -88,9 +90,10 @@ def swept_polygon(
         )
     outer = abs(1 / curvature) + (right if curvature > 0 else left) if curvature else 0.0
     # A polygon about a circle stands off by R (1/cos(φ/2) - 1), its chords by R (1 - cos(φ/2)).
-    most = 2 * math.acos(outer / (outer + excess)) if outer else math.inf
+    most = 4 * math.atan(math.sqrt(excess / (2 * outer + excess)))
     pieces = max(1, math.ceil(abs(curvature) * whole / most))
-    stretched = 1 / math.cos(abs(curvature) * whole / pieces / 2)
+    half = abs(curvature) * whole / pieces / 2
+    stretch = 2 * math.sin(half / 2) ** 2 / math.cos(half)
     edges: list[list[tuple[float, float]]] = [[], []]
     for side, edge, convex in ((0, left, curvature < 0), (1, -right, curvature > 0)):
         radius = 1 - curvature * edge
@@ -101,6 +104,6 @@ def swept_polygon(
             x, y, heading = along(start.x, start.y, start.heading, curvature, place * whole - behind)
             n = edge
             if convex and 0 < k < len(places) - 1:
-                n = (1 - radius * stretched) / curvature
+                n -= radius * stretch / curvature
             edges[side].append((x - n * math.sin(heading), y + n * math.cos(heading)))
     return Polygon(edges[0] + edges[1][::-1])

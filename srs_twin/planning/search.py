@@ -13,7 +13,14 @@ from srs_twin.planning.primitives import Primitives
 from srs_twin.planning.settings import Settings
 from srs_twin.planning.smoothing import shortened
 from srs_twin.planning.tree import (
-    Pieces, Resolution, Tree, arrivals, moves_of, reversed_moves, target_of, turned,
+    Pieces,
+    Resolution,
+    Tree,
+    arrivals,
+    moves_of,
+    reversed_moves,
+    target_of,
+    turned,
 )  # fmt: skip
 from srs_twin.planning.unreachable import disconnected
 from srs_twin.world import Goal
@@ -134,7 +141,9 @@ def _trees(resolution: Resolution, problem: Problem, settings: Settings, around:
     return trees
 
 
-def _finished(found: Pieces, tree: Tree, problem: Problem, settings: Settings, checker: Checker) -> tuple[Segment, ...]:
+def _finished(
+    found: Pieces, tree: Tree, problem: Problem, settings: Settings, checker: Checker
+) -> tuple[Segment, ...]:
     """Return the path as segments, shortened where it is to be."""
     start, body = problem.start, problem.footprint
     path = path_of(start, found, body)

@@ -25,7 +25,7 @@ class Settings:
     nodes: int = 200_000
     seconds: float | None = None
     weight: float = 1.0
-    levels: int = 3
+    levels: int = 4
     smooth: bool = True
     improve: bool = False
 

@@ -10,8 +10,8 @@ from srs_twin.compiled import compiled
 from srs_twin.planning.best_first import Moves, passes
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import shortest, word
-from srs_twin.planning.tree import Pieces
 from srs_twin.planning.swept import along
+from srs_twin.planning.tree import Pieces
 from srs_twin.world import Pose
 
 _ROUNDS = 4

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.planning.best_first import (
-    ARRIVED, CONNECTED, EXHAUSTED, FULL, Moves, Target, add_root, expand,
+    ARRIVED,
+    CONNECTED,
+    EXHAUSTED,
+    FULL,
+    Moves,
+    Target,
+    add_root,
+    expand,
 )  # fmt: skip
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import shortest
@@ -21,6 +28,9 @@ Pieces = list[tuple[float, float]]
 """(curvature, length) of arcs laid end to end."""
 
 _ROOM = 4096
+# At the end of a tightest turn the Dubins length jumps by a full turn if rounding puts the goal inside of it; the
+# bound must not, so it is that of turns tighter by this share.
+_SLACK = 1e-6
 _SPREAD = (0.0, -0.7, 0.7)
 
 
@@ -63,10 +73,11 @@ def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
 
 def target_of(goal: Goal, footprint: Footprint) -> Target:
     """Return a goal as the kernel takes it."""
-    free, tightest = goal.heading is None, footprint.tightest
+    right, left = footprint.tightest
     return Target(
-        goal.x, goal.y, goal.heading or 0.0, free, goal.radius, goal.heading_tolerance, 1 / max(tightest), 1 / min(tightest)
-    )
+        goal.x, goal.y, goal.heading or 0.0, goal.heading is None, goal.radius, goal.heading_tolerance,
+        (1 - _SLACK) / max(right, left), 1 / min(right, left),
+    )  # fmt: skip
 
 
 def reversed_moves(moves: Moves) -> Moves:
@@ -110,7 +121,14 @@ class Tree:
         until = self.expanded + share
         while True:
             ended, node = expand(
-                self.frontier, self.moves, self.target, self.around, *self.cells, self.weight, best, until - self.expanded
+                self.frontier,
+                self.moves,
+                self.target,
+                self.around,
+                *self.cells,
+                self.weight,
+                best,
+                until - self.expanded,
             )
             if ended != FULL:
                 break

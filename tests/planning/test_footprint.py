@@ -1,0 +1,146 @@
+"""Footprints: the published tables, interpolation, transients, and files that cannot be one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.files import shipped_folder, shipped_names
+from srs_twin.planning import Footprint, load_footprint
+from srs_twin.planning.footprint import Transient, checked
+from srs_twin.planning.footprint_file import load_footprint_file, save_footprint
+
+# Table 8 as printed: offset, speed, left, right, radius.
+TABLE_8 = (
+    (0, 0.1345, -0.1, 0.1, 4.467),
+    (0.1, 0.1524, -0.08, 0.1, 1.8157),
+    (0.2, 0.1082, -0.07, 0.1, 1.2532),
+    (0.3, 0.1216, -0.06, 0.09, 0.7856),
+    (-0.1, 0.1696, -0.11, 0.08, 1.7707),
+    (-0.2, 0.1489, -0.09, 0.06, 0.8445),
+    (-0.3, 0.1471, -0.09, 0.055, 0.6727),
+)
+BOX = Footprint.box(0.05, 0.01, speed=0.2, curvature=math.pi / 3 / 0.2)
+
+
+@pytest.mark.parametrize("row", TABLE_8, ids=lambda row: str(row[0]))
+def test_shipped_table_8_is_the_printed_one(row):
+    offset, speed, left, right, radius = row
+    body = load_footprint("gen4_table8")
+    curvature = body.curvatures[body.offsets.index(offset)]
+    assert 1 / abs(curvature) == pytest.approx(radius, rel=1e-4)
+    assert curvature * offset >= 0
+    motion = body.at(curvature)
+    assert (motion.offset, motion.speed, motion.left, motion.right) == pytest.approx(
+        (offset, speed, -left, right)
+    )
+
+
+def test_shipped_boxes_are_those_of_the_text():
+    text = load_footprint("gen2_section52")
+    for column in ("curvatures", "speeds", "left", "right"):
+        assert getattr(text, column) == pytest.approx(getattr(BOX, column), abs=1e-5)
+    table_9 = load_footprint("gen4_table9")
+    assert math.degrees(table_9.tightest[0] * 0.12) == pytest.approx(9, abs=1e-3)
+    assert [a + b for a, b in zip(table_9.left, table_9.right, strict=True)] == pytest.approx([0.25] * 3)
+
+
+@pytest.mark.parametrize("name", shipped_names("footprint"))
+def test_every_shipped_footprint_is_whole_and_comes_back_from_a_file(name, tmp_path):
+    checked(load_footprint(name))
+    save_footprint(load_footprint_file(name), tmp_path / "again.yaml")
+    assert load_footprint(tmp_path / "again.yaml") == load_footprint(name)
+
+
+@given(st.floats(0, 1))
+def test_between_rows_everything_is_linear(share):
+    body = load_footprint("gen4_table8")
+    k = body.curvatures[4] + share * (body.curvatures[5] - body.curvatures[4])
+    motion = body.at(k)
+    assert motion.speed == pytest.approx(0.1524 + share * (0.1082 - 0.1524))
+    assert motion.left == pytest.approx(0.08 - share * 0.01)
+
+
+def test_the_box_shifts_outward():
+    turn = BOX.at(BOX.curvatures[-1])
+    assert (turn.left, turn.right) == pytest.approx((0.015, 0.035))
+    assert BOX.narrowest == pytest.approx(0.015)
+
+
+def test_tighter_than_it_can_is_refused():
+    with pytest.raises(InputError, match="curvature 6 1/m is not in the footprint's -5.23599 to 5.23599"):
+        BOX.at(6.0)
+
+
+def test_transients_grow_with_the_change_and_know_its_direction():
+    body = replace(
+        BOX, transients=(Transient(-0.3, 0.3, 0.0, 0.02, 0.1), Transient(0.0, 0.3, 0.0, 0.015, 0.08))
+    )
+    assert body.transient(-0.3, 0.3) == pytest.approx((0, 0.02, 0.1))
+    assert body.transient(-0.15, 0.15) == pytest.approx((0, 0.015, 0.1))
+    assert body.transient(0.0, 0.15) == pytest.approx((0, 0.0075, 0.1))
+    assert body.transient(0.3, -0.3) == (0, 0, 0)
+    assert body.transient(0.1, 0.1) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[-0.3, 0.0, 0.3]", "[0.3, 0.0, -0.3]", "5:17: offset.value: must rise from row to row"),
+        ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must be a list"),
+        ("[0.12, 0.12, 0.12]", "[0.12, 0.12, 0.12, 0.12]", "speed_m_s.value: 4 values for 3 offsets"),
+        (
+            "[0.175, 0.125, 0.075]",
+            "[0.8, 0.8, 0.8]",
+            "left_m.value: 0.8 m reaches the centre of the tightest turn",
+        ),
+        ("[-1.309, 0.0, 1.309]", "[0.1, 0.2, 1.309]", "needs turns to both sides"),
+        ("[-1.309, 0.0, 1.309]", "[-1.309, .nan, 1.309]", "curvature_per_m.value[1]: must be"),
+        ("unit: m/s", "unit: km/h", "speed_m_s.unit: must be m/s, not text 'km/h'"),
+        ("ahead_m", "ahed_m", "unknown key; did you mean ahead_m?"),
+        (
+            "status: estimated",
+            "status: guessed",
+            "ahead_m.status: must be one of measured, calibrated, estimated",
+        ),
+    ],
+)
+def test_files_that_cannot_be_a_footprint_are_refused_where_they_are_wrong(old, new, words, tmp_path):
+    text = (shipped_folder("footprint") / "gen4_table9.yaml").read_text("utf-8")
+    assert old in text
+    (tmp_path / "x.yaml").write_text(text.replace(old, new, 1), "utf-8")
+    with pytest.raises(InputFileError) as error:
+        load_footprint(tmp_path / "x.yaml")
+    assert words in str(error.value)
+
+
+def test_unknown_name_says_which_there_are():
+    with pytest.raises(InputError, match="unknown footprint 'gen4_table7'; did you mean gen4_table"):
+        load_footprint("gen4_table7")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"speeds": (0.2, 0.0, 0.2)}, "speeds and edges must be above 0"),
+        ({"ahead": -0.1}, "ahead and behind not below"),
+        ({"left": (0.02, math.nan, 0.02)}, "a number is not finite"),
+        ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must rise"),
+        ({"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)}, "reaches the centre of the tightest turn"),
+    ],
+)
+def test_footprints_from_code_are_checked_as_well(changes, words):
+    with pytest.raises(InputError, match=words):
+        checked(replace(BOX, **changes))
+
+
+def test_offsets_and_curvatures_rise_together_in_all_shipped_ones():
+    for name in shipped_names("footprint"):
+        body = load_footprint(name)
+        assert np.all(np.diff(body.curvatures) > 0) and np.all(np.diff(body.offsets) > 0)

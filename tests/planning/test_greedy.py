@@ -1,0 +1,122 @@
+"""The text's rule: what it takes, where it ends, and where it stands."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plan_sampling import TOUCH, deepest
+
+from srs_twin.errors import InputError
+from srs_twin.planning import Footprint, Outcome, Primitives, Problem, load_footprint, plan
+from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.planning.greedy import arc_to, mirrored
+from srs_twin.planning.swept import along
+from srs_twin.world import Circle, Goal, Pose, World
+
+TEXT = load_footprint("gen2_section52")
+ARCS = Primitives(21, math.pi / 3, 0.2)
+
+
+def fig54(count: int, seed: int) -> Problem:
+    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), TEXT, ARCS)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
+def test_arc_distance_is_that_of_the_arc_through_the_point(x, y, heading, to_x, to_y):
+    curvature, length = arc_to(Pose(x, y, heading), to_x, to_y)
+    if math.isfinite(length) and length < 50:
+        end = along(x, y, heading, curvature, length)
+        assert end[:2] == pytest.approx((to_x, to_y), abs=1e-6)
+        assert length >= math.hypot(to_x - x, to_y - y) - 1e-9
+    assert math.isinf(arc_to(Pose(0, 0, 0), -1, 0)[1])
+
+
+def test_fig_53_turns_toward_the_target_from_both_ends():
+    goal = Goal(2.0, 1.0, -math.pi / 4 + math.pi, radius=0.02)
+    body = Footprint.box(0.05, 0.01, speed=1.0, curvature=math.pi / 3 / 0.5)
+    problem = Problem(Pose(0.0, 0.0, -math.pi / 4), goal, World(), body, Primitives(5, math.pi / 3, 0.5))
+    answer = plan(problem, planner="greedy")
+    assert answer.found
+    first, last = answer.segments[0], answer.segments[-1]
+    # The nearest of the five children is the one that turns left by alpha_max; so on the other side.
+    assert first.curvature == pytest.approx(math.pi / 3 / 0.5) == last.curvature
+    assert (answer.end.x, answer.end.y) == pytest.approx((2.0, 1.0))
+    assert math.remainder(answer.end.heading - goal.heading, 2 * math.pi) == pytest.approx(0)
+    for s in answer.segments:
+        step = s.length * s.curvature / (math.pi / 6)
+        assert s.length < 0.5 or step == pytest.approx(round(step))
+
+
+def test_first_step_has_the_least_score_of_all():
+    problem = fig54(0, 0)
+    start, goal = problem.start, problem.goal
+    scores = [
+        0.001 * abs(i - 10) + arc_to(child, goal.x, goal.y)[1] for i, child in enumerate(ARCS.children(start))
+    ]
+    first = plan(problem, planner="greedy").segments[0]
+    assert first.curvature == pytest.approx(ARCS.curvatures[int(np.argmin(scores))])
+
+
+def test_arcs_that_would_collide_are_not_taken():
+    problem = fig54(0, 0)
+    free = plan(problem, planner="greedy")
+    middle = free.segments[1].end
+    world = World((Circle(middle.x, middle.y, 0.05),), problem.world.bounds)
+    answer = plan(Problem(problem.start, problem.goal, world, TEXT, ARCS), planner="greedy")
+    assert answer.segments != free.segments
+    assert answer.outcome in (Outcome.FOUND, Outcome.STUCK)
+
+
+@pytest.mark.parametrize("count", [1, 3, 5, 8])
+def test_what_it_finds_is_free_and_only_its_joint_has_a_kink(count):
+    found = 0
+    for seed in range(8):
+        problem = fig54(count, seed)
+        answer = plan(problem, planner="greedy")
+        if answer.found:
+            found += 1
+            assert deepest(answer, problem) < TOUCH
+            ends = [problem.start, *(s.end for s in answer.segments)]
+            jumps = [
+                abs(math.remainder(a.heading - s.start.heading, 2 * math.pi))
+                for a, s in zip(ends, answer.segments, strict=False)
+            ]
+            assert sum(jump > 1e-6 for jump in jumps) <= 1
+            assert all(
+                math.hypot(a.x - s.start.x, a.y - s.start.y) < 1e-9
+                for a, s in zip(ends, answer.segments, strict=False)
+            )
+        else:
+            assert answer.outcome is Outcome.STUCK and "does not go back" in answer.reason
+    assert found
+
+
+def test_success_falls_with_obstacles_and_the_default_solves_what_greedy_solves():
+    solved = {}
+    for count in (1, 9, 18):
+        answers = [
+            (plan(fig54(count, seed), planner="greedy"), plan(fig54(count, seed))) for seed in range(15)
+        ]
+        assert all(default.found for greedy, default in answers if greedy.found)
+        solved[count] = sum(greedy.found for greedy, _ in answers)
+    assert solved[1] > solved[9] > solved[18]
+
+
+def test_mirrored_twice_is_itself_and_sides_change_places():
+    body = load_footprint("gen4_table8")
+    back = mirrored(body)
+    assert mirrored(back) == body
+    for k in body.curvatures:
+        assert (back.at(-k).left, back.at(-k).right) == (body.at(k).right, body.at(k).left)
+
+
+def test_what_it_needs_is_asked_for():
+    problem = fig54(1, 0)
+    with pytest.raises(InputError, match="greedy needs primitives"):
+        plan(Problem(problem.start, problem.goal, problem.world, TEXT), planner="greedy")
+    with pytest.raises(InputError, match="a goal with a heading"):
+        plan(Problem(problem.start, Goal(2, 1, None, 0.1), problem.world, TEXT, ARCS), planner="greedy")

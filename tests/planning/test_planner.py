@@ -1,0 +1,287 @@
+"""The default planner: found plans are free, refusals have names, unreachable goals are said to be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plan_sampling import TOUCH, deepest, joints, misses
+from plan_worlds import drawn_problem
+
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.planning import Footprint, Outcome, Primitives, Problem, Settings, load_footprint, plan
+from srs_twin.planning.best_first import rest
+from srs_twin.planning.collision import Checker
+from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
+from srs_twin.planning.swept import along
+from srs_twin.planning.tree import moves_of, target_of
+from srs_twin.planning.unreachable import disconnected
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+
+TEXT = load_footprint("gen2_section52")
+SEEDS = range(60)
+
+
+def fig54(count: int, seed: int) -> Problem:
+    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), TEXT)
+
+
+def ring(x: float, y: float, radius: float, count: int, circle: float) -> tuple[Circle, ...]:
+    angles = np.arange(count) * 2 * math.pi / count
+    return tuple(Circle(x + radius * math.cos(a), y + radius * math.sin(a), circle) for a in angles)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_plans_are_free_whole_and_arrive(seed):
+    problem = drawn_problem(seed)
+    answer = plan(problem)
+    if not answer.found:
+        assert answer.segments == () and answer.reason
+        return
+    assert deepest(answer, problem, 0.006) < TOUCH
+    assert joints(answer, problem) < 1e-9 and answer.kink == 0
+    assert not misses(answer, problem)
+    assert all(-s.curvature <= problem.footprint.tightest[0] + 1e-9 for s in answer.segments)
+    assert all(s.curvature <= problem.footprint.tightest[1] + 1e-9 for s in answer.segments)
+
+
+def test_most_drawn_worlds_have_a_plan():
+    """Else the test above would say little."""
+    assert sum(plan(drawn_problem(seed)).found for seed in SEEDS) >= 0.9 * len(SEEDS)
+
+
+def test_the_sampling_checker_sees_what_is_in_the_way():
+    problem = fig54(0, 0)
+    answer = plan(problem)
+    x, y, _ = answer.samples()[len(answer.samples()) // 2]
+    assert deepest(answer, problem) < 0
+    blocked = replace(problem, world=World((Circle(float(x), float(y) + 0.06, 0.04),)))
+    assert deepest(answer, blocked) > 0.003
+    corner = Polygon(((x + 0.01, y), (x + 0.05, y), (x + 0.05, y + 0.04)))
+    assert deepest(answer, replace(problem, world=World(polygons=(corner,)))) == 1.0
+
+
+def test_fig_53():
+    arcs = Primitives(5, math.pi / 3, 0.5)
+    body = Footprint.box(0.05, 0.01, speed=1.0, curvature=math.pi / 3 / 0.5)
+    goal = Goal(2.0, 1.0, -math.pi / 4 + math.pi, radius=0.02, heading_tolerance=0.05)
+    problem = Problem(Pose(0.0, 0.0, -math.pi / 4), goal, World(), body, arcs)
+    best = plan(problem)
+    assert best.found and not misses(best, problem)
+    # Nothing is in the way: it is the Dubins path, left, straight, left.
+    assert [math.copysign(round(abs(s.curvature), 6) > 0, s.curvature) for s in best.segments] == [1, 0, 1]
+    assert best.length == pytest.approx(rest(0.0, 0.0, -math.pi / 4, target_of(goal, body)), abs=1e-6)
+    assert best.duration == pytest.approx(best.length)
+
+
+@pytest.mark.parametrize(("count", "seed"), [(3, 0), (5, 0), (5, 1), (8, 0), (18, 0)])
+def test_fig_54(count, seed):
+    problem = fig54(count, seed)
+    answer = plan(problem)
+    assert answer.found
+    assert deepest(answer, problem, 0.003) < TOUCH
+    assert math.hypot(2, 1) <= answer.length < 1.1 * math.hypot(2, 1)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_bound_is_below_every_found_length(seed):
+    """At the start, and from every place on the way to the end that was reached."""
+    problem = drawn_problem(seed)
+    answer = plan(problem, Settings(smooth=seed % 2 == 0))
+    if answer.end is None:
+        return
+    end = answer.end
+    target = target_of(Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0), problem.footprint)
+    done = 0.0
+    for s in answer.segments:
+        assert rest(s.start.x, s.start.y, s.start.heading, target) <= answer.length - done + 1e-6
+        done += s.length
+
+
+@given(
+    st.floats(-2, 2), st.floats(-2, 2), st.floats(-4, 4), st.integers(0, 8), st.floats(0.01, 1), st.booleans()
+)
+def test_the_bound_falls_by_no_more_than_the_arc(x, y, heading, move, length, free):
+    body = load_footprint("gen4_table8")
+    moves = moves_of(Primitives(5, 0.5, 0.4), body)
+    curvature = moves.curvatures[move % len(moves.curvatures)]
+    target = target_of(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
+    after = along(x, y, heading, curvature, length)
+    assert rest(x, y, heading, target) <= length + rest(*after, target) + 1e-6
+
+
+def test_same_problem_same_plan_and_its_mirror_image_is_as_long():
+    problem = fig54(12, 3)
+    answer = plan(problem)
+    assert answer == plan(problem)
+    flipped = Problem(
+        Pose(0.0, 0.0, -math.pi / 4), replace(FIG54_GOAL, y=-1.0, heading=-math.pi / 4),
+        World(tuple(Circle(c.x, -c.y, c.radius) for c in problem.world.obstacles), Bounds((-0.3, 2.3), (-1.3, 0.3))),
+        TEXT,
+    )  # fmt: skip
+    assert plan(flipped).length == pytest.approx(answer.length, rel=0.02)
+
+
+def test_finer_levels_never_make_it_longer():
+    problem = fig54(18, 4)
+    first = plan(problem, Settings(smooth=False))
+    better = plan(problem, Settings(smooth=False, improve=True, levels=3, nodes=50_000))
+    assert better.found and better.length <= first.length
+    assert better.expanded > first.expanded
+
+
+def test_a_weight_costs_no_more_than_it_says():
+    problem = fig54(18, 4)
+    shortest = plan(problem, Settings(smooth=False))
+    hasty = plan(problem, Settings(smooth=False, weight=2.0))
+    assert hasty.found and shortest.length <= hasty.length <= 2 * shortest.length
+    assert hasty.expanded <= shortest.expanded
+
+
+def test_any_arrival_heading():
+    goal = replace(FIG54_GOAL, heading=None)
+    problem = replace(fig54(10, 2), goal=goal)
+    answer = plan(problem)
+    assert answer.found and not misses(answer, problem)
+    assert answer.length <= plan(fig54(10, 2)).length + 1e-3
+
+
+def walled(**changes) -> Problem:
+    return replace(
+        Problem(Pose(0, 0, 0), Goal(1.5, 0, 0.0, 0.02), World(bounds=Bounds((-1, 3), (-1, 1))), TEXT),
+        **changes,
+    )
+
+
+def test_a_goal_walled_in_is_proven_unreachable():
+    wall = ring(1.5, 0, 0.4, 14, 0.08)
+    problem = walled(world=World(wall, Bounds((-1, 3), (-1, 1))))
+    answer = plan(problem)
+    assert answer.outcome is Outcome.UNREACHABLE and answer.proven and answer.segments == ()
+    assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
+    # Without the circle toward the start there is a way in.
+    assert plan(replace(problem, world=World(wall[:7] + wall[8:], Bounds((-1, 3), (-1, 1))))).found
+
+
+def test_a_start_walled_in_without_bounds_is_proven_unreachable_too():
+    assert plan(walled(world=World(ring(0, 0, 0.4, 14, 0.08)))).proven
+
+
+def test_a_polygon_wall_from_side_to_side_is_proven_unreachable():
+    wall = Polygon(((0.7, -2), (0.8, -2), (0.8, 2), (0.7, 2)))
+    problem = walled(world=World((), Bounds((-1, 3), (-1, 1)), None, (wall,)))
+    assert plan(problem).proven
+    assert plan(replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))).found
+
+
+def test_a_niche_too_small_to_turn_in_is_unreachable_at_a_resolution_that_is_named():
+    """The goal lies at a wall that has to be approached at right angles, and looks along it."""
+    left, right = (Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3))) for x in (1.3, 1.6))
+    lid = Polygon(((1.3, 0.3), (1.7, 0.3), (1.7, 0.4), (1.3, 0.4)))
+    niche = World((), Bounds((-1, 3), (-1, 1)), None, (left, right, lid))
+    problem = walled(world=niche, goal=Goal(1.5, 0.2, 0.0, 0.01))
+    answer = plan(problem)
+    assert answer.outcome is Outcome.UNREACHABLE and not answer.proven
+    assert answer.cell is not None and "back from the goal" in answer.reason and "degrees" in answer.reason
+    # Looking into the niche it is reached.
+    assert plan(replace(problem, goal=Goal(1.5, 0.2, math.pi / 2, 0.01))).found
+
+
+def test_a_budget_that_is_spent_is_no_verdict():
+    answer = plan(fig54(18, 0), Settings(nodes=20))
+    assert answer.outcome is Outcome.BUDGET_SPENT and answer.expanded <= 20
+    assert "give more nodes" in answer.reason
+
+
+@given(st.integers(0, 10**6))
+def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
+    rng = np.random.default_rng(seed)
+    bounds = Bounds((-0.3, 1.6), (-0.4, 0.8))
+    try:
+        circles = strewn(
+            int(rng.integers(5, 25)), bounds, seed, radius=(0.05, 0.12), gap=0.02, clear=((0, 0, 0.06),)
+        )
+    except InputError:
+        return
+    problem = Problem(Pose(0, 0, 0.3), Goal(1.3, 0.4, None, 0.05), World(circles, bounds), TEXT)
+    try:
+        answer = plan(problem, Settings(nodes=5000))
+    except InputError:
+        return
+    if answer.found:
+        assert not disconnected(problem.start, problem.goal, problem.world, TEXT.narrowest)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"start": Pose(5, 0, 0)}, r"start \(5, 0\) lies outside of the bounds \(x -1 to 3 m"),
+        ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) lies outside of the bounds"),
+        (
+            {"world": World((Circle(9, 9, 1), Circle(0, 0.1, 0.2)))},
+            r"start \(0, 0\) lies inside obstacle 2 \(radius 0.2",
+        ),
+        ({"world": World((Circle(1.5, 0, 0.2),))}, r"goal \(1.5, 0\) lies inside obstacle 1"),
+        (
+            {"world": World(polygons=(Polygon(((1, -1), (2, -1), (1.5, 1))),))},
+            r"goal .* inside polygon 1 \(3 corners",
+        ),
+        ({"world": World((Circle(0, 0.22, 0.2),))}, "the straight body's footprint touches obstacle 1"),
+        ({"start": Pose(-1, 0, 1.57)}, "the straight body's footprint leaves the bounds"),
+        ({"goal": Goal(math.nan, 0, 0.0, 0.1)}, r"goal \(nan, 0\) m: must be finite"),
+        ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
+        ({"goal": Goal(1, 0, 0.0, -0.1)}, "radius -0.1 m must not be below 0"),
+        ({"world": World((Circle(1, 1, 0),))}, "obstacle 1: numbers must be finite, the radius above 0"),
+        (
+            {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
+            "polygon 1: .* sides that do not cross",
+        ),
+        ({"world": World(bounds=Bounds((1, -1), (0, 1)))}, "the lowest comes first"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_by_name(changes, words):
+    with pytest.raises(InputError, match=words):
+        plan(walled(**changes))
+
+
+def test_unknown_planners_and_idle_settings_are_refused():
+    with pytest.raises(UnknownNameError, match="did you mean greedy"):
+        plan(walled(), planner="gredy")
+    with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be 1 at least"):
+        Settings(nodes=0)
+    with pytest.raises(InputError, match="seconds -1 must be above 0"):
+        Settings(seconds=-1)
+
+
+def test_arcs_at_once_are_arcs_one_by_one():
+    problem = drawn_problem(21)
+    checker, rng = Checker(problem.world, problem.footprint), np.random.default_rng(0)
+    poses = np.column_stack([rng.uniform(0, 6, 300), rng.uniform(0, 4, 300), rng.uniform(-3, 3, 300)])
+    curvatures, lengths = (
+        rng.uniform(*problem.footprint.curvatures[:: len(problem.footprint.curvatures) - 1], 300),
+        rng.uniform(0, 1, 300),
+    )
+    one_by_one = [
+        checker.free(Pose(*p), k, s) for p, k, s in zip(poses.tolist(), curvatures, lengths, strict=True)
+    ]
+    assert checker.free_arcs(poses, curvatures, lengths).tolist() == one_by_one
+    assert 0 < sum(one_by_one) < 300
+
+
+def test_fields_are_drawn_alike_from_one_seed_and_keep_their_gaps():
+    assert fig54_world(7, 3) == fig54_world(7, 3) != fig54_world(7, 4)
+    assert len(fig54_world(18, 0).obstacles) == 18
+    circles = strewn(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
+    assert circles == strewn(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
+    gaps = [
+        math.hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius for a in circles for b in circles if a is not b
+    ]
+    assert min(gaps) >= 0.1 and min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
+    with pytest.raises(InputError, match="do not fit with gaps of 0.5 m"):
+        strewn(30, FIG54_BOUNDS, 0, gap=0.5)
+    with pytest.raises(InputError, match="19 obstacles cannot be drawn from 18 sites"):
+        fig54_world(19, 0)

@@ -1,0 +1,126 @@
+"""Arcs and their swept regions against integration and against finely drawn polygons (shapely)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from srs_twin.errors import InputError
+from srs_twin.planning.primitives import Primitives, swept_polygon
+from srs_twin.planning.swept import along, blocked
+from srs_twin.world import Pose
+
+CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
+PLACE = st.floats(-1.5, 1.5)
+ANGLE = st.floats(-4, 4)
+EDGE = st.floats(0.01, 0.2)
+ARC = st.tuples(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(0, 1.2), EDGE, EDGE, EDGE, EDGE)
+NO_CIRCLES, NO_SIDES = np.empty((0, 3)), np.empty((0, 4))
+ANYWHERE = np.array([-np.inf, np.inf, -np.inf, np.inf])
+NEAR = 1e-4
+"""What the drawn polygon and the region may disagree about, m."""
+
+
+def drawn(arc) -> shapely.Polygon:
+    """The region of an arc with 1,200 corners, by integrating the heading's sine and cosine."""
+    pose, k, length, ahead, behind, left, right = arc
+    assume(abs(k) * (length + ahead + behind) < 6)
+    s = np.linspace(-behind, length + ahead, 600)
+    heading = pose.heading + k * s
+    # Simpson's rule from 0 to each place.
+    t = np.linspace(0, 1, 41)
+    weights = np.r_[1, np.tile([4, 2], 20)[:-1], 1] / 120
+    x = pose.x + s * (np.cos(pose.heading + k * np.outer(s, t)) @ weights)
+    y = pose.y + s * (np.sin(pose.heading + k * np.outer(s, t)) @ weights)
+    edges = [np.c_[x - n * np.sin(heading), y + n * np.cos(heading)] for n in (left, -right)]
+    return shapely.Polygon(np.r_[edges[0], edges[1][::-1]])
+
+
+def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
+    pose, k, length, ahead, behind, left, right = arc
+    return blocked(
+        pose.x, pose.y, pose.heading, k, length, ahead, behind, left, right, circles, sides, bounds
+    )  # fmt: skip
+
+
+@given(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(-2, 2))
+def test_arc_is_what_integration_gives(pose, k, length):
+    solved = solve_ivp(
+        lambda _, z: [math.cos(z[2]), math.sin(z[2]), k], (0, abs(length)), [pose.x, pose.y, pose.heading],
+        rtol=1e-10, atol=1e-12,
+    )  # fmt: skip
+    assume(length >= 0)
+    assert along(pose.x, pose.y, pose.heading, k, length) == pytest.approx(solved.y[:, -1], abs=1e-8)
+
+
+@given(st.builds(Pose, PLACE, PLACE, ANGLE), st.floats(0.1, 3), st.floats(0.05, 1))
+def test_children_obey_eq_33_with_its_signs_put_right(pose, turn, length):
+    arcs = Primitives(5, turn, length)
+    for i, child in enumerate(arcs.children(pose)):
+        alpha = turn * (i - 2) / 2
+        if alpha == 0:
+            expected = (pose.x + length * math.cos(pose.heading), pose.y + length * math.sin(pose.heading))
+        else:
+            r, after = length / alpha, pose.heading + alpha
+            expected = (
+                pose.x + r * (math.sin(after) - math.sin(pose.heading)),
+                pose.y - r * (math.cos(after) - math.cos(pose.heading)),
+            )
+        assert (child.x, child.y) == pytest.approx(expected, abs=1e-9)
+        assert child.heading == pytest.approx(pose.heading + alpha)
+
+
+@given(ARC, PLACE, PLACE, st.floats(0.01, 0.5))
+def test_circles_are_hit_as_the_drawn_region_is(arc, x, y, radius):
+    gap = drawn(arc).distance(shapely.Point(x, y)) - radius
+    assume(abs(gap) > NEAR)
+    assert touches(arc, circles=np.array([[x, y, radius]])) == (gap < 0)
+
+
+@given(ARC, PLACE, PLACE, PLACE, PLACE)
+def test_sides_are_hit_as_the_drawn_region_is(arc, ax, ay, bx, by):
+    region, side = drawn(arc), shapely.LineString([(ax, ay), (bx, by)])
+    hit = region.intersects(side)
+    assume(hit == region.buffer(NEAR).intersects(side) == region.buffer(-NEAR).intersects(side))
+    assert touches(arc, sides=np.array([[ax, ay, bx, by]])) == hit
+
+
+@given(ARC, st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2))
+def test_bounds_are_left_as_by_the_drawn_region(arc, west, east, south, north):
+    region, pose = drawn(arc), arc[0]
+    box = (pose.x - west, pose.y - south, pose.x + east, pose.y + north)
+    inside = shapely.box(*box).contains(region)
+    assume(
+        inside
+        == shapely.box(*box).buffer(NEAR).contains(region)
+        == shapely.box(*box).buffer(-NEAR).contains(region)
+    )
+    assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (not inside)
+
+
+@given(ARC, st.sampled_from([1e-2, 1e-3, 1e-4]))
+def test_polygon_of_a_region_contains_it_and_little_more(arc, excess):
+    region = drawn(arc)
+    pose, k, length, ahead, behind, left, right = arc
+    assume(max(k * left, -k * right) < 0.95)
+    polygon = swept_polygon(
+        pose, k, length, left=left, right=right, ahead=ahead, behind=behind, excess=excess
+    )  # fmt: skip
+    assert polygon.is_valid
+    assert polygon.buffer(1e-6).contains(region)
+    assert region.buffer(excess * 1.01 + 1e-5).contains(polygon)
+
+
+def test_whole_turns_have_no_outline_and_primitives_have_a_middle():
+    with pytest.raises(InputError, match="no simple outline"):
+        swept_polygon(Pose(0, 0, 0), 2.0, 4.0, left=0.1, right=0.1)
+    with pytest.raises(InputError, match="4 primitives: the number must be odd"):
+        Primitives(4, 1.0, 0.1)
+    with pytest.raises(InputError, match="below pi"):
+        Primitives(5, 3.2, 0.1)
