@@ -40,7 +40,7 @@ def swept_points(
     start: tuple[float, float, float], curvature: float, length: float, body: Footprint, spacing: float,
     wider: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:  # fmt: skip
-    """Return points of the floor that the body covers while its centre of mass goes along an arc, shape (n, 2)."""
+    """Return points of the floor that the body covers along an arc, m, shape (n, 2)."""
     x, y, heading = start
     edges = [
         np.interp(curvature, body.curvatures, c) + w
@@ -82,7 +82,7 @@ def _in_polygon(x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float]
 
 
 def joints(plan: Plan, problem: Problem) -> float:
-    """Return the largest gap in place or heading between segments, and at the start; heading counts in m per rad."""
+    """Return the largest gap between segments, and at the start, m; a radian counts as a metre."""
     ends = [problem.start, *(s.end for s in plan.segments)]
     gaps = [
         math.hypot(a.x - s.start.x, a.y - s.start.y)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,5 +61,4 @@ def _with_transients(body: Footprint) -> Footprint:
         Transient(body.offsets[0], body.offsets[-1], 0.0, wide, tight / 3),
         Transient(body.offsets[-1], body.offsets[0], wide, 0.0, tight / 3),
     )
-    return Footprint(*(getattr(body, n) for n in (
-        "name", "title", "offsets", "curvatures", "speeds", "left", "right", "ahead", "behind")), changes)  # fmt: skip
+    return replace(body, transients=changes)

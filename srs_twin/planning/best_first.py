@@ -6,9 +6,9 @@ goal is shorter than h, and h falls along no arc by more than the arc's length, 
 with w > 1 a path is at most w times as long as the best that the same arcs and cells admit.
 
 When a node is taken from the open list, the Dubins path from it to the goal is tried. If it is free, the two
-together are a plan. The closed set holds one node a cell of poses: a later one is kept only if it is nearer to
-the start. That is what makes the search finite, and what makes it incomplete: a pose in the same cell might
-have got through where the one that stands for it does not.
+together are a plan. The closed set holds one node a cell of poses: a later one is kept only if it is nearer
+to the start. That is what makes the search finite, and what makes it incomplete: a pose in the same cell
+might have got through where the one that stands for it does not.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from srs_twin.planning.frontier import EXPANDED, NODES, OPEN, pop, push, slot_of
 from srs_twin.planning.swept import along, blocked
 
 CONNECTED, ARRIVED, PAUSED, EXHAUSTED, FULL = range(5)
-"""How `expand` ends: a free Dubins path to the goal; within tolerance; after its share; no node open; no room."""
+"""How `expand` ends: a free Dubins path to the goal, within tolerance, share done, no node open, no room."""
 
 _BETTER = 1e-9
 

@@ -1,15 +1,15 @@
 r"""Dubins paths: the shortest way between two poses for a snake that only goes ahead and turns so tightly.
 
 Dubins (1957): with a least radius r it consists of three pieces, arcs of radius r (L, R) and straights (S),
-in one of the six words LSL, LSR, LRL and their mirror images. Below, lengths are in radii, angles from the line
-between the poses: with distance d, headings a and b, for the words that begin with L,
+in one of the six words LSL, LSR, LRL and their mirror images. Below, lengths are in radii, angles from the
+line between the poses: with distance d, headings a and b, for the words that begin with L,
 
 .. math::
     LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
     LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b)
 
-and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. Where any arrival heading will do, the
-shortest is an arc and a straight, or, to a point inside a turning circle, two arcs (Bui et al., 1994).
+and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. Where any arrival heading will do,
+the shortest is an arc and a straight, or, to a point inside a turning circle, two arcs (Bui et al., 1994).
 
 The packages that offer this (`dubins`, wrappers of one C file) have had no release for years and no wheels.
 """
@@ -66,7 +66,7 @@ def shortest(start: Pose, x: float, y: float, heading: float | None, radius: flo
 
 @compiled
 def word(x, y, heading, to_x, to_y, to_heading, free, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the turns (+1 left, 0 straight, -1 right) and lengths (m) of the three pieces of a shortest path.
+    """Return turns (+1 left, 0 straight, -1 right) and lengths (m) of the three pieces of a shortest path.
 
     Args:
         x, y, heading: where it begins, m and rad.

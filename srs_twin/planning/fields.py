@@ -13,7 +13,7 @@ FIG54_START = Pose(0.0, 0.0, math.pi / 4)
 """Section 5.2.1's start in the field of Fig. 54."""
 
 FIG54_GOAL = Goal(2.0, 1.0, math.pi / 4, radius=0.02, heading_tolerance=0.05)
-"""Its target: the text writes -3/4 pi, the heading of the tree that grows backward (physics: arrival + pi)."""
+"""Its target: the text writes -3/4 pi, which is the heading of the tree that grows back from there."""
 
 FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
 """The border that the h score speaks of; its place is in the lost figure, so it is ours."""
@@ -45,7 +45,8 @@ def fig54_world(count: int, seed: int) -> World:
 
 def strewn(
     count: int, bounds: Bounds, seed: int, *,
-    radius: tuple[float, float] = (0.05, 0.15), gap: float = 0.0, clear: tuple[tuple[float, float, float], ...] = (),
+    radius: tuple[float, float] = (0.05, 0.15), gap: float = 0.0,
+    clear: tuple[tuple[float, float, float], ...] = (),
 ) -> tuple[Circle, ...]:  # fmt: skip
     """Strew circles uniformly over a rectangle, their centres inside it.
 

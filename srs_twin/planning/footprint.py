@@ -1,12 +1,12 @@
-r"""Footprint: the floor that the snake sweeps about the path of its centre of mass, and how fast it goes there.
+r"""Footprint: the floor that the snake sweeps about the path of its centre of mass, and its speed there.
 
 Section 5.2.1 (Fig. 52 and 58): under a constant offset the centre of mass follows an arc of curvature κ. Two
 arcs about the same centre bound the body: on a point of the path, the body stays within
 
 .. math:: -r(κ) ≤ n ≤ l(κ)
 
-where n is the distance to the left of the path, l the left and r the right edge. Across the path the footprint
-ends where head and tail are: `ahead` before and `behind` after the centre of mass, along the arc.
+where n is the distance to the left of the path, l the left and r the right edge. Across the path the
+footprint ends where head and tail are: `ahead` before and `behind` after the centre of mass, along the arc.
 
 Offset, speed and edges are read from a table by curvature, linear between its rows.
 """
@@ -94,7 +94,7 @@ class Footprint:
         cls, width: float, shift: float, *, speed: float, curvature: float, offset: float = 0.3,
         ahead: float = 0.0, behind: float = 0.0,
     ) -> Footprint:  # fmt: skip
-        """Return the text's box: constant width, shifted outward in proportion to the turn (Fig. 54, Table 9).
+        """Return the text's box: constant width, shifted outward as it turns (Fig. 54, Table 9).
 
         Outward, since Table 8's inner edges draw nearer and the outer ones hardly do.
 

@@ -1,4 +1,4 @@
-"""Open list and closed set of a search: a binary heap and a hash table of pose cells, as arrays for kernels."""
+"""Open list and closed set of a search: a binary heap and a hash table of pose cells, in arrays."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ def empty_frontier(room: int) -> Frontier:
     """Return a search that has not begun, with room for so many nodes."""
     slots = 1 << (2 * room - 1).bit_length()
     return Frontier(
-        np.empty((room, 8)), np.empty((room, 2), dtype=np.int32), np.empty(room), np.empty(room, dtype=np.int32),
+        np.empty((room, 8)), np.empty((room, 2), dtype=np.int32),
+        np.empty(room), np.empty(room, dtype=np.int32),
         np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32), np.zeros(3, dtype=np.int64),
     )  # fmt: skip
 

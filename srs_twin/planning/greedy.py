@@ -3,17 +3,18 @@ r"""The text's planner (Section 5.2.1), as the historical reference: two trees o
 From the newest node of either side in turn, start first, all N arcs are looked at and the one with the least
 score g + h is taken, for good: there is no open list, and no way back.
 
-- g favours straight arcs: g = |i - (N+1)/2| (E8: the printed formula contradicts its sentence). The text gives g
-  and h no common unit. Here a step of g counts as a millimetre, the unit of its figures, so that g decides
-  between arcs that come equally near, as in the text's example, which is told by distances alone.
+- g favours straight arcs: g = |i - (N+1)/2| (E8: the printed formula contradicts its sentence). The text
+  gives g and h no common unit. Here a step of g counts as a millimetre, the unit of its figures, so that g
+  decides between arcs that come equally near, as in the text's example, which is told by distances alone.
 - h is the arc distance to the other side's newest node: the length of the arc that begins along the node's
   heading and passes through the other's place, d β / sin β at distance d and bearing β. It does not know the
   other's heading. Blocked arcs get 10000 in the text; here they are left out, and where all are, it is stuck.
 
-The search ends when the arc distance falls below a threshold; the text gives none; here it is one step. "And the
-difference between the rotation angles is π" is its other condition, but "or" the threshold alone makes that
-idle. So where the branches meet the heading may jump (`Plan.kink`), and no snake drives such a plan as it is.
-The joint is the arc whose length is the arc distance; it has to be free and no tighter than the others.
+The search ends when the arc distance falls below a threshold; the text gives none; here it is one step. "And
+the difference between the rotation angles is π" is its other condition, but "or" the threshold alone makes
+that idle. So where the branches meet the heading may jump (`Plan.kink`), and no snake drives such a plan as
+it is. The joint is the arc whose length is the arc distance; it has to be free and no tighter than the
+others.
 
 The backward branch grows from the goal with the heading turned by π, on the mirrored footprint.
 """
@@ -59,7 +60,10 @@ def greedy(problem: Problem) -> Plan:
         taken = _best(tips[side], tips[1 - side], problem, (there, back)[side])
         if taken is None:
             name = ("start", "goal")[side]
-            reason = f"every arc is blocked {turn // 2} arcs from the {name}, and greedy does not go back; try best_first"
+            reason = (
+                f"every arc is blocked {turn // 2} arcs from the {name}, and greedy does not go "
+                "back; try best_first"
+            )
             return Plan(Outcome.STUCK, reason, (), turn)
         branches[side].append((tips[side], taken[0]))
         tips[side] = taken[1]
@@ -83,11 +87,12 @@ def arc_to(pose: Pose, x: float, y: float) -> tuple[float, float]:
 
 
 def mirrored(footprint: Footprint) -> Footprint:
-    """Return the footprint of whom goes the same paths from their end: turned by π, sides exchanged."""
+    """Return the footprint of one that goes the same paths from their end: turned by π, sides exchanged."""
     return Footprint(
         footprint.name, footprint.title,
         tuple(-v for v in reversed(footprint.offsets)), tuple(-v for v in reversed(footprint.curvatures)),
-        footprint.speeds[::-1], footprint.right[::-1], footprint.left[::-1], footprint.behind, footprint.ahead,
+        footprint.speeds[::-1], footprint.right[::-1], footprint.left[::-1],
+        footprint.behind, footprint.ahead,
     )  # fmt: skip
 
 

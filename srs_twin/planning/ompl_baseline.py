@@ -1,7 +1,7 @@
 """Baseline: RRT-Connect of the Open Motion Planning Library (extra `ompl`), on the same collision checks.
 
-Its motions are Dubins paths of the footprint's tightest turn, checked as the default planner's are, and the path
-is shortened as the default planner's is. The library's random numbers are seeded once a process and its
+Its motions are Dubins paths of the footprint's tightest turn, checked as the default planner's are, and the
+path is shortened as the default planner's is. The library's random numbers are seeded once a process and its
 budget is wall time, so plans differ from run to run.
 """
 

@@ -40,7 +40,8 @@ class Outcome(StrEnum):
     """How planning ended; `Plan.reason` says why.
 
     FOUND: a free path. UNREACHABLE: there is none; the reason says whether that is proven of every path or of
-    the poses that were tried. BUDGET_SPENT: neither is known. STUCK: `greedy` stood where every arc is blocked.
+    the poses that were tried. BUDGET_SPENT: neither is known. STUCK: `greedy` stood where every arc is
+    blocked.
     """
 
     FOUND = "found"
@@ -87,8 +88,8 @@ class Plan:
         reason: the same in words, with the remedy.
         segments: the path; empty unless found.
         expanded: nodes whose children were looked at.
-        cell: size of the finest cells of poses looked at, one node in each, (m, rad); None where none were: `greedy`,
-            `ompl`, and a proof of every path.
+        cell: size of the finest cells of poses looked at, one node in each, (m, rad); None where none were:
+            `greedy`, `ompl`, and a proof of every path.
         seconds: wall time; not compared.
     """
 

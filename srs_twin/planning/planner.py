@@ -79,8 +79,8 @@ def _refuse_numbers(problem: Problem) -> None:
             raise InputError(f"{name} ({x:g}, {y:g}) m: must be finite, -{_FAR:g} to {_FAR:g}")
     if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
         raise InputError(
-            f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance {goal.heading_tolerance:g} rad "
-            "from 0 to pi"
+            f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance "
+            f"{goal.heading_tolerance:g} rad must be from 0 to pi"
         )
 
 

@@ -87,7 +87,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
 
 
 def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
-    """Yield finer and finer ones: arcs and cells halve, in the end curvatures double; given arcs come first."""
+    """Yield finer and finer ones: arcs and cells halve, at last curvatures double; given arcs come first."""
     both = min(problem.footprint.tightest)
     first = problem.primitives or Primitives(_COUNT, _COARSEST_TURN, _COARSEST_TURN / both)
     for level in range(levels):
@@ -120,8 +120,8 @@ def _at(trees: list[Tree], problem: Problem, budget: _Budget, best: float, *, pr
         narrowest = problem.footprint.narrowest
         if prove and disconnected(problem.start, problem.goal, problem.world, narrowest):
             why = (
-                f"no path of any shape: start and goal are apart by gaps narrower than {2 * narrowest:g} m, the "
-                "footprint's least width; move obstacles, or plan with a narrower footprint"
+                f"no path of any shape: start and goal are apart by gaps narrower than {2 * narrowest:g} m, "
+                "the footprint's least width; move obstacles, or plan with a narrower footprint"
             )
             return _Ended(why=why, final=True)
         prove, share = False, 2 * share

@@ -19,7 +19,7 @@ class Settings:
         weight: of the bound; 1: shortest path first; above 1: fewer nodes, paths up to so many times longer.
         levels: how many resolutions to try, each with half the last one's arcs and cells.
         smooth: shorten the path afterwards.
-        improve: do not stop at the first plan: look at the finer levels for shorter ones while the budget lasts.
+        improve: do not stop at the first plan: look at finer levels for shorter ones while the budget lasts.
     """
 
     nodes: int = 200_000
@@ -32,7 +32,8 @@ class Settings:
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
             raise InputError(
-                f"planner: nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}: all must be 1 at least"
+                f"planner: nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}: "
+                "all must be 1 at least"
             )
         if self.seconds is not None and not self.seconds > 0:
             raise InputError(f"planner: seconds {self.seconds:g} must be above 0")

@@ -1,8 +1,11 @@
 r"""Swept region of one arc, and whether anything is in it: exact, in closed form, compiled.
 
-Path coordinates about the middle of an arc of curvature κ: of a point u ahead and w to the left of the middle,
+Path coordinates about the middle of an arc of curvature κ: of a point u ahead and w to the left of the
+middle,
 
-.. math:: n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw)
+.. math::
+    n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
+    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw)
 
 are the distance to the left of the arc and the place along it; both hold their accuracy down to κ = 0. The
 region of a centre of mass that goes from -h to h along the arc is the annular sector |s| ≤ h, -r ≤ n ≤ l
@@ -10,8 +13,8 @@ region of a centre of mass that goes from -h to h along the arc is the annular s
 straight line of length l + r across the path. A circle is free of the region if the distance of its centre is
 its radius or more.
 
-A side of a polygon is cut where it crosses n = l, n = -r (quadratics) and s = ±h (lines); it is free if none of
-its parts has its middle in the region. Whether a polygon contains the whole region is not asked: a plan's
+A side of a polygon is cut where it crosses n = l, n = -r (quadratics) and s = ±h (lines); it is free if none
+of its parts has its middle in the region. Whether a polygon contains the whole region is not asked: a plan's
 regions hang together from a start that lies outside, so the first to enter would cross a side.
 
 `MARGIN` is what everything is asked to be farther away than it must, which covers rounding.

@@ -28,8 +28,8 @@ Pieces = list[tuple[float, float]]
 """(curvature, length) of arcs laid end to end."""
 
 _ROOM = 4096
-# At the end of a tightest turn the Dubins length jumps by a full turn if rounding puts the goal inside of it; the
-# bound must not, so it is that of turns tighter by this share.
+# At the end of a tightest turn the Dubins length jumps by a full turn if rounding puts the goal inside of it;
+# the bound must not, so it is that of turns tighter by this share.
 _SLACK = 1e-6
 _SPREAD = (0.0, -0.7, 0.7)
 
@@ -66,8 +66,8 @@ def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
     changes.append([(0.0, 0.0, 0.0)] * len(offsets))
     turns = [int(np.argmin(abs(curvatures - k))) for k in (-both, 0.0, both)]
     return Moves(
-        curvatures, np.array([m.left for m in motions]), np.array([m.right for m in motions]), np.array(changes),
-        np.array(turns), primitives.length, footprint.ahead, footprint.behind,
+        curvatures, np.array([m.left for m in motions]), np.array([m.right for m in motions]),
+        np.array(changes), np.array(turns), primitives.length, footprint.ahead, footprint.behind,
     )  # fmt: skip
 
 
@@ -81,11 +81,11 @@ def target_of(goal: Goal, footprint: Footprint) -> Target:
 
 
 def reversed_moves(moves: Moves) -> Moves:
-    """Return what the moves are for whom goes the same paths from their end: turned by pi, sides exchanged."""
+    """Return what the moves are for one that goes the same paths from their end: sides exchanged."""
     last = len(moves.curvatures) - 1
     return Moves(
-        -moves.curvatures[::-1].copy(), moves.right[::-1].copy(), moves.left[::-1].copy(), np.zeros_like(moves.changes),
-        last - moves.turns[::-1], moves.length, moves.behind, moves.ahead,
+        -moves.curvatures[::-1].copy(), moves.right[::-1].copy(), moves.left[::-1].copy(),
+        np.zeros_like(moves.changes), last - moves.turns[::-1], moves.length, moves.behind, moves.ahead,
     )  # fmt: skip
 
 
@@ -102,7 +102,8 @@ class Tree:
     """
 
     def __init__(
-        self, roots: list[Pose], moves: Moves, target: Target, around: Surroundings, resolution: Resolution, weight: float
+        self, roots: list[Pose], moves: Moves, target: Target, around: Surroundings,
+        resolution: Resolution, weight: float,
     ) -> None:  # fmt: skip
         self.moves, self.target, self.around = moves, target, around
         self.cells, self.weight = (resolution.cell, resolution.sector), weight

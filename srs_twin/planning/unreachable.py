@@ -13,11 +13,11 @@ _PIECES = 32
 def disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
     """Say whether every path from start to goal comes nearer to something than the clearance.
 
-    Let o be a point of an obstacle nearer to a smooth path than the clearance w. If the path's point nearest to o
-    is none of its ends, o lies straight across the path from it, within the edges: a collision. So it is an end,
-    at most w from o, and whatever else of the path is within w of o is within 2 w of that end. Hence a free path
-    lies in what is left when obstacles grow by w and bounds shrink by w, or in discs of 2 w about its ends. If
-    no connected part of that holds start and goal, there is no path, whatever its curvature.
+    Let o be a point of an obstacle nearer to a smooth path than the clearance w. If the path's point nearest
+    to o is none of its ends, o lies straight across the path from it, within the edges: a collision. So it is
+    an end, at most w from o, and whatever else of the path is within w of o is within 2 w of that end. Hence
+    a free path lies in what is left when obstacles grow by w and bounds shrink by w, or in discs of 2 w about
+    its ends. If no connected part of that holds start and goal, there is no path, whatever its curvature.
 
     Args:
         start: where the path begins.
@@ -45,7 +45,7 @@ def disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> boo
 
 
 def _room(world: World, extent: tuple[float, float, float, float], clearance: float):  # type: ignore[no-untyped-def]
-    """Return the bounds less the clearance, or, where there are none, a rectangle with a way round everything."""
+    """Return the bounds less the clearance, or, where there are none, a way round everything."""
     import shapely
 
     if world.bounds is None:

@@ -120,7 +120,10 @@ def test_same_problem_same_plan_and_its_mirror_image_is_as_long():
     assert answer == plan(problem)
     flipped = Problem(
         Pose(0.0, 0.0, -math.pi / 4), replace(FIG54_GOAL, y=-1.0, heading=-math.pi / 4),
-        World(tuple(Circle(c.x, -c.y, c.radius) for c in problem.world.obstacles), Bounds((-0.3, 2.3), (-1.3, 0.3))),
+        World(
+            tuple(Circle(c.x, -c.y, c.radius) for c in problem.world.obstacles),
+            Bounds((-0.3, 2.3), (-1.3, 0.3)),
+        ),
         TEXT,
     )  # fmt: skip
     assert plan(flipped).length == pytest.approx(answer.length, rel=0.02)
