@@ -22,9 +22,11 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.mjcf_classes import add_classes, drawn_height
 from srs_twin.mjcf_numerics import Numerics
+from srs_twin.mjcf_obstacles import add_hull_class, add_obstacles
 from srs_twin.mjcf_surroundings import add_surroundings
 from srs_twin.mjcf_wheels import add_contacts, add_feet, add_preload, add_wheels, fixed_inertia
 from srs_twin.spec import GRAVITY, GYRATION, RobotSpec
+from srs_twin.world import World
 
 
 def hinge_places(hinges: int) -> np.ndarray:
@@ -37,13 +39,16 @@ def hinge_places(hinges: int) -> np.ndarray:
     return np.linspace(edge, 1 - edge, hinges)
 
 
-def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None) -> mujoco.MjSpec:
+def robot_mjcf(
+    spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None, hull: bool = False
+) -> mujoco.MjSpec:
     """Build the robot: bodies, joints, tendons and actuators, no floor.
 
     Args:
         spec: the robot.
         numerics: time step, discretisation, contact.
         supply_pa: upper end of the controls' range, Pa; no less than what a chamber may hold.
+        hull: whether it has a body that touches obstacles (`mjcf_obstacles`).
 
     Raises:
         InputError: the time step is too long for the robot's damping time.
@@ -61,6 +66,8 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     _set_options(mj, numerics)
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
     add_classes(mj, spec, numerics, limit_pa=limit)
+    if hull:
+        add_hull_class(mj, spec, numerics)
     free = numerics.base == "free"
     middle = root_connector(spec) if free else 1
     place = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
@@ -84,13 +91,18 @@ def robot_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None =
     return mj
 
 
-def scene_mjcf(spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None) -> mujoco.MjSpec:
-    """Build the robot on a floor, with its contact pairs and floor-force sensors (world frame, N).
+def scene_mjcf(
+    spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None, world: World | None = None
+) -> mujoco.MjSpec:
+    """Build the robot on a floor among obstacles, with its contact pairs and force sensors (world frame, N).
 
-    Arguments as in `robot_mjcf`.
+    Arguments as in `robot_mjcf`, and the world, of which the obstacles matter.
     """
-    mj = robot_mjcf(spec, numerics, supply_pa=supply_pa)
+    solid = world is not None and world.solid
+    mj = robot_mjcf(spec, numerics, supply_pa=supply_pa, hull=solid)
     add_surroundings(mj, spec.geometry.body_length)
+    if world is not None and solid:
+        add_obstacles(mj, spec, world)
     if numerics.base == "free":
         add_contacts(mj, spec, numerics)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
@@ -206,6 +218,8 @@ def _add_skin(
     """Draw the soft body between two stations of a body's x axis."""
     z = drawn_height(spec)
     body.add_geom(mj.find_default("skin"), name=name, fromto=[front, 0, z, back, 0, z])
+    if hull := mj.find_default("hull"):
+        body.add_geom(hull, name=name.replace("skin", "hull"), fromto=[front, 0, 0, back, 0, 0])
 
 
 def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics) -> None:

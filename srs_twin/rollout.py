@@ -194,6 +194,9 @@ class Recorder:
             values = self._column(quantity)
             columns |= _spread(f"{name}_plus_", values[..., 0]) | _spread(f"{name}_minus_", values[..., 1])
         columns |= {name: self._column(name) for name in ("work", "air")}
+        if self._plant.touches:
+            met = self._column("obstacle_force")
+            columns |= _spread("obstacle_force_x_", met[..., 0]) | _spread("obstacle_force_y_", met[..., 1])
         counts = [count for count, _ in self._signals]
         for name in self._signals[0][1]:
             columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)

@@ -18,6 +18,7 @@ _UNITS = {
     "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
     "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
     "valve_minus": "1", "torque": "N·m", "work": "J", "air": "J", "qpos": "mixed",
+    "obstacle_force_x": "N", "obstacle_force_y": "N",
 }  # fmt: skip
 
 _OURS = "a trajectory written by srs-twin"

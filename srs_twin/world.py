@@ -86,3 +86,8 @@ class World:
     bounds: Bounds | None = None
     goal: Goal | None = None
     polygons: tuple[Polygon, ...] = ()
+
+    @property
+    def solid(self) -> bool:
+        """Whether there is anything to run into."""
+        return bool(self.obstacles or self.polygons)

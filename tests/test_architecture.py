@@ -21,6 +21,7 @@ ORDER = (
         "planning",
         "mjcf_numerics",
         "mjcf_classes",
+        "mjcf_obstacles",
         "mjcf_surroundings",
         "mjcf_wheels",
         "mjcf",
@@ -46,6 +47,7 @@ RESERVED = {
     "mujoco": {
         "mjcf",
         "mjcf_classes",
+        "mjcf_obstacles",
         "mjcf_surroundings",
         "mjcf_wheels",
         "mjcf_export",

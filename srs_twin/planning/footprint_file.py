@@ -13,7 +13,7 @@ from pydantic import Field
 from srs_twin.documents import Document, dump_yaml, load_yaml
 from srs_twin.files import atomic_write, find
 from srs_twin.planning.footprint import Footprint, Transient, problems
-from srs_twin.robot_file import Record, Status, between
+from srs_twin.sourced import Record, Status, between
 from srs_twin.validation import Strict, validate
 
 Rows = Field(min_length=3, max_length=101)

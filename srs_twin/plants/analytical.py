@@ -285,6 +285,7 @@ class AnalyticalSnake(Plant):
             valves=trace.valves,
             sensed=self.sensor.read(motion.bend, time, self._seed),
             contact_force=force,
+            obstacle_force=np.zeros_like(force),
             torque=motion.torque,
             work=energy + motion.states[:, kernels.SPENT],
             air=trace.air,

@@ -40,6 +40,8 @@ class SnakeState:
         sensed: what the curvature sensors say of `bend`, shape (segments,), rad.
         contact_force: horizontal floor force on each connector, shape (N, 2), N; momentary in the
             analytical model, the twin's is the mean since the last sample (contacts ripple).
+        obstacle_force: horizontal force of all obstacles on each connector and the halves of its segments,
+            shape (N, 2), N, the mean since the last sample; 0 on plants that obstacles do not touch.
         torque: net moment of each segment on the connectors it joins (air, spring and damper together),
             shape (segments,), N·m.
         work: what the segments have done on the body since the start, J.
@@ -59,6 +61,7 @@ class SnakeState:
     valves: np.ndarray
     sensed: np.ndarray
     contact_force: np.ndarray
+    obstacle_force: np.ndarray
     torque: np.ndarray
     work: float | np.ndarray
     air: float | np.ndarray
@@ -94,6 +97,8 @@ class Plant(ABC):
     tick: float
     stretch: float = 1.0
     layout: str = "3/2"
+    touches: bool = False
+    """Whether there is anything that it can run into."""
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:

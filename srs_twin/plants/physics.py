@@ -16,6 +16,7 @@ from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.bending import as_felt
 from srs_twin.spec import GRAVITY, RobotSpec
+from srs_twin.world import World
 
 # Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
 os.environ.setdefault("MUJOCO_GL", "disabled")
@@ -66,12 +67,17 @@ class Stretch:
         foot_velocity: of the points of the connectors above the contacts, at each step's beginning, same
             shape, m/s.
         energy: kinetic energy at each step's beginning, shape (steps,), J.
+        obstacle_force: of all obstacles on each connector with the halves of its segments during each step,
+            shape (steps, N, 3), N, world.
+        obstacle_power: that the snake spends on them at each step's beginning, shape (steps,), W.
     """
 
     states: np.ndarray
     floor_force: np.ndarray
     foot_velocity: np.ndarray
     energy: np.ndarray
+    obstacle_force: np.ndarray
+    obstacle_power: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -105,7 +111,13 @@ class SnakePhysics(dm.Physics):
 
     @classmethod
     def build(
-        cls, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics, *, supply_pa: float
+        cls,
+        spec: RobotSpec,
+        numerics: Numerics,
+        pneumatics: Pneumatics,
+        *,
+        supply_pa: float,
+        world: World | None = None,
     ) -> SnakePhysics:
         """Compile the scene of a robot.
 
@@ -114,9 +126,10 @@ class SnakePhysics(dm.Physics):
             numerics: time step, discretisation, contact.
             pneumatics: its chambers.
             supply_pa: largest pressure that can occur, Pa.
+            world: what it may run into; None: nothing.
         """
         # A copy: whoever changes a number in the model of one twin must not change the others'.
-        model = copy.copy(_compiled(spec, numerics, supply_pa))
+        model = copy.copy(_compiled(spec, numerics, supply_pa, world if world and world.solid else None))
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
         physics._attach(spec, numerics, pneumatics)
         return physics
@@ -134,6 +147,7 @@ class SnakePhysics(dm.Physics):
         self._force_columns = self._sensor_columns([f"floor_force_{foot}" for foot in feet])
         self._foot_columns = self._sensor_columns([foot.replace("tread", "velocity_foot") for foot in feet])
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
+        self._attach_hulls(raw, spec)
         # Bends are sums of hinge angles.
         self._angles, self._rates = np.zeros((spec.segments, raw.nq)), np.zeros((spec.segments, raw.nv))
         for j in range(spec.segments):
@@ -143,11 +157,27 @@ class SnakePhysics(dm.Physics):
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._no_force
 
+    def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
+        names = [raw.geom(k).name for k in range(raw.ngeom)]
+        hulls = [name for name in names if name.startswith("hull_")]
+        self._hull_force = self._columns([f"obstacle_force_{hull}" for hull in hulls])
+        self._hull_velocity = self._columns([f"velocity_{hull}" for hull in hulls])
+        # Pieces 0…n of segment j count from the head: the first half goes to connector j.
+        self._owners = np.zeros((spec.geometry.connectors, len(hulls)))
+        for k, hull in enumerate(hulls):
+            segment, piece = map(int, hull.split("_")[1:])
+            pieces = sum(other.startswith(f"hull_{segment}_") for other in hulls)
+            share = np.clip(pieces / 2 - piece, 0.0, 1.0)
+            self._owners[segment - 1, k], self._owners[segment, k] = share, 1 - share
+
     def _sensor_columns(self, names: list[str]) -> np.ndarray:
         """Return where the three numbers of each wheel's sensor stand, shape (N, 2, 3)."""
+        return self._columns(names).reshape(-1, 2, 3)
+
+    def _columns(self, names: list[str]) -> np.ndarray:
+        """Return where the three numbers of each sensor stand, shape (sensors, 3)."""
         first = np.array([self.model.ptr.sensor(name).adr[0] for name in names], dtype=int)
-        columns: np.ndarray = (first[:, None] + np.arange(3)).reshape(-1, 2, 3)
-        return columns
+        return first[:, None] + np.arange(3)
 
     def lay_down(self, pose: Pose) -> None:
         """Reset to a snake at rest with its centre of mass at x, y (m) and mean heading (rad).
@@ -214,9 +244,12 @@ class SnakePhysics(dm.Physics):
             initial_warmstart=data.qacc_warmstart[None].copy(), state=states, sensordata=sensed,
         )  # fmt: skip
         self.refresh()
+        pushed = sensed[0][:, self._hull_force]
         stretch = Stretch(
             states[0], self._at_feet(sensed[0], self._force_columns),
             self._at_feet(sensed[0], self._foot_columns), sensed[0][:, self._energy_column],
+            np.einsum("ih,thk->tik", self._owners, pushed),
+            -(pushed * sensed[0][:, self._hull_velocity]).sum(axis=(1, 2)),
         )  # fmt: skip
         self._floor_force = stretch.floor_force.mean(axis=0)
         return stretch
@@ -294,6 +327,6 @@ class SnakePhysics(dm.Physics):
 
 
 @lru_cache(maxsize=8)
-def _compiled(spec: RobotSpec, numerics: Numerics, supply_pa: float) -> mujoco.MjModel:
+def _compiled(spec: RobotSpec, numerics: Numerics, supply_pa: float, world: World | None) -> mujoco.MjModel:
     """Return the compiled scene; the same once more costs a tenth of it."""
-    return scene_mjcf(spec, numerics, supply_pa=supply_pa).compile()
+    return scene_mjcf(spec, numerics, supply_pa=supply_pa, world=world).compile()

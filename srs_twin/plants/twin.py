@@ -18,6 +18,7 @@ from srs_twin.pneumatics.bending import air_bend
 from srs_twin.records import joined
 from srs_twin.sensing import Sensor, make_sensor
 from srs_twin.spec import RobotSpec
+from srs_twin.world import World
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
 
@@ -54,6 +55,7 @@ class TwinSnake(Plant):
         constant_curvature: bool = Numerics.constant_curvature,
         base: str = Numerics.base,
         sensor: str | Sensor = "ideal",
+        world: World | None = None,
     ) -> None:
         """Build and compile the twin.
 
@@ -75,6 +77,7 @@ class TwinSnake(Plant):
             constant_curvature: force the hinges of a segment to bend alike.
             base: "free", or "clamped": held at the head, in the air.
             sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
+            world: whose obstacles it may run into; None: an open floor.
 
         Raises:
             InputError: an unknown wheel or layout, a tick that is no multiple of the time step, or a time
@@ -108,7 +111,10 @@ class TwinSnake(Plant):
                 f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
         largest = supply * self.pneumatics.overshoot
-        self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, supply_pa=largest)
+        self.touches = world is not None and world.solid
+        self.physics = SnakePhysics.build(
+            spec, self._numerics, self.pneumatics, supply_pa=largest, world=world
+        )
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
@@ -120,9 +126,9 @@ class TwinSnake(Plant):
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
         self._last_push = np.zeros((self.spec.geometry.connectors, 2, 2))
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
-        force = np.zeros((1, *self._last_push.shape))
+        force, obstacles = np.zeros((1, *self._last_push.shape)), np.zeros((1, len(self._theta), 2))
         trace = self.pneumatics.resting()
-        return self._observe(np.zeros(1), state, trace, force, np.zeros(1)).at(0)
+        return self._observe(np.zeros(1), state, trace, force, obstacles, np.zeros(1)).at(0)
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance one tick; see `Plant.advance`."""
@@ -212,15 +218,24 @@ class TwinSnake(Plant):
         push, velocity = stretch.floor_force[:used, ..., :2], stretch.foot_velocity[:used, ..., :2]
         # The floor's force acts with the velocity that it leads to, at the end of its step.
         earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push
-        spent = self._spent - self.timestep * np.cumsum((earlier * velocity).sum(axis=(1, 2, 3)))
+        power = stretch.obstacle_power[:used] - (earlier * velocity).sum(axis=(1, 2, 3))
+        spent = self._spent + self.timestep * np.cumsum(power)
         if used:
             self._spent, self._last_push = float(spent[-1]), push[-1]
         work = stretch.energy[ends] + spent[ends]
         force = push.reshape(count, steps, *push.shape[1:]).mean(axis=1)
-        return self._observe(times, stretch.states[ends], trace.at(ends), force, work)
+        met = stretch.obstacle_force[:used, :, :2]
+        obstacles = met.reshape(count, steps, *met.shape[1:]).mean(axis=1)
+        return self._observe(times, stretch.states[ends], trace.at(ends), force, obstacles, work)
 
     def _observe(
-        self, times: np.ndarray, states: np.ndarray, trace: Trace, force: np.ndarray, work: np.ndarray
+        self,
+        times: np.ndarray,
+        states: np.ndarray,
+        trace: Trace,
+        force: np.ndarray,
+        obstacles: np.ndarray,
+        work: np.ndarray,
     ) -> SnakeState:
         """Return the history of these states."""
         seen = self.physics.look(states)
@@ -243,6 +258,7 @@ class TwinSnake(Plant):
             valves=trace.valves,
             sensed=self.sensor.read(seen.bends, times, self._seed),
             contact_force=force.sum(axis=2),
+            obstacle_force=obstacles,
             torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
             work=work,
             air=trace.air,

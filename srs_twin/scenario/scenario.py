@@ -105,6 +105,8 @@ class Scenario:
             return AnalyticalSnake(robot, supply_pa=self.supply_pa, **arguments)
         from srs_twin.plants.twin import TwinSnake
 
+        if not self.bench:
+            arguments["world"] = self.world
         return TwinSnake(robot, supply_pa=self.supply_pa, **arguments)
 
     def _chambers(self, robot: RobotSpec) -> Pneumatics:

@@ -1,0 +1,87 @@
+"""Obstacles as what a snake can run into, and the body that touches them.
+
+An obstacle is made of capsules: a round one is an upright capsule of its radius, a polygon has one along
+each side, a millimetre thick, so that it is a millimetre larger all round. The body is the capsules of its
+skin once more, at the height of the centres of mass and as wide as the robot is: between two capsules MuJoCo
+finds the contact in closed form, in the plane.
+
+Hulls touch obstacles and nothing else, and they are there only where obstacles are: a snake in the open costs
+what it cost before.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from srs_twin.mjcf_classes import ROOT
+from srs_twin.mjcf_numerics import Numerics
+from srs_twin.spec import RobotSpec
+from srs_twin.world import World
+
+FRICTION = 0.5
+"""Of silicone on a smooth obstacle, isotropic; an estimate, the text gives none."""
+
+WALL_M = 0.001
+"""Radius of the capsules along the sides of a polygon."""
+
+_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
+_HEIGHT = 2.0  # of a round obstacle over the body's width
+_SHARPEST = 2.0  # contact time over the time step: what MuJoCo takes at least
+_NET_FORCE = 3  # contact sensor: sum over the contacts found
+_GREY = [0.45, 0.47, 0.5, 1]
+_UNSEEN = 4  # geom group
+
+
+def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+    """Add class ``hull``, the body that touches obstacles."""
+    hull = mj.add_default("hull", mj.find_default(ROOT)).geom
+    hull.type, hull.size = mujoco.mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
+    hull.conaffinity, hull.group, hull.priority = _BIT, _UNSEEN, 1
+    hull.condim, hull.friction = 3, [FRICTION, 0.005, 0.0001]
+    hull.solref, hull.solimp = [_SHARPEST * numerics.timestep, 1], [0.95, 0.99, 0.0005, 0.5, 2]
+
+
+def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
+    """Add the obstacles of a world, and sensors of what each hull feels of them.
+
+    Sensors, of each hull: the force of all obstacles on it (world frame, N) and the velocity of its middle
+    (world, m/s).
+    """
+    solid = mj.add_default("obstacle", mj.default).geom
+    solid.type, solid.contype, solid.conaffinity = mujoco.mjtGeom.mjGEOM_CAPSULE, _BIT, 0
+    solid.condim, solid.friction, solid.rgba = 3, [FRICTION, 0.005, 0.0001], _GREY
+    default = mj.find_default("obstacle")
+    height = _HEIGHT * spec.geometry.width
+    for k, circle in enumerate(world.obstacles, start=1):
+        mj.worldbody.add_geom(
+            default, name=f"obstacle_{k}", size=[circle.radius, 0, 0],
+            fromto=[circle.x, circle.y, -height, circle.x, circle.y, height],
+        )  # fmt: skip
+    z = spec.geometry.com_height
+    for k, polygon in enumerate(world.polygons, start=1):
+        corners = np.array(polygon.corners)
+        for side, (begin, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
+            mj.worldbody.add_geom(
+                default, name=f"polygon_{k}_side_{side}", size=[WALL_M, 0, 0], fromto=[*begin, z, *end, z]
+            )
+    _add_sensors(mj)
+
+
+def hulls(mj: mujoco.MjSpec) -> list[str]:
+    """Return the names of the body's parts that touch obstacles."""
+    return [geom.name for geom in mj.geoms if geom.name.startswith("hull_")]
+
+
+def _add_sensors(mj: mujoco.MjSpec) -> None:
+    force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+    for hull in hulls(mj):
+        mj.add_sensor(
+            name=f"obstacle_force_{hull}", type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY, objname="world",
+            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=hull, intprm=[force, _NET_FORCE, 1],
+        )  # fmt: skip
+        mj.add_sensor(
+            name=f"velocity_{hull}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=hull,
+        )  # fmt: skip

@@ -1,0 +1,121 @@
+"""Obstacles in the twin: contacts that hold, forces that obey Newton, and nothing changed in the open."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from snakes import robot
+
+from srs_twin import Gait, Trajectory, TwinSnake, load_scenario, rollout
+from srs_twin.world import Bounds, Circle, Goal, Polygon, World
+
+ROUND = World((Circle(0.25, 0.02, 0.06), Circle(0.2, -0.25, 0.05)))
+WALL = World(polygons=(Polygon(((0.2, -0.5), (0.3, -0.5), (0.3, 0.5), (0.2, 0.5))),))
+OBLIQUE = World(polygons=(Polygon(((0.15, -0.3), (0.6, 0.2), (0.6, -0.3))),))
+WORLDS = {"round": ROUND, "wall": WALL, "oblique": OBLIQUE}
+met = pytest.mark.parametrize("name", WORLDS)
+
+
+def driven(
+    world: World | None, name: str = "gen2", duration: float = 4.0, **options
+) -> tuple[TwinSnake, Trajectory]:
+    twin = TwinSnake(robot(name), supply_pa=48e3, world=world, **options)
+    return twin, rollout(twin, Gait(2.0), duration, record_hz=500)
+
+
+def forces(run: Trajectory) -> np.ndarray:
+    """Return the obstacles' force on each connector, shape (samples, N, 2), N."""
+    return np.stack([[run[f"obstacle_force_{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]).transpose(
+        2, 0, 1
+    )
+
+
+def deepest(twin: TwinSnake, run: Trajectory) -> float:
+    """Return how deep the body ever was in an obstacle, from the recorded places alone, m."""
+    model = twin.physics.model.ptr
+    data, found = mujoco.MjData(model), 0.0
+    for k in range(0, len(run["time"]), 5):
+        data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]
+        mujoco.mj_forward(model, data)
+        for contact in data.contact:
+            if any(model.geom(geom).name.startswith("hull") for geom in contact.geom):
+                found = max(found, -contact.dist)
+    return found
+
+
+@met
+def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
+    twin, run = driven(WORLDS[name])
+    assert np.abs(forces(run)).max() > 0.5, "it did run into it"
+    assert deepest(twin, run) < 0.001
+    if name == "wall":
+        reach = max(run[f"x_{i}"].max() for i in range(1, 6))
+        assert reach < 0.2 - twin.spec.geometry.width / 2 + 0.001
+
+
+@met
+@pytest.mark.parametrize("wheels", ["rolling", "skid"])
+def test_floor_and_obstacles_together_move_the_centre_of_mass(name, wheels):
+    """Newton for the whole snake: forces as recorded against the centre of mass as recorded."""
+    twin = TwinSnake(robot(), supply_pa=48e3, world=WORLDS[name], wheels=wheels)
+    gait, mass = Gait(2.0), twin.spec.mass.total
+    gait.reset(twin.spec, twin.tick)
+    history = twin.play(gait.script(3.0), 1500)
+    pushed = history.contact_force.sum(axis=1) + history.obstacle_force.sum(axis=1)
+    impulse = np.cumsum(pushed, axis=0) * 0.002
+    momentum = mass * history.com_velocity
+    assert np.abs(history.obstacle_force).max() > 0.5
+    # Momentum drifts to first order in the step, as it does without obstacles (laws/test_frictionless.py).
+    assert impulse == pytest.approx(momentum, abs=0.05 * np.abs(momentum).max())
+    without = np.cumsum(history.contact_force.sum(axis=1), axis=0) * 0.002
+    assert np.abs(without - momentum).max() > np.abs(momentum).max()
+
+
+def test_the_force_on_a_round_obstacle_points_away_from_it_but_for_friction():
+    circle = Circle(0.25, 0.02, 0.06)
+    _, run = driven(World((circle,)), duration=2.0)
+    force = forces(run)
+    size = np.linalg.norm(force, axis=2)
+    place = np.stack([[run[f"{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]).transpose(2, 0, 1)
+    away = place - [circle.x, circle.y]
+    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    hit = size > 0.2
+    assert hit.any()
+    # Friction of 0.5 turns it by 27°, half a pitch between connector and contact by some 35° more.
+    assert ((force * away).sum(axis=2)[hit] > 0.4 * size[hit]).all()
+
+
+def test_in_the_open_nothing_changes():
+    _, alone = driven(None, duration=1.0)
+    _, bounded = driven(World(bounds=Bounds((-1, 1), (-1, 1)), goal=Goal(0.5, 0, None, 0.05)), duration=1.0)
+    assert all((bounded[name] == alone[name]).all() for name in alone.columns)
+    assert not any(name.startswith("obstacle") for name in alone.columns)
+    far, run = driven(World((Circle(5, 5, 0.1),)), duration=1.0)
+    assert run["com_x"] == pytest.approx(alone["com_x"], abs=1e-6)
+    assert far.touches and not forces(run).any()
+
+
+def test_a_shorter_step_gives_the_same_encounter():
+    ends = []
+    for timestep in (0.001, 0.0005):
+        _, run = driven(OBLIQUE, timestep=timestep, duration=2.0)
+        ends.append([run["com_x"][-1], run["com_y"][-1], run["heading"][-1]])
+    assert ends[0][:2] == pytest.approx(ends[1][:2], abs=0.02) and ends[0][2] == pytest.approx(
+        ends[1][2], abs=0.2
+    )
+
+
+def test_a_scenarios_obstacles_are_there_for_the_twin(tmp_path):
+    path = tmp_path / "blocked.yaml"
+    path.write_text(
+        "robot: gen2\nduration_s: 2\ncontroller: {kind: gait, frequency_hz: 2.0}\n"
+        "world: {obstacles: [{x_m: 0.25, y_m: 0.02, radius_m: 0.06}]}\n"
+    )
+    scenario = load_scenario(path)
+    run = rollout(scenario.build_plant("twin"), scenario.build_controller(), 2.0)
+    assert np.abs(forces(run)).max() > 0.2 and run.unit("obstacle_force_x_1") == "N"
+    assert (
+        "obstacle_force_x_1"
+        not in rollout(scenario.build_plant("analytical"), scenario.build_controller(), 1.0).columns
+    )
