@@ -47,7 +47,9 @@ def rollout(
         progress: called now and then with the simulated time, s.
 
     Returns:
-        The samples from t = 0 on; where `until` ends the run between two, its last state as well.
+        The samples from t = 0 on; where `until` or a controller that has finished ends the run between two,
+        its last state as well. Its metadata say which of them did (``ended_by``, None at the full duration),
+        and what the controller says of itself (``control``).
 
     Raises:
         InputError: duration, tick, time step and record_hz do not fit together, or the controller cannot
@@ -136,7 +138,11 @@ def _meet(
         for sample in states:
             believed(plant.name, sample)
         state = states[-1]
-        ends = until is not None and until(state)
+        if controller.finished:
+            recorder.ended_by = "controller"
+        elif until is not None and until(state):
+            recorder.ended_by = "until"
+        ends = recorder.ended_by is not None
         if k % stride == 0 or ends:
             for sample in states:
                 recorder.add(sample)
@@ -166,7 +172,12 @@ def sampling(tick: float, record_hz: float) -> tuple[int, int]:
 
 
 class Recorder:
-    """Collects states and signals, and turns them into columns."""
+    """Collects states and signals, and turns them into columns.
+
+    Attributes:
+        events: of the controller.
+        ended_by: what ended the run before its time, "until" or "controller".
+    """
 
     def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
         self._plant, self._controller = plant, controller
@@ -174,6 +185,7 @@ class Recorder:
         self._parts: list[SnakeState] = []
         self._signals: list[tuple[int, dict[str, float]]] = []
         self.events: list[Event] = []
+        self.ended_by: str | None = None
 
     def add(self, state: SnakeState) -> None:
         """Add a moment or a history, with the controller's signals of now."""
@@ -213,11 +225,14 @@ class Recorder:
             | self._about
             | {
                 "body_length_m": plant.spec.geometry.body_length,
+                "body_width_m": plant.spec.geometry.width,
                 "segment_length_m": plant.spec.geometry.segment_length,
                 "rigid_gap_m": plant.spec.geometry.rigid_gap,
                 "mass_kg": plant.spec.mass.total,
                 "controller": self._controller.kind,
                 "gait_frequency_hz": self._controller.frequency,
+                "control": self._controller.describe(),
+                "ended_by": self.ended_by,
                 "valve_switches": plant.openings().tolist(),
             }
         )

@@ -24,11 +24,13 @@ class Controller(ABC):
         kind: the name of this controller in scenario files.
         frequency: gait frequency in Hz, None where nothing is periodic.
         layouts: the valve layouts that it can drive, of `LAYOUTS`.
+        finished: whether it has nothing more to do; a rollout ends after the tick in which this turns True.
     """
 
     kind: str
     frequency: float | None = None
     layouts: tuple[str, ...] = tuple(LAYOUTS)
+    finished: bool = False
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -59,3 +61,7 @@ class Controller(ABC):
     def events(self) -> list[Event]:
         """Return the events since the last call."""
         return []
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings, and what it found out, that are worth recording (JSON values)."""
+        return {}

@@ -30,6 +30,7 @@ class Gait(Controller):
         frequency: f, Hz.
         offset: φ, between −1 and 1; may be changed while it runs.
         phase: ψ, rad.
+        lag: β (j − 1) − ψ of each segment, shape (segments,), rad; known from `reset` on.
     """
 
     kind = "gait"
@@ -61,7 +62,7 @@ class Gait(Controller):
         """Take β from the robot unless one was given, and the slots from the tick."""
         slots = whole_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
         step = spec.phase_step if self._phase_step is None else self._phase_step
-        self._lag = step * np.arange(spec.segments) - self.phase
+        self.lag: np.ndarray = step * np.arange(spec.segments) - self.phase
         self._middle = (np.arange(slots) + 0.5) / slots
         self._tick = tick
 
@@ -86,7 +87,7 @@ class Gait(Controller):
             return Schedule.of_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
         # Where S changes, and the slots beside it: rounding may place an edge one slot off.
         rise, period = math.asin(self._offset), 1 / self.frequency
-        phases = np.add.outer(self._lag, [-rise, math.pi + rise]).ravel() / (2 * math.pi) * period
+        phases = np.add.outer(self.lag, [-rise, math.pi + rise]).ravel() / (2 * math.pi) * period
         numbers = np.arange(math.floor(-phases.max() / period), math.ceil(duration / period) + 1)
         edges = np.ceil(np.add.outer(phases, period * numbers).ravel() / slot - 0.5)
         near = np.add.outer(edges, [-1, 0, 1]).ravel()
@@ -105,7 +106,7 @@ class Gait(Controller):
 
     def _wave(self, time: np.ndarray) -> np.ndarray:
         """Return S, shape (times, segments), int8."""
-        value = np.sin(2 * math.pi * self.frequency * time[:, None] - self._lag) + self._offset
+        value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.lag) + self._offset
         # Rounding must not decide the sign of an exact zero.
         return np.where(value >= -1e-12, 1, -1).astype(np.int8)
 

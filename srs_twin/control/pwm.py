@@ -14,10 +14,11 @@ class PulseWidth:
     """Pulse-width modulation of 3/2 valves: each fills for a share of a carrier period, then vents.
 
     The + chamber's pulse begins its period and the − chamber's ends it, so that two duties that add up to 1
-    make each valve the opposite of the other, as Fig. 45c shows them. A period need be no whole number of
-    ticks nor of slots: slot s belongs to the period, and to the pulse, in which its middle lies. A pulse is
-    a slot long or short at most, and over many periods the duties are exact. A valve opens once a
-    period at most; at duties of 0 and 1 it rests.
+    make each valve the opposite of the other, as Fig. 45c shows them; or both pulses begin their period
+    (`together`), so that neither chamber is treated otherwise than the other. A period need be no whole
+    number of ticks nor of slots: slot s belongs to the period, and to the pulse, in which its middle lies.
+    A pulse is a slot long or short at most, and over many periods the duties are exact. A valve opens once
+    a period at most; at duties of 0 and 1 it rests.
 
     The 3 ms that a valve takes to switch are part of τ₂ (`LagPneumatics`): pulses shorter than that are
     smoothed there, not left out here.
@@ -27,26 +28,39 @@ class PulseWidth:
         duty: of the period that runs, shape (segments, 2).
     """
 
-    def __init__(self, carrier_hz: float, tick: float, segments: int) -> None:
+    def __init__(
+        self,
+        carrier_hz: float,
+        tick: float,
+        segments: int,
+        *,
+        together: bool = False,
+        long_ticks: bool = False,
+    ) -> None:
         """Make a modulator at the begin of a period.
 
         Args:
             carrier_hz: Hz.
             tick: s, a multiple of the slot of 0.1 ms.
             segments: how many have two chambers each.
+            together: whether the − chamber's pulse begins its period as the + chamber's does.
+            long_ticks: whether a tick may be longer than a period, for a controller that has no new duty
+                for every period.
 
         Raises:
-            InputError: a carrier or tick it cannot do: the tick must not be longer than a period.
+            InputError: a carrier or tick it cannot do: the tick must not be longer than a period, unless
+                `long_ticks`.
         """
         if not (math.isfinite(carrier_hz) and carrier_hz > 0):
             raise InputError(f"carrier_hz {carrier_hz!r} is not allowed; it must be finite and above 0")
         self._slots = whole_steps("tick", tick, "valve slot", SLOT_S)
         self.period = 1 / carrier_hz
-        if tick > self.period:
+        if tick > self.period and not long_ticks:
             raise InputError(
                 f"a carrier of {carrier_hz:g} Hz does not fit the tick {tick:g} s; "
                 f"{1 / tick:g} Hz or less, or a shorter tick, would"
             )
+        self._together = together
         self._share = carrier_hz * SLOT_S
         self._ticks = 0
         self._running = -1
@@ -80,7 +94,10 @@ class PulseWidth:
         fresh = (number != self._running)[:, None, None]
         duties = np.where(fresh, coming, self.duty)
         phase = (through - number)[:, None]
-        filling = np.stack([phase < duties[..., 0], phase >= 1 - duties[..., 1]], axis=-1)
+        if self._together:
+            filling = phase[..., None] < duties
+        else:
+            filling = np.stack([phase < duties[..., 0], phase >= 1 - duties[..., 1]], axis=-1)
         self._running, self.duty = int(number[-1]), duties[-1]
         self._ticks += 1
         return np.where(filling, 1, -1).astype(np.int8)

@@ -10,12 +10,12 @@ each controller's own.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from srs_twin.control.base import Controller
+from srs_twin.control.readings import Readings
 from srs_twin.control.reference import Reference
 from srs_twin.errors import InputError
 from srs_twin.spec import RobotSpec
@@ -27,15 +27,11 @@ if TYPE_CHECKING:
 Gain = float | np.ndarray
 """One number for all segments, or one for each, shape (segments,)."""
 
-LARGEST_READING = 2 * math.pi
-"""No segment bends further, rad: a reading beyond is a lost one."""
-
 
 class SlidingMode(Controller):
     """Follows a reference with every segment, each by itself, from its sensed bend alone.
 
-    A reading that is not finite, or larger than a full turn, is a lost one: the last good one stands for it
-    (0 before the first), and an event says so.
+    Lost readings are dealt with by `Readings`.
 
     Attributes:
         reference: the bend to follow.
@@ -63,8 +59,8 @@ class SlidingMode(Controller):
                     f"the {spec.segments} segments"
                 )
         self._tick = tick
-        self._reading = np.zeros(spec.segments)
-        self._lost = np.zeros(spec.segments, dtype=bool)
+        self._readings = Readings(spec.segments)
+        self._reading = self._readings.value
         self._cut = False
         self._wanted = np.full(spec.segments, float(self.reference.value(0.0)))
         self._error = np.zeros(spec.segments)
@@ -83,11 +79,8 @@ class SlidingMode(Controller):
     def _look(self, state: SnakeState) -> float:
         """Take the readings of a tick into `_reading` and the reference after it; return the time (s)."""
         time = float(state.time)
-        sensed = np.asarray(state.sensed, dtype=float)
-        lost = ~(np.abs(sensed) <= LARGEST_READING)
-        self._reading = np.where(lost, self._reading, sensed)
-        if (lost != self._lost).any():
-            self._tell_of_readings(time, lost)
+        self._events += self._readings.take(time, state.sensed)
+        self._reading = self._readings.value
         self._wanted = np.full(self._reading.shape, float(self.reference.value(time + self._tick)))
         cut = bool(self.reference.beyond(time))
         if cut and not self._cut:
@@ -95,11 +88,3 @@ class SlidingMode(Controller):
             self._events.append(Event(time, "saturation", text))
         self._cut = self._cut or cut
         return time
-
-    def _tell_of_readings(self, time: float, lost: np.ndarray) -> None:
-        for j in np.flatnonzero(lost & ~self._lost):
-            text = f"segment {j + 1}: reading lost; the last good one, {self._reading[j]:.4g} rad, is held"
-            self._events.append(Event(time, "reading_lost", text))
-        for j in np.flatnonzero(self._lost & ~lost):
-            self._events.append(Event(time, "reading_back", f"segment {j + 1}: readings are back"))
-        self._lost = lost
