@@ -9,8 +9,15 @@ import numpy as np
 
 from srs_twin.comparison.energy import ENERGY_METRICS, energy_metrics
 from srs_twin.comparison.gait_window import GaitWindow
+from srs_twin.comparison.learning import (
+    LEARNING_LIST_UNITS,
+    LEARNING_UNITS,
+    is_learning,
+    learning_metrics,
+)
 from srs_twin.comparison.sampling import body_length, require
 from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
+from srs_twin.comparison.turning import turning_radius
 from srs_twin.trajectory import Trajectory
 
 # Metrics of a plant that are one number each: what an expectation can name.
@@ -26,12 +33,18 @@ METRIC_UNITS = {
     "pneumatic_cost_of_transport": "1",
     "final_bend_rad": "rad",
     **TRACKING_UNITS,
+    **LEARNING_UNITS,
     "wall_s": "s",
     "realtime_factor": "1",
 }
 
-# Metrics of a plant that are lists, head first.
-LIST_METRIC_UNITS = {"bend_amplitude_rad": "rad", "bend_bias_rad": "rad", "valve_switches": "1"}
+# Metrics of a plant that are lists, head first; those of learning have a list a period.
+LIST_METRIC_UNITS = {
+    "bend_amplitude_rad": "rad",
+    "bend_bias_rad": "rad",
+    "valve_switches": "1",
+    **LEARNING_LIST_UNITS,
+}
 
 # Metrics of `compare`, each one number; they stand here so that naming them needs nothing else.
 COMPARISON_UNITS = {
@@ -46,11 +59,7 @@ COMPARISON_UNITS = {
     "heading_rms_rad": "rad",
 }
 
-# Straight is what turns on a circle of more body lengths than this (for gen 2 some 20 m, where a path of
-# 2 m leaves its tangent by 0.1 m), or by less than this angle in a gait period (0.06°, what contact creep
-# does to a snake that does not get anywhere).
-STRAIGHT_BODY_LENGTHS = 100.0
-STRAIGHT_TURN_RAD = 1e-3
+_LEARNING = (*LEARNING_UNITS, *LEARNING_LIST_UNITS)
 
 _GAIT_METRICS = (
     "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
@@ -68,14 +77,15 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
       where that path runs against the period-mean heading.
     - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
     - ``turning_radius_m``: radius of the circle on which each period carries the centre of mass, positive
-      where its centre lies on the left; None when straight (`STRAIGHT_BODY_LENGTHS`, `STRAIGHT_TURN_RAD`).
+      where its centre lies on the left; None when straight (`turning`).
     - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over them; head first.
       ``mean_bend_amplitude_rad`` is the mean over the segments.
     - ``bend_bias_rad``: mean bend, head first.
     - what it costs: see `energy.energy_metrics`.
 
-    A run with a reference for the bends has `tracking.tracking_metrics`; they are None without. A run on a
-    bench without one has ``final_bend_rad``, the first segment's bend at its end.
+    A run with a reference for the bends has `tracking.tracking_metrics`, one under iterative learning
+    `learning.learning_metrics`; they are None without. A run on a bench without a reference has
+    ``final_bend_rad``, the first segment's bend at its end.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
@@ -101,6 +111,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     return {
         **gait,
         **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
+        **(learning_metrics(trajectory) if is_learning(trajectory) else dict.fromkeys(_LEARNING)),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
         "valve_switches": trajectory.metadata.get("valve_switches"),
@@ -120,23 +131,9 @@ def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, Any]:
     return {
         "com_speed_m_s": speed,
         "yaw_rate_rad_s": yaw_rate,
-        "turning_radius_m": _turning_radius(speed, yaw_rate, window.period, body_length(trajectory)),
+        "turning_radius_m": turning_radius(speed, yaw_rate, window.period, body_length(trajectory)),
         "bend_amplitude_rad": amplitude.tolist(),
         "bend_bias_rad": window.mean(trajectory, bend).tolist(),
         "mean_bend_amplitude_rad": float(amplitude.mean()),
         **energy_metrics(trajectory, window, speed),
     }
-
-
-def _turning_radius(speed: float, yaw_rate: float, period: float, length: float) -> float | None:
-    """Return the signed radius (m), None when straight.
-
-    In one period the body is carried speed · period along a chord and turns by yaw_rate · period; the chord
-    of that angle has this radius. (Speed over yaw rate would be that of the averaged path, which the
-    averaging draws inwards: by 1 % where a period turns by half a radian.)
-    """
-    turn = yaw_rate * period
-    if abs(turn) < STRAIGHT_TURN_RAD:
-        return None
-    radius = speed * period / (2 * math.sin(turn / 2))
-    return radius if abs(radius) <= STRAIGHT_BODY_LENGTHS * length else None

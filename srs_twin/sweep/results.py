@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RESULTS = "results.parquet"
+
+_NUMBERS = re.compile(r"(_\d+)?(_period_\d+)?$")
 
 _FIRST = ("com_speed_m_s", "yaw_rate_rad_s", "mean_bend_amplitude_rad", "com_speed_rel", "shape_rms_body")
 
@@ -86,11 +89,7 @@ def _metrics(sweep: Sweep, rows: Sequence[Row]) -> list[str]:
     found = dict.fromkeys(name for row in rows for name in row.values)
     if sweep.metrics is None:
         return list(found)
-    return [
-        name
-        for name in found
-        if name.partition(".")[2].rstrip("0123456789").rstrip("_") in _stems(sweep.metrics)
-    ]
+    return [name for name in found if _NUMBERS.sub("", name.partition(".")[2]) in _stems(sweep.metrics)]
 
 
 def _stems(metrics: Sequence[str]) -> set[str]:

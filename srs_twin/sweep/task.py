@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -88,16 +88,25 @@ def _flat(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
     for name, value in metrics.items():
         if name in _TIMES:
             continue
-        if isinstance(value, list | tuple):
-            for i, each in enumerate(value, start=1):
-                both = (
-                    dict(zip(("plus", "minus"), each, strict=True)) if isinstance(each, list) else {"": each}
-                )
-                for side, number in both.items():
-                    found[f"{prefix}.{name}_{side}_{i}".replace("__", "_")] = float(number)
-        else:
-            found[f"{prefix}.{name}"] = None if value is None else float(value)
+        for ending, number in _leaves(value):
+            found[f"{prefix}.{name}{ending}"] = None if number is None else float(number)
     return found
+
+
+def _leaves(value: Any) -> Iterator[tuple[str, float | None]]:
+    """Yield the ends of names and the numbers of a metric: a number, or a list of segments or of periods."""
+    if not isinstance(value, list | tuple):
+        yield "", value
+        return
+    for i, each in enumerate(value, start=1):
+        if not isinstance(each, list | tuple):
+            yield f"_{i}", each
+        elif each and isinstance(each[0], list | tuple):
+            yield from ((f"{ending}_period_{i}", number) for ending, number in _leaves(each))
+        else:
+            yield from (
+                (f"_{side}_{i}", number) for side, number in zip(("plus", "minus"), each, strict=True)
+            )
 
 
 def _parquet(trajectory: Trajectory) -> bytes:

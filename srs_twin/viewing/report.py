@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # How the names of metrics end, longest first, and what is said instead.
 _ENDINGS = {
-    "_rad_s": "", "_m_s": "", "_rad": "", "_m": "", "_s": "", "_w": "",
+    "_rad_s": "", "_m_s": "", "_per_m": "", "_rad": "", "_m": "", "_s": "", "_w": "",
     "_rel": ", relative", "_abs": ", size of difference", "_body": " over body length",
 }  # fmt: skip
 
