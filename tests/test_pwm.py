@@ -118,3 +118,26 @@ def test_refuses_ticks_that_do_not_fit():
         PulseWidth(60.0, 0.02, 1)
     with pytest.raises(InputError, match=r"tick 0.00105 s is no multiple of valve slot 0.0001 s"):
         PulseWidth(60.0, 0.00105, 1)
+
+
+@some
+@given(arrays(float, (4, 2), elements=duties))
+def test_pulses_may_begin_together_and_then_neither_chamber_is_special(duty):
+    def together(given: np.ndarray) -> np.ndarray:
+        pulses = PulseWidth(60.0, 1e-3, 4, together=True)
+        return np.concatenate([pulses.step(given) for _ in range(100)])
+
+    plus = played(np.stack([duty[:, 0], np.zeros(4)], axis=-1), 0.1)[..., 0]
+    found = together(duty) == 1
+    assert (found[..., 0] == plus).all()
+    assert (together(duty[:, ::-1]) == together(duty)[..., ::-1]).all()
+
+
+@some
+@given(arrays(float, (4, 2), elements=duties))
+def test_long_ticks_play_the_same_pulses(duty):
+    parts = []
+    for tick in (1e-3, 0.05):
+        pulses = PulseWidth(60.0, tick, 4, long_ticks=True)
+        parts.append(np.concatenate([pulses.step(duty) for _ in range(round(0.2 / tick))]))
+    assert (parts[0] == parts[1]).all()

@@ -4,9 +4,11 @@ A sensor is dead where its readings do not move for a whole period though its ch
 
 A valve is suspected where a chamber stays under a tenth of its target at full duty, or over it at none, for
 two periods. To a sensor a + chamber that never vents looks as a − chamber that never fills: the segment
-swings between straight and left. So both chambers vent for one period. If the segment then rests bent, the
+swings between straight and left. So both chambers vent. If the segment then rests bent, the
 chamber on that side is stuck open; if it rests straight, the one that was too weak is stuck shut. A chamber
 that was too strong, and yet rests straight, has another reason (load, a biased sensor): back to work.
+The resting bend is the mean of a whole period, which the other modules' gait leaves alone, after half a
+period to empty the chambers.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ STRONG = 1.05
 """Share of its target beyond which a chamber without air must not go."""
 PATIENCE = 2
 """For how many periods a chamber may be too weak or too strong."""
+EMPTYING = 0.5
+"""How long chambers vent before it counts how the segment rests, periods."""
 BENT = 0.5
 """Share of the target from which on a vented segment is bent."""
 
@@ -128,10 +132,10 @@ class ModuleFaults:
     def look(self, time: float, reading: np.ndarray) -> None:
         """Take the readings of a tick, shape (segments,), rad, while segments are tested; end their tests."""
         through = (time - self._since) / self._period
-        late = self.tested & (through >= 0.5)
+        late = self.tested & (through >= EMPTYING)
         self._rest[late] += reading[late]
         self._looks += late
-        for j in np.flatnonzero(self.tested & (through >= 1)):
+        for j in np.flatnonzero(self.tested & (through >= EMPTYING + 1)):
             self.tested[j], self.back[j] = False, time
             self._decide(time, int(j), self._rest[j] / max(self._looks[j], 1))
         self.testing = bool(self.tested.any())

@@ -9,7 +9,7 @@ from srs_twin.documents import Document
 from srs_twin.errors import InputError, TimeStepError, whole_steps
 from srs_twin.pneumatics.bending import largest_bend
 from srs_twin.robot_file import RobotFile
-from srs_twin.scenario.control import ControllerSettings, controller_settings
+from srs_twin.scenario.control import ControllerSettings, LearningSettings, controller_settings
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
 from srs_twin.scenario.settings import SensorSettings, default_tick
@@ -150,6 +150,11 @@ def checked_controller(
 
 
 def _saturation(settings: ControllerSettings, limit: float) -> list[str]:
+    if isinstance(settings, LearningSettings) and (settings.target or 0.0) > limit:
+        return [
+            f"controller.target_rad: {settings.target:.4g} rad is more than the {limit:.4g} rad that the "
+            "segments bend by at this supply pressure; duties will stay at 1"
+        ]
     wanted = getattr(getattr(settings, "reference", None), "wanted", None)
     if wanted is None:
         return []

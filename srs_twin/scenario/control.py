@@ -13,6 +13,7 @@ from srs_twin.scenario.control_file import (
     DirectFile,
     GaitFile,
     HoldFile,
+    LearningFile,
     ReferenceFile,
     SineFile,
     SquareFile,
@@ -112,7 +113,48 @@ class HoldSettings:
         return HoldValves(self.plus, self.minus)
 
 
-ControllerSettings = GaitSettings | DirectSettings | IterativeSettings | HoldSettings
+@dataclass(frozen=True)
+class LearningSettings:
+    """Iterative learning control of a gait (Eq. 32).
+
+    Attributes:
+        frequency: Hz.
+        offset: φ, positive to the left.
+        target: A, rad; None: the smallest amplitude recorded.
+        gain: k, 1/rad.
+        free_periods: at full duty before the recorded one.
+        carrier_hz: of the pulse-width modulation, Hz.
+        on_fault: "go_on" or "stop".
+        phase: ψ, rad.
+        phase_step: β, rad; None takes the robot's.
+    """
+
+    frequency: float
+    offset: float
+    target: float | None
+    gain: float
+    free_periods: int
+    carrier_hz: float
+    on_fault: str
+    phase: float
+    phase_step: float | None
+
+    def make(self) -> Controller:
+        """Return a fresh controller.
+
+        Raises:
+            InputError: a carrier that is too slow for the gait.
+        """
+        from srs_twin.control.learning import ILC, SMALLEST
+
+        return ILC(
+            self.frequency, self.offset, target=SMALLEST if self.target is None else self.target, k=self.gain,
+            free_periods=self.free_periods, carrier_hz=self.carrier_hz, on_fault=self.on_fault,
+            phase=self.phase, phase_step=self.phase_step,
+        )  # fmt: skip
+
+
+ControllerSettings = GaitSettings | LearningSettings | DirectSettings | IterativeSettings | HoldSettings
 
 
 def controller_settings(given: ControllerFile, limit: float) -> ControllerSettings:
@@ -127,6 +169,11 @@ def controller_settings(given: ControllerFile, limit: float) -> ControllerSettin
     """
     if isinstance(given, GaitFile):
         return GaitSettings(given.frequency_hz, given.offset, given.phase_rad, given.phase_step_rad)
+    if isinstance(given, LearningFile):
+        return LearningSettings(
+            given.frequency_hz, given.offset, given.target_rad, given.k_per_rad, given.free_periods,
+            given.carrier_hz, given.on_fault, given.phase_rad, given.phase_step_rad,
+        )  # fmt: skip
     if isinstance(given, HoldFile):
         return HoldSettings(given.plus, given.minus)
     reference = _reference(given.reference).within(limit, given.beyond_range)

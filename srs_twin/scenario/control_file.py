@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from srs_twin.control import direct_smc, iterative_smc
+from srs_twin.control import direct_smc, iterative_smc, learning
+from srs_twin.control.targets import LARGEST_OFFSET
 from srs_twin.scenario.fields import quantity, section
 from srs_twin.validation import Strict
 
@@ -115,4 +116,45 @@ class HoldFile(Strict):
     minus: Literal["fill", "hold", "vent"] = section("Valves of the - chambers.", "vent")
 
 
-ControllerFile = Annotated[GaitFile | DirectFile | IterativeFile | HoldFile, Field(discriminator="kind")]
+class LearningFile(Strict):
+    """Iterative learning control of a gait: the duty of each chamber, learnt once a period (Eq. 32)."""
+
+    kind: Literal["ilc"] = section(_KIND)
+    frequency_hz: float = quantity("Gait frequency", "Hz", 0.01, 50.0)
+    offset: float = quantity(
+        "Steering offset, positive to the left, by unequal targets", "", -LARGEST_OFFSET, LARGEST_OFFSET, 0.0
+    )
+    target: Literal["smallest"] | None = section(
+        "Target of the larger side: the smallest amplitude recorded (default), unless target_rad is given.",
+        None,
+    )
+    target_rad: float | None = quantity("Target of the larger side", "rad", 0.01, _RIGHT, None)
+    k_per_rad: float = quantity("k, change of duty for an error", "1/rad", 1e-4, 100.0, learning.K_PER_RAD)
+    free_periods: int = quantity(
+        "Periods at full duty before the recorded one", "", 1, 1000, learning.FREE_PERIODS
+    )
+    carrier_hz: float = quantity(
+        "Carrier of the pulse-width modulation", "Hz", 1.0, 1000.0, learning.CARRIER_HZ
+    )
+    on_fault: Literal["go_on", "stop"] = section(
+        "What a dead sensor or a stuck valve leads to: going on without that module, or the end of the run.",
+        "go_on",
+    )
+    phase_rad: float = quantity("Phase at the start", "rad", -6.3, 6.3, 0.0)
+    phase_step_rad: float | None = quantity(
+        "Lag of each segment behind the one before it (default: the robot's)", "rad", -6.3, 6.3, None
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> LearningFile:
+        if self.target is not None and self.target_rad is not None:
+            raise ValueError("give either target or target_rad")
+        least = 2 * learning.LEAST_PULSES * self.frequency_hz
+        if self.carrier_hz < least:
+            raise ValueError(f"a gait of this frequency needs a carrier_hz of {least:g} or more")
+        return self
+
+
+ControllerFile = Annotated[
+    GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile, Field(discriminator="kind")
+]

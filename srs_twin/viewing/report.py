@@ -8,12 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.comparison.summary import difference, published
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.html import Markup, element, page, picture, table
+from srs_twin.viewing.learning_plot import learning_plot
 from srs_twin.viewing.plan_view import plan_view
 from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
 from srs_twin.viewing.tracking_plot import tracking_plot
@@ -45,10 +47,22 @@ _GAIT_READING = (
     "mass at equal times; it grows with every difference of speed or heading.",
     *_ALWAYS_READING,
 )
-_FOLLOWING_READING = (
+_OWN_CONTROLLERS = (
     "Each plant was driven by a controller of its own, with the same settings, which knows the bend from its "
     "sensor only. The analytical model (dashed, a ghost in the recording) is the reference, the MuJoCo twin "
-    "(solid) the candidate; differences are twin minus analytical, in per cent where that is marked.",
+    "(solid) the candidate; differences are twin minus analytical, in per cent where that is marked."
+)
+_LEARNING_READING = (
+    _OWN_CONTROLLERS,
+    "Amplitudes are the furthest sensed bends to the left (+) and to the right (-) in the periods of each "
+    "chamber, counted from its first fill. They have converged from the first period on from which all stay "
+    "within 5 % of their targets. What is said of the path without 'before' is of the last five periods; "
+    "curvature is positive to the left. The box is how far the body reaches to the left (negative) and right "
+    "of the circle or line through the path of the centre of mass.",
+    *_GAIT_READING[1:],
+)
+_FOLLOWING_READING = (
+    _OWN_CONTROLLERS,
     "Of a step: rise from 10 to 90 % of it, overshoot as a share of it, settled from when on the bend stays "
     "within so much of it. At rest: over the second half of the time since the reference last changed. Of a "
     "sine: amplitude over the reference's and lag, by least squares over whole periods after a warm-up. An "
@@ -84,7 +98,6 @@ def write_report(
     check_drawable(trajectories)
     duration = max(float(run.time[-1]) for run in trajectories.values())
     plants = " and ".join(trajectories)
-    following = all(run.has("reference_1") for run in trajectories.values())
     parts = [
         element("h1", scenario_title),
         element("p", f"{spec.title}, {duration:g} s simulated, {plants}", cls="sub"),
@@ -95,11 +108,20 @@ def write_report(
         element("h2", "Plots"),
         *_pictures(trajectories, spec, comparison),
         element("h2", "How to read this"),
-        *(element("p", sentence) for sentence in (_FOLLOWING_READING if following else _GAIT_READING)),
+        *(element("p", sentence) for sentence in _reading(trajectories)),
         element("h2", "Settings"),
         *_settings(spec, trajectories, metrics.get("versions") or {}),
     ]
     Path(path).write_text(page(scenario_title, *parts), encoding="utf-8")
+
+
+def _reading(trajectories: Mapping[str, Trajectory]) -> Sequence[str]:
+    """Return how to read the report of such runs."""
+    if all(run.has("reference_1") for run in trajectories.values()):
+        return _FOLLOWING_READING
+    if all(map(is_learning, trajectories.values())):
+        return _LEARNING_READING
+    return _GAIT_READING
 
 
 def result_table(metrics: Mapping[str, Any]) -> Markup:
@@ -162,6 +184,9 @@ def _pictures(
         made.insert(0, picture(tracking_plot(trajectories), "How the first segment follows its reference."))
     else:
         made.append(picture(speed_plot(trajectories), "Speed of the centre of mass."))
+    if all(map(is_learning, trajectories.values())):
+        text = "What was learnt: amplitudes and duties of each module, by period."
+        made.insert(0, picture(learning_plot(trajectories), text))
     if comparison is not None and len(comparison.time):
         made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
     return made

@@ -1,0 +1,96 @@
+"""A snake of perfect modules to learn on, and its broken ones; shares no code with the project's plants."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from snakes import chain
+
+from srs_twin.control.learning import ILC
+
+TICK = 0.01
+SEGMENTS = 4
+STUCK = {"open": 1.0, "shut": 0.0}
+
+
+class Modules:
+    """The bend is c⁺ times the share of the last half period for which the + valve filled, less the − one's.
+
+    At the end of a fill at duty u that is c u, whatever came before.
+
+    Attributes:
+        gain: c, shape (segments, 2), rad; may be changed.
+        stuck: (segment, side) → "open" or "shut".
+    """
+
+    def __init__(self, gain: Any, frequency: float) -> None:
+        self.gain = np.broadcast_to(np.asarray(gain, dtype=float), (SEGMENTS, 2)).copy()
+        self.stuck: dict[tuple[int, int], str] = {}
+        self._open = np.zeros((round(0.5 / frequency / TICK), SEGMENTS, 2))
+
+    @property
+    def bend(self) -> np.ndarray:
+        filled = self.gain * self._open.mean(axis=0)
+        bend: np.ndarray = filled[:, 0] - filled[:, 1]
+        return bend
+
+    def step(self, valves: np.ndarray) -> None:
+        slots = valves[None] if valves.ndim == 2 else valves
+        share = (slots == 1).mean(axis=0)
+        for chamber, how in self.stuck.items():
+            share[chamber] = STUCK[how]
+        self._open = np.concatenate([self._open[1:], share[None]])
+
+
+class Run:
+    """A controller on modules, tick by tick, with a sensor that may be broken.
+
+    Attributes:
+        bend: what the sensors said at the begin of each tick.
+        duty: what was commanded in each, (ticks, segments, 2).
+        events: all so far.
+    """
+
+    def __init__(self, controller: ILC, gain: Any = 1.0) -> None:
+        self.controller, self.modules = controller, Modules(gain, controller.frequency)
+        controller.reset(chain((0.03,) * (SEGMENTS + 1)), TICK)
+        self.bend: list[np.ndarray] = []
+        self.duty: list[np.ndarray] = []
+        self.events: list[Any] = []
+        self.sensor: Any = lambda time, bend: bend
+
+    def go(self, periods: float) -> Run:
+        for _ in range(round(periods / self.controller.frequency / TICK)):
+            time = len(self.bend) * TICK
+            sensed = np.asarray(self.sensor(time, self.modules.bend), dtype=float)
+            # Nothing else is there: reading anything true would fail.
+            state: Any = SimpleNamespace(time=time, sensed=sensed)
+            self.modules.step(self.controller.step(state))
+            signals = self.controller.signals()
+            self.bend.append(sensed)
+            self.duty.append(np.stack([signals["duty_plus"], signals["duty_minus"]], axis=-1))
+            self.events += self.controller.events()
+        return self
+
+    def told(self, kind: str) -> list[str]:
+        return [event.text for event in self.events if event.kind == kind]
+
+    def amplitudes(self) -> np.ndarray:
+        """Return (periods, segments, 2): peaks of whole periods that begin with each chamber's fills.
+
+        Segment j + 1 lags by a quarter of a period; the − chamber by half a one. A fill that runs at the
+        start is the first.
+        """
+        bend, length = np.array(self.bend), round(1 / self.controller.frequency / TICK)
+        peaks = []
+        for j in range(SEGMENTS):
+            for side, sign in ((0, 1), (1, -1)):
+                late = (j / 4 + side / 2) % 1
+                begin = round((late if late <= 0.5 else late - 1) * length)
+                ends = range(begin + length, len(bend) + 1, length)
+                # The peak is seen a tick after the fill has ended, well inside the period.
+                peaks.append([(sign * bend[max(end - length, 0) : end, j]).max() for end in ends])
+        whole = min(map(len, peaks))
+        return np.array([each[:whole] for each in peaks]).T.reshape(whole, SEGMENTS, 2)

@@ -1,0 +1,316 @@
+"""Iterative learning (Eq. 32) on perfect modules, on broken ones, and on the analytical plant."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from learning_law import SEGMENTS, TICK, Run
+from snakes import chain
+
+from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, rollout
+from srs_twin.control.learning import ILC
+from srs_twin.errors import UnknownNameError
+from srs_twin.pneumatics import Schedule
+from srs_twin.pneumatics.lag import LagPneumatics
+from srs_twin.sensing import Sensor
+
+gains = arrays(float, (SEGMENTS, 2), elements=st.floats(0.8, 1.5))
+offsets = st.floats(-0.3, 0.3)
+readings = st.floats(-1.5, 1.5) | st.floats(allow_nan=True, allow_infinity=True)
+SLOTS = 0.007  # of a duty: pulses are a slot of 0.1 ms long or short, 60 times a second
+
+
+# --- the law ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=15, deadline=None)
+@given(gains, offsets, st.floats(0.1, 0.6))
+def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
+    run = Run(ILC(1.0, offset, target=0.7, k=k), gain).go(11)
+    smaller = 0.7 - abs(offset)  # 0.7 rad at 0, 0.4 rad at 0.3
+    target = np.array([0.7, smaller] if offset >= 0 else [smaller, 0.7])
+    error = target - run.amplitudes()
+    free, n = target - gain, np.arange(1, 7)[:, None, None]
+    assert error[1:3] == pytest.approx(np.stack([free, free]), abs=1e-9)
+    assert error[3:9] == pytest.approx(free * (1 - k * gain) ** n, abs=SLOTS * 1.5)
+    assert run.told("fault") == []
+
+
+@settings(max_examples=10, deadline=None)
+@given(gains)
+def test_the_smallest_amplitude_is_the_target_of_all(gain):
+    run = Run(ILC(1.0), gain).go(16)
+    assert run.amplitudes()[-1] == pytest.approx(gain.min(), abs=0.05 * gain.min())
+    (text,) = run.told("target")
+    weakest = gain.min(axis=1).argmin() + 1
+    assert text == f"target {gain.min():.4g} rad, the smallest amplitude recorded (segment {weakest})"
+    # Two free periods, the third recorded: nothing changes before 3.5 periods are over.
+    assert (np.array(run.duty)[: round(3.49 / TICK)] == 1).all()
+
+
+def test_any_error_is_told_of_once_a_period():
+    run = Run(ILC(1.0, target=0.7), 1.2).go(12)
+    assert len(run.told("ilc_update")) == 9
+    assert run.told("ilc_update")[0].startswith("after period 3: largest amplitude error -0.5 rad (segment ")
+    assert run.told("converged") == ["all amplitudes are within 5 % of their targets"]
+
+
+def test_steering_while_it_runs_moves_the_targets_alone():
+    run = Run(ILC(1.0, target=0.7), 1.2).go(10)
+    run.controller.offset = -0.15
+    run.go(10)
+    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.55, 0.7], (SEGMENTS, 1)), abs=0.01)
+    run.controller.offset = 0.3
+    run.go(10)
+    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.01)
+    assert len(run.told("converged")) == 3
+
+
+# --- any input ----------------------------------------------------------------------------------------------
+
+
+def valves_of(controller: ILC, rows: np.ndarray) -> list[np.ndarray]:
+    """Return the valves of ticks with these readings, shape (ticks, segments)."""
+    controller.reset(chain((0.03,) * (SEGMENTS + 1)), TICK)
+    return [controller.step(state(k, row)) for k, row in enumerate(rows)]
+
+
+def state(tick: int, sensed: np.ndarray) -> Any:
+    return SimpleNamespace(time=tick * TICK, sensed=sensed)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    arrays(float, (20, SEGMENTS), elements=readings, fill=st.floats(-1.5, 1.5)),
+    st.sampled_from(["smallest", 0.05, 0.7]),
+    offsets,
+    st.sampled_from([1, 17, 80]),
+    st.sampled_from(["go_on", "stop"]),
+)
+def test_whatever_is_sensed_duties_stay_within_0_and_1(rows, target, offset, hold, on_fault):
+    controller = ILC(2.5, offset, target=target, k=3.0, on_fault=on_fault)
+    controller.reset(chain((0.03,) * (SEGMENTS + 1)), TICK)
+    for k, row in enumerate(np.repeat(rows, hold, axis=0)):
+        valves = controller.step(state(k, row))
+        assert valves.dtype == np.int8 and valves.shape == (100, SEGMENTS, 2)
+        assert set(np.unique(valves)) <= {-1, 1}
+        # No tick fills both chambers of a segment at once.
+        assert not ((valves == 1).all(axis=-1)).any()
+        signals = controller.signals()
+        duty = np.stack([signals["duty_plus"], signals["duty_minus"]])
+        assert ((duty >= 0) & (duty <= 1)).all() and np.isfinite(controller.duties.value).all()
+        assert all(np.shape(each) in ((), (SEGMENTS,)) for each in signals.values())
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    arrays(float, (30, SEGMENTS), elements=st.floats(-1.0, 1.0)),
+    offsets,
+    st.sampled_from([1.0, 1.7, 2.5]),
+    st.sampled_from(["smallest", 0.5]),
+)
+def test_the_mirror_image_exchanges_the_chambers(rows, offset, frequency, target):
+    rows = np.repeat(rows, 10, axis=0)
+    left = valves_of(ILC(frequency, offset, target=target), rows)
+    right = valves_of(ILC(frequency, -offset, target=target, phase=math.pi), -rows)
+    assert (np.array(left) == np.array(right)[..., ::-1]).all()
+
+
+# --- nothing winds up ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("periods", [14, 60])
+def test_a_module_that_cannot_reach_its_target_stays_at_1_and_leaves_it_at_once(periods):
+    gain = np.full((SEGMENTS, 2), 1.3)
+    gain[1] = 0.4
+    run = Run(ILC(1.0, target=0.7), gain).go(periods)
+    assert (run.duty[-1][1] == 1).all()
+    others = np.delete(run.amplitudes()[-1], 1, axis=0)
+    assert others == pytest.approx(0.7, abs=0.05 * 0.7)
+    assert "segment 2, + chamber: duty saturated at 1" in run.told("saturation")
+    assert run.told("fault") == [] and run.told("converged") == []
+    run.modules.gain[1] = 1.0
+    run.go(3)
+    # The first whole period with the new gain is 0.3 rad too wide, however long the duty was at its bound.
+    assert run.duty[-1][1].max() <= 1 - 0.3 * 0.3 + SLOTS
+    assert "segment 2, + chamber: duty no longer saturated" in run.told("saturation")
+
+
+# --- faults -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", ["smallest", 0.7])
+@pytest.mark.parametrize("how", ["open", "shut"])
+@pytest.mark.parametrize(("segment", "side"), [(0, 0), (2, 1), (3, 0)])
+def test_a_stuck_valve_is_named_and_the_others_converge(segment, side, how, target):
+    gain = 1.0 + 0.2 * np.linspace(0, 1, 2 * SEGMENTS).reshape(SEGMENTS, 2)
+    run = Run(ILC(1.0, target=target), gain)
+    run.modules.stuck[segment, side] = how
+    run.go(20)
+    assert run.told("fault") == [f"segment {segment + 1}: valve of the {'+−'[side]} chamber stuck {how}"]
+    assert (run.duty[-1][segment] == 0).all()
+    wanted = 0.7 if target == 0.7 else np.delete(gain, segment, axis=0).min()
+    assert np.delete(run.amplitudes()[-1], segment, axis=0) == pytest.approx(wanted, rel=0.05)
+    assert len(run.told("converged")) == 1 and not run.controller.finished
+    assert np.isnan(run.controller.signals()["target_plus"][segment])
+
+
+def test_a_valve_that_sticks_later_is_found_too():
+    run = Run(ILC(1.0, target=0.7), 1.2).go(10)
+    run.modules.stuck[1, 1] = "open"
+    run.go(12)
+    assert run.told("fault") == ["segment 2: valve of the − chamber stuck open"]
+
+
+@pytest.mark.parametrize("from_period", [0, 9])
+@pytest.mark.parametrize(
+    ("says", "what"),
+    [
+        (0.0, "readings stay within 0.02 rad"),
+        (0.31, "readings stay within 0.02 rad"),
+        (math.nan, "all readings of a period are lost"),
+        (1e9, "all readings of a period are lost"),
+    ],
+)
+def test_a_dead_sensor_is_named(says, what, from_period):
+    run = Run(ILC(1.0, target="smallest"), 1.2)
+    run.sensor = lambda time, bend: np.where((np.arange(4) == 2) & (time >= from_period), says, bend)
+    run.go(20)
+    assert run.told("fault") == [f"segment 3: sensor dead, {what}"]
+    assert (run.duty[-1][2] == 0).all() and len(run.told("converged")) == 1
+
+
+def test_a_sensor_that_loses_some_readings_still_teaches():
+    rng = np.random.default_rng(3)
+    run = Run(ILC(1.0, target=0.7), 1.2)
+    run.sensor = lambda time, bend: np.where(rng.random(4) < 0.2, math.nan, bend)
+    run.go(14)
+    assert run.told("fault") == []
+    assert run.controller.duties.value == pytest.approx(0.7 / 1.2, rel=0.05)
+
+
+def test_what_is_dragged_along_is_no_stuck_valve():
+    """A swing that the segment's own chambers do not cause is found to rest straight, and work goes on."""
+    run = Run(ILC(1.0, target=0.3), 1.2)
+    run.sensor = lambda time, bend: bend - [0.0, 0.6 * math.sin(2 * math.pi * time), 0.0, 0.0]
+    run.go(25)
+    assert run.told("fault") == []
+    assert run.told("fault_not_found") == ["segment 2: rests straight when vented; no valve is stuck"]
+    assert np.delete(run.duty[-1], 1, axis=0) == pytest.approx(0.25, rel=0.05)
+
+
+def test_stop_ends_the_run_once_a_fault_is_named():
+    run = Run(ILC(1.0, on_fault="stop"), 1.2)
+    run.modules.stuck[0, 0] = "shut"
+    run.go(4)
+    assert not run.controller.finished
+    run.go(3)
+    assert run.controller.finished
+    assert run.controller.describe()["faults"] == ["segment 1: valve of the + chamber stuck shut"]
+
+
+# --- on the analytical plant --------------------------------------------------------------------------------
+
+
+class StuckValve(LagPneumatics):
+    """One valve that stays as it is, whatever is commanded."""
+
+    def effective(self, schedule: Schedule) -> Schedule:
+        states = schedule.states.copy()
+        states[:, 2, 0] = self.stays
+        return Schedule(schedule.span, schedule.starts, states)
+
+    stays = 1
+
+
+class DeadSensor(Sensor):
+    """Says 0.2 rad of the second segment for ever."""
+
+    kind = "dead"
+
+    def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
+        said = np.array(bend, dtype=float)
+        said[..., 1] = 0.2
+        return said
+
+
+def snake(**changes: Any) -> AnalyticalSnake:
+    return AnalyticalSnake(load_robot("gen4"), supply_pa=131_000, **changes)
+
+
+@pytest.mark.parametrize(("stays", "how"), [(1, "open"), (-1, "shut")])
+def test_the_plant_with_a_stuck_valve(stays, how):
+    chambers = StuckValve(load_robot("gen4"), supply_pa=131_000, layout="3/2")
+    chambers.stays = stays
+    run = rollout(snake(pneumatics=chambers), ILC(1.0, target=0.7, on_fault="stop"), 12.0)
+    assert run.metadata["control"]["faults"] == [f"segment 3: valve of the + chamber stuck {how}"]
+    assert run.metadata["ended_by"] == "controller" and run.metadata["duration_s"] == 12.0
+    assert run.time[-1] < 8.0 and run.events[-1].kind == "fault"
+
+
+def test_the_plant_with_a_dead_sensor_goes_on_without_the_module():
+    run = rollout(snake(sensor=DeadSensor()), ILC(1.0), 12.0)
+    assert run.metadata["control"]["faults"] == ["segment 2: sensor dead, readings stay within 0.02 rad"]
+    assert run.metadata["ended_by"] is None and run.time[-1] == pytest.approx(12.0)
+    assert np.isfinite(run.com).all()
+
+
+@pytest.mark.parametrize("frequency", [1.0, 1.7])
+def test_full_duty_is_the_plain_gait(frequency):
+    """Nothing that is out of reach changes a duty; then the runs are equal to the last bit."""
+    ilc = rollout(AnalyticalSnake(load_robot("gen4")), ILC(frequency, target=1.5), 6.0)
+    # `until` keeps the gait from running as one script.
+    gait = rollout(AnalyticalSnake(load_robot("gen4")), Gait(frequency), 6.0, until=lambda _: False)
+    assert "duty_plus_1" in ilc.columns and (ilc.stack("duty_plus") == 1).all()
+    for name in gait.columns.keys() - {"offset"}:
+        assert (ilc[name] == gait[name]).all(), name
+
+
+# --- refused ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offset", [0.31, -0.4, math.nan, math.inf])
+def test_refuses_offsets_without_targets(offset):
+    words = "ilc offset .* is not allowed; it must lie between -0.3 and 0.3"
+    with pytest.raises(InputError, match=words):
+        ILC(1.0, offset)
+    controller = ILC(1.0, 0.1)
+    with pytest.raises(InputError, match=words):
+        controller.offset = offset
+    assert controller.offset == 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"frequency": 0.0}, "gait frequency 0.0 Hz"),
+        ({"target": 0.0}, "ilc target 0.0 is not allowed; it must be finite and above 0"),
+        ({"target": math.nan}, "ilc target nan is not allowed"),
+        ({"target": "largest"}, "target 'largest'"),
+        ({"k": -0.3}, "ilc k -0.3 is not allowed"),
+        ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),
+        ({"carrier_hz": 7.0}, "carrier_hz 7 gives a fill at 1 Hz fewer than 4 pulses; 8 Hz or more would do"),
+        ({"free_periods": 0}, "ilc free_periods 0 is not allowed; it must be 1 or more"),
+        ({"on_fault": "pause"}, "on_fault 'pause'"),
+        ({"clock": "wall"}, "clock 'wall'"),
+    ],
+)
+def test_refuses_what_makes_no_sense(arguments, words):
+    with pytest.raises((InputError, UnknownNameError), match=words):
+        ILC(**({"frequency": 1.0} | arguments))
+
+
+def test_refuses_ticks_that_see_too_little_of_a_period():
+    controller = ILC(7.0, carrier_hz=60.0)
+    words = (
+        "a gait of 7 Hz has fewer than 8 readings a period with the tick 0.02 s; a tick of 0.01786 s or less"
+    )
+    with pytest.raises(InputError, match=words):
+        controller.reset(load_robot("gen4"), 0.02)
