@@ -13,7 +13,7 @@ import numpy as np
 from srs_twin.comparison.chamber_periods import ChamberPeriods
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.lateral import PathFit, box_edges
-from srs_twin.comparison.sampling import body_length, interpolant, positive_number
+from srs_twin.comparison.sampling import body_length, positive_number
 from srs_twin.comparison.turning import path_curvature, turning_radius
 from srs_twin.trajectory import Trajectory
 
@@ -63,14 +63,14 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
     - ``amplitude_error_rad`` (target less amplitude, None without a target) and ``duty``: by period, segment
       and chamber.
 
-    The path, by whole periods of which each carries the centre of mass along a chord and turns the body,
-    curvature 2 sin(turn/2)/chord, positive to the left:
+    The path, by periods of which each carries the centre of mass along a chord and turns the body, means over
+    the phase (so that five periods have four of them); curvature 2 sin(turn/2)/chord, positive to the left:
 
     - ``path_curvature_before_per_m``: over the two periods before the first update of a duty, None where they
       would begin less than half a period after the start.
     - ``path_curvature_per_m``, ``path_radius_m``, ``heading_drift_rad`` (turn a period): means over the last
       five.
-      ``path_radius_spread_rel``: largest less smallest radius of the five, over their mean.
+      ``path_radius_spread_rel``: largest less smallest radius among them, over their mean.
     - ``box_left_m``, ``box_right_m``: how far the body reaches to the left (negative) and right of the circle
       or line through the period-averaged path of the last five.
     - ``heading_drift_by_period_rad``: turn of every whole period of the run.
@@ -170,14 +170,17 @@ def _window(trajectory: Trajectory, period: float, end: float, periods: int) -> 
 
 
 def _carried(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much each period carries the centre of mass (m, backward negative) and turns it (rad)."""
-    edges = window.start + window.period * np.arange(window.periods + 1)
-    heading = interpolant(trajectory, trajectory["heading"])(edges)
-    way = np.diff(interpolant(trajectory, trajectory.com)(edges), axis=0)
-    mean, _ = window.running(trajectory, trajectory["heading"])
-    facing = float(mean.mean())
-    ahead = way.sum(axis=0) @ [math.cos(facing), math.sin(facing)]
-    return math.copysign(1.0, ahead) * np.hypot(way[:, 0], way[:, 1]), np.diff(heading)
+    """Return by how much a period carries the centre of mass (m, backward negative) and turns it (rad).
+
+    Both are means over all periods that begin within one: at one phase alone, what the body sways to the side
+    would be taken for a part of the radius. K periods give K − 1 numbers of each.
+    """
+    heading, turning = window.running(trajectory, trajectory["heading"])
+    _, velocity = window.running(trajectory, trajectory.com)
+    along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
+    apart = np.copysign(window.period, along.mean()) * np.hypot(velocity[:, 0], velocity[:, 1])
+    each = (window.periods - 1, window.instants)
+    return apart.reshape(each).mean(axis=1), window.period * turning.reshape(each).mean(axis=1)
 
 
 def _listed(values: np.ndarray) -> list[Any]:

@@ -149,7 +149,7 @@ class ModuleFaults:
         elif weak.any():
             self._name(time, j, f"valve of the {SIDES[int(np.argmax(weak))]} chamber stuck shut")
         else:
-            self._cleared[j] |= self._strong[j] >= PATIENCE
+            self._cleared[j] = True
             self._tell(
                 time, "fault_not_found", f"segment {j + 1}: rests straight when vented; no valve is stuck"
             )

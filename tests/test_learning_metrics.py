@@ -1,0 +1,228 @@
+"""Metrics of iterative learning on runs that were prescribed, and of real ones seen in a mirror."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from synthetic import Snake, mirrored, moved, numbered, with_columns, with_metadata
+
+from srs_twin import AnalyticalSnake, InputError, Trajectory, load_robot, rollout
+from srs_twin.comparison.chamber_periods import ChamberPeriods
+from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, learning_metrics
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.control.learning import ILC
+from srs_twin.sweep.task import _flat
+
+FREQUENCY, SEGMENTS = 2.0, 4
+BEGINS = np.array([[0.0, 0.25], [0.125, -0.125], [0.25, 0.0], [-0.125, 0.125]])
+
+
+def learnt(
+    snake: Snake,
+    amplitude: np.ndarray,
+    *,
+    target: tuple[float, float] = (0.7, 0.4),
+    width: float | None = None,
+) -> Trajectory:
+    """Return a prescribed run whose sensors peaked at these amplitudes, shape (periods, segments, 2), rad.
+
+    The bends themselves know nothing of it, so that amplitudes must come from the sensors.
+    """
+    run = snake.trajectory()
+    sensed, duty = np.zeros((len(run), SEGMENTS)), np.ones((len(run), SEGMENTS, 2))
+    for n, periods in enumerate(amplitude):
+        for j, sides in enumerate(periods):
+            for side, peak in enumerate(sides):
+                begin = BEGINS[j, side] + n / FREQUENCY
+                own = (run.time > begin - 1e-6) & (run.time <= begin + 0.5 + 1e-6)
+                middle = np.abs(run.time - begin - 0.25) < 0.02
+                sensed[middle, j] = peak if side == 0 else -peak
+                # A sample shows what its tick was given, so those of a period begin after its begin.
+                duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n
+    columns = {
+        **numbered("sensed", sensed),
+        **numbered("duty_plus", duty[..., 0]),
+        **numbered("duty_minus", duty[..., 1]),
+        **numbered("target_plus", np.full(sensed.shape, target[0])),
+        **numbered("target_minus", np.full(sensed.shape, target[1])),
+    }
+    about = {"control": {"fill_begins_s": BEGINS.tolist()}, "body_width_m": width}
+    return with_metadata(with_columns(run, **columns), **about)
+
+
+def amplitudes(errors: list[float]) -> np.ndarray:
+    """Return amplitudes by period whose errors, shared by all chambers, are these shares of the targets."""
+    return np.array([[[0.7 * (1 + e), 0.4 * (1 + e)]] * SEGMENTS for e in errors])
+
+
+FADING = [1.0, 1.0, 1.0, 0.5, 0.2, 0.1, 0.04, 0.02, 0.01, 0.0, 0.0]
+RUN = Snake(speed=0.12, yaw_rate=0.3)
+
+
+def test_amplitudes_and_duties_by_period():
+    found = learning_metrics(learnt(RUN, amplitudes(FADING)))
+    error = np.array(found["amplitude_error_rad"], dtype=float)
+    assert error.shape == (11, SEGMENTS, 2)
+    assert error == pytest.approx(np.array([0.7, 0.4]) - amplitudes(FADING))
+    duty = np.array(found["duty"])
+    assert duty[:, 2, 1] == pytest.approx([1, 1, 1, *(0.5 + 0.01 * np.arange(3, 11))])
+    assert found["periods_to_converge"] == 7.0
+    assert found["amplitude_error_end_rad"] == pytest.approx(0.0)
+    assert found["duty_lowest"] == found["duty_highest"] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("errors", "period"),
+    [
+        (FADING, 7.0),
+        ([0.01] * 11, 1.0),
+        ([0.0] * 10 + [0.06], None),
+        ([0.06, 0.0, 0.06, 0.0] * 2 + [0] * 3, 8.0),
+    ],
+)
+def test_converged_is_to_stay(errors, period):
+    errors = [0.06 * (e > 0.05) if e != 1.0 else e for e in errors]
+    assert learning_metrics(learnt(RUN, amplitudes(errors)))["periods_to_converge"] == period
+
+
+def test_one_chamber_that_misses_is_enough_and_one_without_a_target_does_not_count():
+    missed = amplitudes(FADING)
+    missed[:, 1, 0] = 2.0
+    run = learnt(RUN, missed)
+    found = learning_metrics(run)
+    assert found["periods_to_converge"] is None
+    assert found["amplitude_error_end_rad"] == pytest.approx(1.3)
+    left_out = {name: np.full(len(run), math.nan) for name in ("target_plus_2", "target_minus_2")}
+    found = learning_metrics(with_columns(run, **left_out))
+    assert found["periods_to_converge"] == 7.0 and found["amplitude_error_rad"][5][1] == [None, None]
+
+
+def test_readings_that_are_lost_are_no_amplitudes():
+    run = learnt(RUN, amplitudes(FADING))
+    gone = with_columns(run, sensed_3=np.where(run.time > 3.0, math.nan, run["sensed_3"]))
+    found = learning_metrics(gone)
+    assert found["periods_to_converge"] is None and found["amplitude_error_end_rad"] is None
+    json.dumps(found, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("speed", "yaw_rate"), [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)]
+)
+def test_the_path_is_the_prescribed_circle(speed, yaw_rate):
+    found = learning_metrics(learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING)))
+    assert found["path_curvature_per_m"] == pytest.approx(
+        yaw_rate / speed, abs=2e-3 * abs(yaw_rate / speed) + 1e-6
+    )
+    assert found["path_curvature_before_per_m"] == pytest.approx(
+        found["path_curvature_per_m"], rel=1e-3, abs=1e-6
+    )
+    assert found["heading_drift_rad"] == pytest.approx(yaw_rate / FREQUENCY, abs=1e-6)
+    assert found["heading_drift_by_period_rad"] == pytest.approx([yaw_rate / FREQUENCY] * 12, abs=1e-6)
+    if yaw_rate:
+        assert found["path_radius_m"] == pytest.approx(speed / yaw_rate, rel=2e-3)
+        assert found["path_radius_spread_rel"] == pytest.approx(0.0, abs=1e-3)
+    else:
+        assert found["path_radius_m"] is None and found["path_radius_spread_rel"] is None
+
+
+@pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
+@pytest.mark.parametrize("width", [None, 0.05])
+def test_box_edges_are_those_of_a_body_on_its_circle(yaw_rate, width):
+    """An arc of the path itself, prescribed without a wave: it sweeps nothing besides its width."""
+    time = np.arange(601) / 100
+    speed, bend = 0.12, 0.25
+    lag = np.linspace(0.11, -0.11, 5) / speed
+    angle = yaw_rate * (time[:, None] + lag)
+    if yaw_rate:
+        radius = speed / yaw_rate
+        position = np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle))], axis=-1)
+        centre = yaw_rate * time
+        com = np.stack([radius * np.sin(centre), radius * (1 - np.cos(centre))], axis=-1)
+    else:
+        position = np.stack([speed * (time[:, None] + lag), np.zeros(angle.shape)], axis=-1)
+        com = np.stack([speed * time, np.zeros(len(time))], axis=-1)
+    # One connector stands beside the path, to its left: that is the left edge.
+    aside = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
+    position[:, 2] += 0.03 * aside
+    run = learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING), width=width)
+    run = with_columns(
+        run,
+        com_x=com[:, 0],
+        com_y=com[:, 1],
+        heading=yaw_rate * time,
+        **numbered("x", position[..., 0]),
+        **numbered("y", position[..., 1]),
+        **numbered("theta", angle),
+        **numbered("bend", np.full((601, 4), bend)),
+    )
+    half = (width or 0.0) / 2
+    found = learning_metrics(run)
+    assert found["box_left_m"] == pytest.approx(-0.03 - half, abs=1e-6)
+    assert found["box_right_m"] == pytest.approx(half, abs=1e-6)
+    other = learning_metrics(moved(run, 2.0, -1.0, 2.5))
+    assert other["box_left_m"] == pytest.approx(found["box_left_m"], abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def real() -> Trajectory:
+    snake = AnalyticalSnake(load_robot("gen4"), supply_pa=131_000, tick=0.01, model="compliant")
+    return rollout(snake, ILC(1.0, 0.3, target=0.7), 14.0)
+
+
+def test_a_mirror_exchanges_the_sides(real):
+    columns = dict(real.columns)
+    for name in ("duty", "target"):
+        for j in range(1, 5):
+            columns[f"{name}_plus_{j}"], columns[f"{name}_minus_{j}"] = (
+                real[f"{name}_minus_{j}"], real[f"{name}_plus_{j}"],
+            )  # fmt: skip
+        columns |= numbered("sensed", -real.stack("sensed"))
+    begins = np.array(real.metadata["control"]["fill_begins_s"])[:, ::-1]
+    about = {"control": {"fill_begins_s": begins.tolist()}}
+    ours = learning_metrics(real)
+    theirs = learning_metrics(with_metadata(mirrored(with_columns(real, **columns)), **about))
+    for name in ("periods_to_converge", "amplitude_error_end_rad", "duty_lowest", "path_radius_spread_rel"):
+        assert theirs[name] == pytest.approx(ours[name], abs=1e-9), name
+    for name in ("path_curvature_per_m", "path_curvature_before_per_m", "path_radius_m", "heading_drift_rad"):
+        assert theirs[name] == pytest.approx(-ours[name], rel=1e-6), name
+    assert theirs["box_left_m"] == pytest.approx(-ours["box_right_m"], abs=1e-9)
+
+
+def test_of_a_real_run_everything_is_known(real):
+    found = plant_metrics(real)
+    assert all(found[name] is not None for name in LEARNING_UNITS)
+    assert found["periods_to_converge"] <= 12
+    assert found["path_radius_m"] == pytest.approx(1 / found["path_curvature_per_m"], rel=1e-6)
+    assert found["box_left_m"] < 0 < found["box_right_m"]
+    controller = ChamberPeriods.of(real)
+    assert controller.amplitude[-1, :, 0] == pytest.approx(real.stack("amplitude_plus")[-1], abs=0.02)
+
+
+def test_a_gait_has_none_of_it():
+    found = plant_metrics(RUN.trajectory())
+    assert all(found[name] is None for name in (*LEARNING_UNITS, *LEARNING_LIST_UNITS))
+
+
+def test_too_short_a_run_has_no_path():
+    found = learning_metrics(learnt(Snake(duration=1.0), amplitudes([0.0])))
+    assert found["path_radius_m"] is None and found["path_curvature_before_per_m"] is None
+
+
+@pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], "now", [[math.nan, 0.0]] * 4])
+def test_refuses_runs_that_do_not_tell_the_clocks(begins):
+    run = with_metadata(learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins})
+    with pytest.raises(InputError, match="metadata gait_frequency_hz and control.fill_begins_s are needed"):
+        learning_metrics(run)
+
+
+def test_a_sweep_has_a_column_for_every_number(real):
+    flat = _flat("twin", plant_metrics(real))
+    found = learning_metrics(real)
+    assert flat["twin.duty_minus_3_period_7"] == found["duty"][6][2][1]
+    assert flat["twin.heading_drift_by_period_rad_2"] == found["heading_drift_by_period_rad"][1]
+    assert flat["twin.amplitude_error_rad_plus_1_period_2"] == found["amplitude_error_rad"][1][0][0]
+    assert flat["twin.valve_switches_plus_4"] == real.metadata["valve_switches"][3][0]
+    assert all(value is None or isinstance(value, float) for value in flat.values())
