@@ -191,9 +191,10 @@ def test_metadata_says_what_ran():
     trajectory = rollout(Clock(), Teller(), 0.2, record_hz=50)
     assert trajectory.metadata == {
         "plant": "clock", "robot": "gen2", "tick_s": 0.02, "record_hz": 50, "duration_s": 0.2,
-        "body_length_m": pytest.approx(0.22), "segment_length_m": 0.037, "rigid_gap_m": 0.018,
-        "mass_kg": pytest.approx(0.15), "controller": "teller", "gait_frequency_hz": None,
-        "valve_switches": [[10, 10]] * 4,
+        "body_length_m": pytest.approx(0.22), "body_width_m": 0.04, "segment_length_m": 0.037,
+        "rigid_gap_m": 0.018, "mass_kg": pytest.approx(0.15), "controller": "teller",
+        "gait_frequency_hz": None,
+        "control": {}, "ended_by": None, "valve_switches": [[10, 10]] * 4,
     }  # fmt: skip
 
 
@@ -208,6 +209,23 @@ def test_observers_see_the_start_and_every_tick():
     assert second == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.parametrize("record_hz", [100, 50, 10])
+def test_a_controller_that_has_finished_ends_the_run_after_its_tick(record_hz):
+    class Sated(Teller):
+        """Has enough at its seventh tick."""
+
+        def step(self, state: SnakeState) -> np.ndarray:
+            valves = super().step(state)
+            self.finished = self.count >= 7
+            return valves
+
+    plant = Clock()
+    trajectory = rollout(plant, Sated(), 1.0, record_hz=record_hz)
+    assert len(plant.given) == 7 and trajectory.time[-1] == pytest.approx(0.14)
+    assert trajectory.metadata["ended_by"] == "controller"
+    assert trajectory.metadata["duration_s"] == 1.0
+
+
 def test_until_ends_after_the_tick_in_which_it_holds():
     asked: list[float] = []
 
@@ -216,6 +234,7 @@ def test_until_ends_after_the_tick_in_which_it_holds():
         return state.com[0] >= 3
 
     trajectory = rollout(Clock(), Teller(), 1.0, record_hz=100, until=far)
+    assert trajectory.metadata["ended_by"] == "until"
     assert trajectory.time[-1] == pytest.approx(0.06)
     assert asked == pytest.approx([0.02, 0.04, 0.06])
     assert rollout(Clock(), Teller(), 0.1, until=lambda s: False).time[-1] == pytest.approx(0.1)

@@ -10,6 +10,7 @@ from srs_twin.errors import InputError, TimeStepError, whole_steps
 from srs_twin.pneumatics.bending import largest_bend
 from srs_twin.robot_file import RobotFile
 from srs_twin.scenario.control import ControllerSettings, LearningSettings, controller_settings
+from srs_twin.scenario.control_file import LearningFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
 from srs_twin.scenario.settings import SensorSettings, default_tick
@@ -73,7 +74,8 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
 def tick_of(file: ScenarioFile, kind: str) -> float:
     """Return the control tick of a plant that the file names, s."""
     given = getattr(file.plants, kind).tick_s
-    return default_tick(bench=file.bench) if given is None else float(given)
+    learning = isinstance(file.controller, LearningFile)
+    return default_tick(bench=file.bench, learning=learning) if given is None else float(given)
 
 
 def _check_bench(document: Document, file: ScenarioFile) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics.faults import StuckValve
-from srs_twin.scenario.control import ControllerSettings
+from srs_twin.scenario.control import ControllerSettings, LearningSettings
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.settings import (
     AnalyticalSettings,
@@ -93,7 +93,9 @@ class Scenario:
         """
         if kind not in _KINDS:
             raise UnknownNameError("plant", kind, _KINDS)
-        settings = self.plants.get(kind) or _KINDS[kind](tick=default_tick(bench=self.bench))
+        learning = isinstance(self.controller, LearningSettings)
+        tick = default_tick(bench=self.bench, learning=learning)
+        settings = self.plants.get(kind) or _KINDS[kind](tick=tick)
         robot = robot or self.robot
         hung = {"sensor": self._sensors(robot), "base": "clamped" if self.bench else "free"}
         arguments = hung | asdict(settings) | changes

@@ -83,9 +83,14 @@ class SensorSettings:
         return make_sensor(kind, robot, **(options if kind == "hall" else {}))
 
 
-def default_tick(*, bench: bool) -> float:
-    """Return the control tick, s, that suits gaits or a bench."""
-    return 0.001 if bench else 0.02
+def default_tick(*, bench: bool, learning: bool = False) -> float:
+    """Return the control tick, s, that suits gaits, a bench, or iterative learning.
+
+    The last has to see the peaks of bends that ripple with a carrier of 17 ms.
+    """
+    if bench:
+        return 0.001
+    return 0.005 if learning else 0.02
 
 
 @dataclass(frozen=True)

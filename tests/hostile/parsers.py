@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import hostile_bench
+import hostile_learning
 import hostile_mjcf
 import hostile_parquet
 import warm
@@ -144,6 +145,16 @@ PARSERS: tuple[Parser, ...] = (
         values=anything_anywhere(plain_data(hostile_bench.GOOD), lambda: list(ScenarioFile.model_fields)),
         command=("run", "{}"),
         identity=Identity(hostile_bench.benches(), lambda scenario: yaml_bytes(scenario.document)),
+    ),
+    Parser(
+        name="learning",
+        suffix=".yaml",
+        good=hostile_learning.GOOD,
+        parse=load_scenario,
+        malformed=hostile_learning.MALFORMED,
+        values=anything_anywhere(plain_data(hostile_learning.GOOD), lambda: list(ScenarioFile.model_fields)),
+        command=("run", "{}"),
+        identity=Identity(hostile_learning.learners(), lambda scenario: yaml_bytes(scenario.document)),
     ),
     Parser(
         name="robot",

@@ -1,0 +1,156 @@
+"""Scenarios of iterative learning: their files, the command line, reports, and runs that a fault ends."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from srs_twin import InputError, Trajectory, load_scenario
+from srs_twin.comparison.chamber_periods import ChamberPeriods
+from srs_twin.comparison.compare import compare
+from srs_twin.running import prepare
+from srs_twin.scenario import parse_scenario
+from srs_twin.sensing import Sensor
+from srs_twin.viewing.learning_plot import learning_plot
+
+FILE = """\
+title: Learning to turn
+robot: gen4
+duration_s: 6
+supply: {pressure_kpa: 131}
+controller: {kind: ilc, frequency_hz: 2.0, offset: -0.1, target_rad: 0.7}
+plants:
+  analytical: {model: compliant}
+expect:
+  - {metric: periods_to_converge, plant: analytical, below: 12}
+  - {metric: path_radius_m, plant: analytical, below: 0}
+"""
+
+
+def scenario(**controller: Any) -> Any:
+    return parse_scenario(
+        {
+            "robot": "gen4",
+            "duration_s": 8,
+            "supply": {"pressure_kpa": 131},
+            "controller": {"kind": "ilc", "frequency_hz": 1.0} | controller,
+            "plants": {"analytical": {"model": "compliant"}, "twin": {}},
+        }
+    )
+
+
+def test_the_command_line_runs_a_file(tmp_path, srs_twin):
+    (tmp_path / "turn.yaml").write_text(FILE, "utf-8")
+    done = srs_twin("run", "turn.yaml", "--check", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "periods to converge" in done.stdout and "curvature at the end" in done.stdout
+    found = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))["plants"]["analytical"]
+    assert found["periods_to_converge"] <= 12 and found["box_left_m"] < 0 < found["box_right_m"]
+    assert len(found["duty"]) == len(found["amplitude_error_rad"]) == 11
+    page = (tmp_path / "out/report.html").read_text("utf-8")
+    assert "What was learnt: amplitudes and duties of each module, by period." in page
+    assert "same valve commands" not in page
+    run = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
+    assert {"ilc_update", "converged"} <= {event.kind for event in run.events}
+
+
+def test_settings_reach_the_controller():
+    given = scenario(
+        offset=0.2,
+        target_rad=0.5,
+        k_per_rad=0.4,
+        free_periods=3,
+        carrier_hz=100,
+        on_fault="stop",
+        phase_rad=1.0,
+    )
+    controller = given.build_controller()
+    snake = given.build_plant("analytical")
+    controller.reset(snake.spec, snake.tick)
+    about = controller.describe()
+    assert (
+        about | {"k_per_rad": 0.4, "free_periods": 3, "carrier_hz": 100, "target": 0.5, "on_fault": "stop"}
+        == about
+    )
+    assert controller.offset == 0.2 and controller.frequency == 1.0 and given.layout == "3/2"
+    defaults = scenario().build_controller()
+    defaults.reset(snake.spec, snake.tick)
+    about = defaults.describe()
+    assert about | {"k_per_rad": 0.3, "free_periods": 2, "carrier_hz": 60, "target": "smallest"} == about
+
+
+def test_a_target_out_of_reach_is_warned_of():
+    given = scenario(target_rad=1.5)
+    assert given.warnings == ()
+    weak = parse_scenario(dict(given.document) | {"supply": {"pressure_kpa": 30}})
+    (warning,) = weak.warnings
+    assert warning.startswith(
+        "controller.target_rad: 1.5 rad is more than the 0.455 rad that the segments bend"
+    )
+
+
+def test_the_shipped_pairs_differ_in_nothing_but_the_learning():
+    for name in ("straight", "curve"):
+        learning, without = load_scenario(f"ilc_{name}"), load_scenario(f"ilc_{name}_without")
+        assert learning.robot == without.robot and learning.duration == without.duration
+        assert learning.controller.offset == without.controller.offset
+        assert learning.controller.frequency == without.controller.frequency
+        # What bends a module of the nominal gain by the target at full duty.
+        gain = without.robot.actuator.gain
+        assert without.supply_pa * gain == pytest.approx(learning.controller.target, rel=1e-3)
+
+
+class Silent(Sensor):
+    """Loses every reading of the first segment."""
+
+    kind = "silent"
+
+    def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
+        said = np.array(bend, dtype=float)
+        said[..., 0] = np.nan
+        return said
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory) -> Any:
+    """Return a run of both plants that a silent sensor ends on one of them."""
+    given = scenario(on_fault="stop", target_rad=0.7)
+    run = prepare(given, tmp_path_factory.mktemp("stopped"))
+    broken = given.build_plant("analytical", sensor=Silent())
+    return replace(run, parts=dict(run.parts) | {"analytical": (broken, given.build_controller())}).execute()
+
+
+def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
+    ended, whole = stopped.trajectories["analytical"], stopped.trajectories["twin"]
+    assert ended.time[-1] < 4.0 and whole.time[-1] == pytest.approx(8.0)
+    assert ended.metadata["control"]["faults"] == [
+        "segment 1: sensor dead, all readings of a period are lost"
+    ]
+    assert whole.metadata["ended_by"] is None and whole.metadata["control"]["faults"] == []
+    assert stopped.metrics["plants"]["analytical"]["periods_to_converge"] is None
+    names = {path.name for path in Path(stopped.folder).iterdir()}
+    assert {"report.html", "recording.rrd", "metrics.json", "twin.parquet"} <= names
+    assert compare(ended, whole).time[-1] == ended.time[-1]
+    again = Trajectory.from_parquet(Path(stopped.folder) / "analytical.parquet")
+    assert np.isnan(again["sensed_1"]).all() and again.events[-1].kind == "fault"
+
+
+def test_the_picture_shows_what_was_measured(stopped):
+    figure = learning_plot(stopped.trajectories)
+    panels = figure.get_axes()
+    assert len(panels) == 8
+    twin = ChamberPeriods.of(stopped.trajectories["twin"])
+    drawn = [line.get_ydata() for line in panels[2].get_lines()]
+    assert any(np.array_equal(each, twin.amplitude[:, 1, 0]) for each in drawn)
+    duties = [line.get_ydata() for line in panels[7].get_lines()]
+    assert any(np.array_equal(each, twin.duty[:, 3, 1]) for each in duties)
+
+
+def test_a_carrier_as_slow_as_the_gait_is_refused():
+    with pytest.raises(InputError, match="needs a carrier_hz of 8 or more"):
+        scenario(carrier_hz=7)
