@@ -47,6 +47,10 @@ _BENCH_ROWS = {
     "fit_residual_rad": ("beside sine, RMS", "rad"),
     "inlet_openings": ("openings, inlet", "1"),
     "outlet_openings": ("openings, outlet", "1"),
+    "reading_r_squared": ("reading: R² of a line", "1"),
+    "reading_error_rad": ("reading: worst error", "rad"),
+    "reading_backstep_rad": ("reading: turns back", "rad"),
+    "reading_range_t": ("reading: field range", "T"),
     "realtime_factor": ("real-time factor", "1"),
 }
 _COMPARISON_ROWS = {

@@ -1,4 +1,4 @@
-"""Metrics of one trajectory: gait, following a reference, valve openings, and what it cost to compute."""
+"""Metrics of one trajectory: gait, following a reference, sensor, valve openings, cost of computing."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from srs_twin.comparison.learning import (
     is_learning,
     learning_metrics,
 )
+from srs_twin.comparison.reading import READING_UNITS, reading_metrics
 from srs_twin.comparison.sampling import body_length, require
 from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
 from srs_twin.comparison.turning import turning_radius
@@ -34,6 +35,7 @@ METRIC_UNITS = {
     "final_bend_rad": "rad",
     **TRACKING_UNITS,
     **LEARNING_UNITS,
+    **READING_UNITS,
     "wall_s": "s",
     "realtime_factor": "1",
 }
@@ -85,7 +87,8 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
 
     A run with a reference for the bends has `tracking.tracking_metrics`, one under iterative learning
     `learning.learning_metrics`; they are None without. A run on a bench without a reference has
-    ``final_bend_rad``, the first segment's bend at its end.
+    ``final_bend_rad``, the first segment's bend at its end. A run with a sensor that is not ideal has
+    `reading.reading_metrics`.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
@@ -112,6 +115,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **gait,
         **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
         **(learning_metrics(trajectory) if is_learning(trajectory) else dict.fromkeys(_LEARNING)),
+        **reading_metrics(trajectory),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
         "valve_switches": trajectory.metadata.get("valve_switches"),

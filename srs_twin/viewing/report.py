@@ -18,6 +18,7 @@ from srs_twin.viewing.html import Markup, element, page, picture, table
 from srs_twin.viewing.learning_plot import learning_plot
 from srs_twin.viewing.plan_view import plan_view
 from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
+from srs_twin.viewing.reading_plot import reading_plot
 from srs_twin.viewing.tracking_plot import tracking_plot
 from srs_twin.viewing.why import why_section
 
@@ -27,11 +28,13 @@ if TYPE_CHECKING:
 
 # How the names of metrics end, longest first, and what is said instead.
 _ENDINGS = {
-    "_rad_s": "", "_m_s": "", "_per_m": "", "_rad": "", "_m": "", "_s": "", "_w": "",
+    "_rad_s": "", "_m_s": "", "_per_m": "", "_rad": "", "_m": "", "_s": "", "_w": "", "_t": "",
     "_rel": ", relative", "_abs": ", size of difference", "_body": " over body length",
 }  # fmt: skip
 
 _ALWAYS_READING = (
+    "Reading, of a sensor that is not ideal: means over 1° of bend each, and of these the R² of a line, the "
+    "largest error, and how far the reading falls at most while the bend grows (0: it never turns back).",
     "A published value is what the dissertation states for this experiment; an expectation is what the "
     "scenario file allows. A dash means that there is no such number: nothing periodic, or a straight path.",
 )
@@ -187,6 +190,8 @@ def _pictures(
     if all(map(is_learning, trajectories.values())):
         text = "What was learnt: amplitudes and duties of each module, by period."
         made.insert(0, picture(learning_plot(trajectories), text))
+    if (read := reading_plot(trajectories)) is not None:
+        made.append(picture(read, "What the first segment's sensor reads over what it is bent by."))
     if comparison is not None and len(comparison.time):
         made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
     return made

@@ -25,6 +25,8 @@ MISSED = {
     "module_static": {("twin", "final_bend_rad"), ("analytical", "final_bend_rad")},
     # 241, where 244 would do: pulses that run into each other are one opening.
     "module_sine_6hz_iterative": {("twin", "inlet_openings"), ("analytical", "inlet_openings")},
+    # North to the side is the straighter one, at every height of magnet and element tried: docs/sensor.md.
+    "sensor_side": {("twin", "reading_r_squared"), ("analytical", "reading_r_squared")},
     # Gains that overshoot by 40 % serve nothing but this number: docs/module.md.
     "module_step_iterative": {
         (plant, metric) for plant in ("twin", "analytical") for metric in ("overshoot_rel", "settling_5_s")

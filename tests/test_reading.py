@@ -1,0 +1,165 @@
+"""Metrics of a sensor's reading, against readings known in closed form and against the sensor's own law."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin import load_robot, load_scenario, rollout
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.comparison.reading import BIN_RAD, READING_UNITS, reading_metrics
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.sensing import make_sensor
+from srs_twin.sensing.strip import field
+from srs_twin.trajectory import Trajectory
+
+SENSOR = {"kind": "own"}
+
+
+def run(bend, sensed, sensor=SENSOR):
+    bend, sensed = np.asarray(bend, dtype=float), np.asarray(sensed, dtype=float)
+    columns = {"time": 0.01 * np.arange(len(bend)), "bend_1": bend, "sensed_1": sensed}
+    return Trajectory(columns, metadata={"sensor": sensor})
+
+
+def there_and_back(reach):
+    return reach * np.sin(np.linspace(0, 4 * math.pi, 4001))
+
+
+@given(st.floats(0.3, 1.5), st.floats(0.2, 3.0), st.floats(-0.2, 0.2))
+def test_a_straight_reading_is_straight(reach, slope, offset):
+    bend = there_and_back(reach)
+    found = reading_metrics(run(bend, slope * bend + offset))
+    assert found["reading_r_squared"] == pytest.approx(1.0)
+    assert found["reading_backstep_rad"] == pytest.approx(0.0, abs=1e-12)
+    worst = max(abs((slope - 1) * end + offset) for end in (-reach, reach))
+    assert found["reading_error_rad"] == pytest.approx(worst, abs=abs(slope - 1) * BIN_RAD + 1e-12)
+    assert found["reading_range_t"] is None  # nobody told how readings come from a field
+
+
+@settings(max_examples=30)
+@given(st.floats(1.2, 3.0), st.floats(0.05, 0.3), st.floats(-0.3, 0.3))
+def test_a_fold_is_found_as_deep_and_where_it_is(press, scale, place):
+    bend = there_and_back(1.4)
+
+    def law(q):
+        return q - press * scale * np.tanh((q - place) / scale)
+
+    crest = scale * math.acosh(math.sqrt(press))
+    found = reading_metrics(run(bend, law(bend)))
+    # Means over bins round the crest and the trough off: by less than a bin's share of the steepest slope.
+    assert found["reading_backstep_rad"] == pytest.approx(
+        law(place - crest) - law(place + crest), abs=press * BIN_RAD**2 / scale + 1e-3
+    )
+    assert found["reading_backstep_at_rad"] == pytest.approx(place, abs=2 * BIN_RAD)
+
+
+def test_every_bend_counts_once_however_long_it_lasted():
+    bend = np.linspace(-1, 1, 2001)
+    dwelling = np.concatenate([bend, np.full(50_000, 1.0), np.full(100, -1.0)])
+    quick, slow = (reading_metrics(run(q, q**3 + q)) for q in (bend, dwelling))
+    assert slow["reading_r_squared"] == pytest.approx(quick["reading_r_squared"], abs=2e-3)
+    # The last bin's mean bend moves to where the run dwelt.
+    assert slow["reading_error_rad"] == pytest.approx(quick["reading_error_rad"], abs=3 * BIN_RAD)
+    # By time nearly all of it would be one bend.
+    q = dwelling
+    assert np.corrcoef(q, q**3 + q)[0, 1] ** 2 != pytest.approx(quick["reading_r_squared"], abs=0.01)
+
+
+def test_r_squared_is_that_of_the_law_at_evenly_spaced_bends():
+    bend = there_and_back(1.2)
+    even = np.linspace(-1.2, 1.2, 100_001)
+    expected = np.corrcoef(even, np.sin(even))[0, 1] ** 2
+    assert reading_metrics(run(bend, np.sin(bend)))["reading_r_squared"] == pytest.approx(expected, abs=2e-4)
+
+
+def test_noise_averages_out_and_lost_readings_are_left_out():
+    bend = np.tile(there_and_back(1.0), 20)
+    noise = 0.02 * np.random.default_rng(1).standard_normal(len(bend))
+    found = reading_metrics(run(bend, np.where(np.arange(len(bend)) % 7 == 0, np.nan, bend + noise)))
+    assert found["reading_r_squared"] > 0.9999
+    assert found["reading_error_rad"] < 0.005
+    assert found["reading_backstep_rad"] < 0.005
+
+
+@pytest.mark.parametrize(("bend", "sensed"), [([0.5] * 5, [0.5] * 5), ([0.0, 0.5, 1.0], [np.nan] * 3)])
+def test_what_hardly_moves_or_is_lost_says_nothing(bend, sensed):
+    assert set(reading_metrics(run(bend, sensed)).values()) == {None}
+
+
+def test_a_reading_that_is_stuck_has_no_line():
+    found = reading_metrics(run([-1.0, 0.0, 1.0], [0.2, 0.2, 0.2]))
+    assert found["reading_r_squared"] is None
+    assert found["reading_backstep_rad"] == 0
+
+
+@pytest.mark.parametrize("sensor", [{"kind": "ideal"}, {}, None, "hall"])
+def test_an_ideal_sensor_or_none_has_no_metrics(sensor):
+    bend = there_and_back(1.0)
+    assert set(reading_metrics(run(bend, bend, sensor)).values()) == {None}
+    assert reading_metrics(run(bend, bend, sensor)).keys() == READING_UNITS.keys()
+
+
+@pytest.mark.parametrize("broken", [{"hall": {}}, {"hall": {"gain": "x"}, "calibration": {"slope": 1.0}}])
+def test_settings_that_tell_no_field_give_no_range(broken):
+    bend = there_and_back(1.0)
+    assert reading_metrics(run(bend, bend, {"kind": "hall"} | broken))["reading_range_t"] is None
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sampled_from(["up", "side"]), st.floats(3.1e-3, 4.6e-3), st.floats(-0.3, 0.5))
+def test_the_range_is_that_of_the_field_whatever_the_electronics(orientation, distance, drift):
+    spec = load_robot("gen4_module")
+    sensor = make_sensor(
+        "hall", spec, orientation=orientation, distance=distance, noise=0.0, bits=None,
+        gain_error=drift, rails=(-50.0, 50.0), converter_range=(-50.0, 50.0), offset=0.0,
+    )  # fmt: skip
+    bend = there_and_back(1.2)
+    # Sensors describe themselves in a run's metadata.
+    found = reading_metrics(run(bend, sensor.read(bend[:, None], 0.0, 0)[:, 0], sensor.describe()))
+    ends = field(np.array([bend.min(), bend.max()]), sensor.hall.strip)
+    assert found["reading_range_t"] == pytest.approx(abs(np.diff(ends)[0]), rel=0.01)
+
+
+def test_readings_are_the_same_whoever_bends_the_module():
+    found = []
+    for name, plant in (("gait", "analytical"), ("gait", "twin"), ("hold", "analytical")):
+        changes = {"kind": "gait", "frequency_hz": 0.5} if name == "gait" else {"kind": "hold_valves"}
+        document = dict(load_scenario("sensor_semicircular").document)
+        more = {"controller": changes, "duration_s": 4.0, "allow_overpressure": True}
+        scenario = parse_scenario(document | more)
+        run = rollout(scenario.build_plant(plant), scenario.build_controller(), 4.0, record_hz=1000)
+        found.append(plant_metrics(run))
+    assert found[0]["reading_r_squared"] == pytest.approx(found[1]["reading_r_squared"], abs=1e-3)
+    # Held valves bend it to one side only: half the range, and a metric all the same.
+    assert found[2]["reading_range_t"] == pytest.approx(found[0]["reading_range_t"] / 2, rel=0.1)
+
+
+def test_what_sensor_side_and_sensor_far_are_held_to_is_what_sensor_up_gives():
+    scenario = load_scenario("sensor_up")
+    run = rollout(
+        scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration, record_hz=1000
+    )
+    given = plant_metrics(run)
+    for name in ("sensor_side", "sensor_far"):
+        bounds = {
+            each.metric: each.high for each in load_scenario(name).expect if each.metric in READING_UNITS
+        }
+        assert bounds["reading_range_t"] == pytest.approx(given["reading_range_t"], rel=1e-3)
+        if name == "sensor_side":
+            assert bounds["reading_r_squared"] == pytest.approx(given["reading_r_squared"], abs=1e-5)
+
+
+def test_the_report_shows_readings_of_a_sensor_only(tmp_path):
+    from srs_twin.viewing.reading_plot import reading_plot
+
+    bend = there_and_back(1.0)
+    figure = reading_plot({"twin": run(bend, bend), "analytical": run(bend, bend)})
+    assert [axes.get_ylabel() for axes in figure.axes] == ["sensed (°)", "mean less bend (°)"]
+    assert reading_plot({"twin": run(bend, bend, {"kind": "ideal"})}) is None
+    figure = reading_plot({"twin": run([0.0, 0.1], [np.nan, np.nan])})
+    figure.savefig(tmp_path / "lost.png")
