@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import math
+
 import pytest
+from conftest import ROOT
 
 from srs_twin import load_scenario
 from srs_twin.files import shipped_names
 from srs_twin.running import run_scenario
+
+DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 
 # Missed, and why as far as known. Whoever changes what is met changes this table, on purpose.
 MISSED = {
@@ -45,6 +51,7 @@ def test_runs_and_misses_what_is_known(name, tmp_path):
     }  # fmt: skip
     missed = {(outcome.of, outcome.metric) for outcome in result.outcomes if not outcome.met}
     assert missed == MISSED.get(name, set())
+    as_documented(name, result.metrics["plants"])
     both = result.trajectories
     if both["twin"].has("reference") or both["twin"].has("duty_plus"):
         return  # each controller has felt its own body
@@ -54,6 +61,29 @@ def test_runs_and_misses_what_is_known(name, tmp_path):
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
     for chamber in ("pressure_plus", "pressure_minus"):
         assert both["twin"].stack(chamber) == pytest.approx(both["analytical"].stack(chamber), abs=1e-6)
+
+
+def as_documented(name, plants):
+    """Hold what docs/module.md says of a scenario, through docs/module.json, against what it gave."""
+    told = DOCUMENTED["scenarios"].get(name)
+    if told is None:
+        return
+    for plant, metrics in plants.items():
+        numbers = {
+            metric: value
+            for metric, value in metrics.items()
+            if isinstance(value, int | float) and metric not in ("wall_s", "realtime_factor")
+        }
+        assert numbers.keys() == told[plant].keys()
+        if "leak" not in name:
+            again = "uv run python benchmarks/module_table.py writes them anew"
+            assert numbers == pytest.approx(told[plant], rel=0.02, abs=2e-4), again
+            continue
+        # At the edge of the dead zone rounding decides as noise does: one draw of the noise, of those told.
+        drawn = DOCUMENTED["leak"]["of"][name.rpartition("_")[2]][plant]
+        for metric, unit in (("inlet_openings", 1), ("steady_rms_rad", 180 / math.pi)):
+            mean, deviation = drawn[metric]["mean"], drawn[metric]["deviation"]
+            assert unit * numbers[metric] == pytest.approx(mean, abs=4 * deviation)
 
 
 def test_generation_2_is_the_fastest():

@@ -1,0 +1,163 @@
+"""The lines of docs/module.md's table: which number of Chapter 4, what the text says, when that is met."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+PLANTS = ("analytical", "twin")
+DEGREES = 180 / math.pi
+
+
+@dataclass(frozen=True)
+class Values:
+    """What one bench gave, out of docs/module.json.
+
+    Attributes:
+        figures: the whole file.
+        plant: the bench.
+    """
+
+    figures: Mapping[str, Any]
+    plant: str
+
+    def of(self, scenario: str, *metrics: str, unit: float = 1.0) -> tuple[float, ...]:
+        """Return metrics of module_<scenario>, of both controllers' where it ends in an underscore."""
+        names = [scenario + each for each in ("direct", "iterative")] if scenario[-1] == "_" else [scenario]
+        runs = [self.figures["scenarios"][f"module_{name}"][self.plant] for name in names]
+        return tuple(unit * run[metric] for run in runs for metric in metrics)
+
+    def drawn(self, metric: str, which: str) -> tuple[float, ...]:
+        """Return the mean or the deviation over the draws with a leak, of both controllers."""
+        drawn = self.figures["leak"]["of"]
+        return tuple(drawn[kind][self.plant][metric][which] for kind in ("direct", "iterative"))
+
+
+Numbers = Callable[[Values], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table.
+
+    Attributes:
+        what: which number.
+        text: what the text says of it.
+        numbers: that the benches are compared by.
+        shape: how they are written, then `beside`, as for str.format.
+        scenario: where it is from.
+        met: whether the numbers are as the text, or the issue that asks for ours, would have them.
+        beside: numbers that are written but not compared.
+    """
+
+    what: str
+    text: str
+    numbers: Numbers
+    shape: str
+    scenario: str = ""
+    met: Callable[..., bool] = lambda *numbers: True
+    beside: Numbers = lambda values: ()
+
+    def cells(self, figures: Mapping[str, Any]) -> list[str]:
+        """Return the line's cells."""
+        each = [Values(figures, plant) for plant in PLANTS]
+        found = [self.numbers(values) for values in each]
+        written = [self.shape.format(*n, *self.beside(v)) for n, v in zip(found, each, strict=True)]
+        marked = [w if self.met(*n) else f"**{w}**" for w, n in zip(written, found, strict=True)]
+        shares = [abs(theirs / ours - 1) for ours, theirs in zip(*found, strict=True) if ours]
+        return [self.what, self.text, *marked, f"{max(shares, default=0.0):.1%}", self.scenario]
+
+
+def metric(scenario: str, *names: str, unit: float = 1.0) -> Numbers:
+    """Return what picks metrics of a scenario."""
+    return lambda values: values.of(scenario, *names, unit=unit)
+
+
+def drawn(name: str, which: str = "mean") -> Numbers:
+    """Return what picks a metric of the draws with a leak."""
+    return lambda values: values.drawn(name, which)
+
+
+def ratio(scenario: str, name: str) -> Numbers:
+    """Return what divides iterative's metric by direct's."""
+
+    def numbers(values: Values) -> tuple[float, ...]:
+        direct, iterative = values.of(scenario, name)
+        return (iterative / direct,)
+
+    return numbers
+
+
+def more(values: Values) -> tuple[float, ...]:
+    """Return by how many per cent direct's amplitude at 6 Hz is above iterative's."""
+    direct, iterative = values.of("sine_6hz_", "amplitude_rel")
+    return (100 * (direct / iterative - 1),)
+
+
+def less(values: Values) -> tuple[float, ...]:
+    """Return how much less direct lags at 6 Hz, rad."""
+    direct, iterative = values.of("sine_6hz_", "phase_lag_rad")
+    return (iterative - direct,)
+
+
+LINES = (
+    Line("static bend at 11 psi", "75° (Fig. 41)", metric("static", "final_bend_rad", unit=DEGREES),
+         "{:.1f}°", "static, sweep fig41", lambda bend: abs(bend / 75 - 1) <= 0.1),
+    Line("direct, 25° step: settled within 5 %", "0.2 s; ours at most 0.25 s",
+         metric("step_direct", "settling_5_s"), "{:.3f} s", "step_direct", lambda time: time <= 0.25),
+    Line("… overshoot", "less than its fluctuation",
+         metric("step_direct", "overshoot_rad", "sensed_ripple_pp_rad", unit=DEGREES),
+         "{:.1f}° (sensed: {:.1f}° peak to peak)", met=lambda over, ripple: over < ripple),
+    Line("… rise, 10 to 90 %", "–", metric("step_direct", "rise_time_s", unit=1e3), "{:.0f} ms"),
+    Line("iterative, 25° step: overshoot", "40 %", metric("step_iterative", "overshoot_rel", unit=100),
+         "{:.1f} %", "step_iterative", lambda over: over >= 30),
+    Line("… settled within 5 %", "0.4 s", metric("step_iterative", "settling_5_s"), "{:.3f} s",
+         met=lambda time: abs(time / 0.4 - 1) <= 0.3),
+    Line("… times as late as direct", "later", ratio("step_", "settling_5_s"), "{:.1f}",
+         met=lambda times: times > 1),
+    Line("peak to peak at rest, direct; iterative", "–", metric("step_", "ripple_pp_rad", unit=DEGREES),
+         "{:.1f}°; {:.1f}°", "step"),
+    Line("once there, direct stops switching", "yes", metric("step_direct", "inlet_openings"),
+         "{:g} opening a valve in all", "step_direct", lambda openings: openings <= 2),
+    Line("0.25 Hz: amplitude, direct; iterative", "little difference", metric("sine_025hz_", "amplitude_rel"),
+         "{:.2f}; {:.2f}", "sine_025hz", lambda direct, iterative: abs(direct - iterative) < 0.05),
+    Line("… beside the sine, direct; iterative", "direct fluctuates more",
+         metric("sine_025hz_", "fit_residual_rad", unit=DEGREES), "{:.2f}°; {:.2f}°",
+         met=lambda direct, iterative: direct > iterative),
+    Line("1 Hz: amplitude, direct; iterative", "little difference below 1 Hz",
+         metric("sine_1hz_", "amplitude_rel"), "{:.2f}; {:.2f}", "sine_1hz",
+         lambda direct, iterative: abs(direct - iterative) < 0.1),
+    Line("… beside the sine, direct; iterative", "–", metric("sine_1hz_", "fit_residual_rad", unit=DEGREES),
+         "{:.2f}°; {:.2f}°"),
+    Line("4 Hz: amplitude, direct; iterative", "direct larger", metric("sine_4hz_", "amplitude_rel"),
+         "{:.2f}; {:.2f}", "sine_4hz", lambda direct, iterative: direct > iterative),
+    Line("6 Hz: direct's amplitude over iterative's", "15 % more", more, "{:.1f} %", "sine_6hz",
+         lambda share: share >= 15),
+    Line("… how much less direct lags", "0.5 rad", less, "{:.2f} rad", met=lambda rad: rad >= 0.5),
+    Line("… direct's lag", "at most about 0.5 rad", metric("sine_6hz_direct", "phase_lag_rad"), "{:.3f} rad",
+         met=lambda lag: lag <= 0.5),
+    Line("… 10 s: openings, direct", "67", metric("sine_6hz_direct", "inlet_openings"), "{:g}",
+         met=lambda openings: abs(openings / 67 - 1) <= 0.3),
+    Line("… iterative", "349", metric("sine_6hz_iterative", "inlet_openings"), "{:g}",
+         met=lambda openings: abs(openings / 349 - 1) <= 0.3),
+    Line("… ratio", "5.2; ours at least 3.5", ratio("sine_6hz_", "inlet_openings"), "{:.1f}",
+         met=lambda times: times >= 3.5),
+    Line("2 Hz square, 10 s: openings, direct", "26", metric("square_2hz_direct", "inlet_openings"), "{:g}",
+         "square_2hz", lambda openings: abs(openings / 26 - 1) <= 0.3),
+    Line("… iterative", "213", metric("square_2hz_iterative", "inlet_openings"), "{:g}",
+         met=lambda openings: abs(openings / 213 - 1) <= 0.3),
+    Line("… ratio", "8.2; ours at least 6", ratio("square_2hz_", "inlet_openings"), "{:.1f}",
+         met=lambda times: times >= 6),
+    Line("leak of 0.5 1/s: RMS error at rest, direct; iterative", "direct drifts off",
+         drawn("steady_rms_rad"), "{0:.2f} ± {2:.2f}°; {1:.2f} ± {3:.2f}°", "hold_leak, draws",
+         lambda direct, iterative: direct > iterative, drawn("steady_rms_rad", "deviation")),
+    Line("… peak to peak", "direct oscillates much more", drawn("ripple_pp_rad"),
+         "{0:.2f} ± {2:.2f}°; {1:.2f} ± {3:.2f}°", met=lambda direct, iterative: direct > iterative,
+         beside=drawn("ripple_pp_rad", "deviation")),
+    Line("… peak to peak of its mean over a carrier period", "–", drawn("drift"),
+         "{0:.2f} ± {2:.2f}°; {1:.2f} ± {3:.2f}°", beside=drawn("drift", "deviation")),
+    Line("… openings in 6 s", "–", drawn("inlet_openings"), "{0:.1f} ± {2:.1f}; {1:.0f} ± {3:.1f}",
+         beside=drawn("inlet_openings", "deviation")),
+)  # fmt: skip

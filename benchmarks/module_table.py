@@ -1,0 +1,98 @@
+"""The table of docs/module.md that puts every number of Chapter 4 beside the text's, from real runs.
+
+    uv run python benchmarks/module_table.py            # runs the scenarios module_…, 20 draws with the leak
+    uv run python benchmarks/module_table.py --as-told  # runs nothing: writes the table from docs/module.json
+
+What the runs gave goes to docs/module.json, and the table between two marks in docs/module.md. Tests hold
+that the table is the one that these numbers give, and that the shipped scenarios still give these numbers.
+Bold: not met. `apart`: the largest difference of the benches in that line over the analytical one's number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import leak
+from grid import table
+from module_lines import LINES, PLANTS
+
+from srs_twin import load_scenario
+from srs_twin.files import atomic_write, shipped_names
+from srs_twin.running import run_scenario
+
+DOCS = Path(__file__).parents[1] / "docs"
+FIGURES, PAGE = DOCS / "module.json", DOCS / "module.md"
+BEGIN, END = "<!-- module: begin -->", "<!-- module: end -->"
+
+
+def measured(name: str) -> dict[str, dict[str, float]]:
+    """Run a shipped scenario; return plant → metric → number, but for what tells how long it took."""
+    with tempfile.TemporaryDirectory() as folder:
+        plants = run_scenario(load_scenario(name), Path(folder)).metrics["plants"]
+    return {plant: told(found) for plant, found in plants.items()}
+
+
+def told(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Return the metrics that are one number, but for what tells how long it took."""
+    return {
+        name: value
+        for name, value in metrics.items()
+        if isinstance(value, int | float) and name not in ("wall_s", "realtime_factor")
+    }
+
+
+def figures(draws: int) -> dict[str, Any]:
+    """Run everything."""
+    names = [name for name in shipped_names("scenario") if name.startswith("module_")]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        scenarios = dict(zip(names, pool.map(measured, names), strict=True))
+        of: dict[str, Any] = {}
+        for kind in ("direct", "iterative"):
+            found = leak.draws(pool, kind, "as shipped", draws)
+            of[kind] = {
+                plant: {
+                    name: {"mean": float(values.mean()), "deviation": float(values.std(ddof=1))}
+                    for name, values in metrics.items()
+                }
+                for plant, metrics in found.items()
+            }
+    return {"scenarios": scenarios, "leak": {"draws": draws, "angles": "degrees", "of": of}}
+
+
+def report(found: Mapping[str, Any]) -> str:
+    """Return the table."""
+    head = ["what", "text", *PLANTS, "apart", "scenario"]
+    return table(head, [line.cells(found) for line in LINES])
+
+
+def placed(page: str, lines: str) -> str:
+    """Return the page with the table between its marks."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{lines}\n{END}{after}"
+
+
+def main() -> None:
+    """Write both files."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--as-told", action="store_true", help="run nothing, take docs/module.json")
+    arguments.add_argument("--draws", type=int, default=20, help="draws of the sensor's noise with a leak")
+    given = arguments.parse_args()
+    if not given.as_told:
+        with atomic_write(FIGURES) as part:
+            Path(part).write_text(json.dumps(figures(given.draws), indent=1) + "\n", "utf-8")
+    lines = report(json.loads(FIGURES.read_text("utf-8")))
+    page = placed(PAGE.read_text("utf-8"), lines)
+    with atomic_write(PAGE) as part:
+        Path(part).write_text(page, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
