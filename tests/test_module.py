@@ -183,7 +183,8 @@ def _turning(kind, spec, run):
 
 def test_the_analytical_moment_is_that_of_lagrange():
     """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
-    from srs_twin.plants.clamped import _Chain
+    from srs_twin.plants import kernels
+    from srs_twin.plants.clamped import hang
     from srs_twin.plants.kinematics import Solid
 
     mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
@@ -217,8 +218,25 @@ def test_the_analytical_moment_is_that_of_lagrange():
     later, earlier = momentum(q + h * dq, dq + h * ddq), momentum(q - h * dq, dq - h * ddq)
     slope = np.array([(energy(q + h * e, dq) - energy(q - h * e, dq)) / (2 * h) for e in np.eye(2)])
     expected = (later - earlier) / (2 * h) - slope
-    found = _Chain.of(q[None], dq[None], ddq[None], solid).moments(solid)[0]
-    assert found == pytest.approx(expected, rel=1e-4)
+    head = np.array([0.3, -0.2, 1.1])
+    states, velocities, torque = np.zeros((1, kernels.STATES)), np.zeros((1, 3)), np.zeros((1, 2))
+    hang(q[None], dq[None], ddq[None], solid, head, states, velocities, torque)
+    assert torque[0] == pytest.approx(expected, rel=1e-4)
+
+    def turned(vector):
+        c, s = math.cos(head[2]), math.sin(head[2])
+        return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+
+    def centre(q):
+        return turned(mass @ places(q)[0] / mass.sum()) + head[:2]
+
+    assert states[0, :2] == pytest.approx(centre(q), abs=1e-6)
+    speed = (centre(q + h * dq) - centre(q - h * dq)) / (2 * h)
+    assert states[0, [kernels.VX, kernels.VY]] == pytest.approx(speed, abs=1e-5)
+    mean = head[2] + places(q)[1].mean()
+    assert states[0, kernels.HEADING] == pytest.approx(mean, abs=1e-12)
+    assert velocities[0, :2] @ velocities[0, :2] == pytest.approx(speed @ speed, rel=1e-4)
+    assert velocities[0, 0] == pytest.approx(speed @ [math.cos(mean), math.sin(mean)], abs=1e-5)
 
 
 # Both benches

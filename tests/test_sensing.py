@@ -379,6 +379,18 @@ def test_noise_is_the_same_whoever_asks_and_in_whichever_order(seed, cuts, order
         assert sensor.read(bend[k, :1], time[k], seed).tolist() == whole[k, :1].tolist()
 
 
+@given(seed=SEED, first=st.integers(-3000, 10**9), segments=st.integers(1, 4))
+def test_single_moments_are_those_of_a_whole_run(seed, first, segments):
+    """They are looked up in blocks; a run of many moments is not."""
+    slots = first + np.arange(0, 2600, 37)
+    whole = standard_normal(seed, slots * SLOT, segments)
+    for time, numbers in zip(slots * SLOT, whole, strict=True):
+        single = standard_normal(seed, time, segments)
+        assert single.shape == (segments,) and single.tolist() == numbers.tolist()
+    many = standard_normal(seed, slots[:1, None] * SLOT, segments)
+    assert many.shape == (1, 1, segments) and many.ravel().tolist() == whole[0].tolist()
+
+
 def test_noise_knows_a_moment_to_a_slot():
     ticks = np.arange(1, 5000)
     summed = np.cumsum(np.full(4999, 1e-3))  # off by rounding, as a plant's clock is

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from srs_twin.plants.divergence import believed
 from srs_twin.plants.floor import Floor
 from srs_twin.plants.given import Body, GivenBends, Motion
 from srs_twin.plants.kinematics import Solid
+from srs_twin.plants.steps import Steps
 from srs_twin.plausible import implausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.records import joined
@@ -131,59 +133,60 @@ class AnalyticalSnake(Plant):
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance one tick; see `Plant.advance`."""
-        history = self.play(self.pneumatics.schedule(valves, self.tick), samples)
+        history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
         return [history.at(k) for k in range(samples)]
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
         """Follow a schedule; see `Plant.play`."""
         self.pneumatics.check(schedule.states)
-        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        return self._follow(schedule, whole_steps("schedule", schedule.span, "tick", self.tick), samples)
+
+    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+        """Follow a schedule of possible valve states over so many ticks."""
         wrong = implausible([*self._body.state, *self._body.velocity])
         if wrong is not None:
             what = f"its state held {wrong:g} before the step, which no snake reaches"
             raise DivergedError(self.name, self._ticks * self.tick + self.timestep, what)
-        ends, marks = self._step_ends(self.pneumatics.effective(schedule), samples)
-        done, motion, trace = self._drive(schedule, ends, marks)
+        steps = self._steps(self.pneumatics.effective(schedule), samples)
+        done, motion, trace = self._drive(schedule, steps)
         begun = self._ticks * self.tick
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
-        if done < len(ends):
+        if done < len(steps.ends):
             raise DivergedError(
                 self.name,
-                begun + ends[done],
-                f"step {done + 1} of {len(ends)} found no plausible solution, state "
+                begun + steps.ends[done],
+                f"step {done + 1} of {len(steps.ends)} found no plausible solution, state "
                 f"{', '.join(f'{value:.4g}' for value in self._body.state)}",
                 history=history,
             )
         self._ticks += ticks
         return believed(self.name, history)
 
-    def _drive(self, schedule: Schedule, ends: np.ndarray, marks: np.ndarray) -> tuple[int, Motion, Trace]:
+    def _drive(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
         """Advance chambers and body; return the steps made, and what was at the marks that were reached.
 
         Chambers that feel how a yielding body bends take turns with it, a step or two each.
         """
-        felt, turn = self._chambers_feel, self._turn
-        pieces = np.unique(np.floor(ends / turn * (1 - 1e-9)), return_index=True)[1] if felt else [0]
         motions, traces, done = [], [], 0
-        for first, last in zip(pieces, [*pieces[1:], len(ends)], strict=True):
-            begun = ends[first - 1] if first else 0.0
-            starts = np.append(begun, ends[first : last - 1]) - begun
-            steps = ends[first:last] - begun - starts
-            moments = np.zeros(1 + 2 * len(steps))
-            moments[1::2], moments[2::2] = starts + kernels.GAMMA * steps, starts + steps
+        for part, piece in self._turns(schedule, steps):
             bend, rate = self._body.bends()
-            part = schedule.part(begun, ends[last - 1]) if felt else schedule
-            trace = self.pneumatics.advance(part, moments, bend=bend, bend_rate=rate)
-            inside = marks[(marks > first) & (marks <= last)] - first
-            made, states, velocities = self._body.move(steps, trace, inside)
-            reached = int(np.searchsorted(inside, made, side="right"))
-            traces.append(trace.at(2 * inside[:reached]))
+            trace = self.pneumatics.advance(part, piece.moments, bend=bend, bend_rate=rate)
+            made, states, velocities = self._body.move(piece.lengths, trace, piece.marks)
+            reached = int(np.searchsorted(piece.marks, made, side="right"))
+            traces.append(trace.at(2 * piece.marks[:reached]))
             motions.append(self._body.look(states[:reached], velocities[:reached], traces[-1]))
             done += made
-            if made < len(steps):
+            if made < len(piece.lengths):
                 break
         return done, joined(motions), joined(traces)
+
+    def _turns(self, schedule: Schedule, steps: Steps) -> Iterator[tuple[Schedule, Steps]]:
+        if not self._chambers_feel:
+            yield schedule, steps
+            return
+        for begin, end, piece in steps.pieces(self._turn):
+            yield schedule.part(begin, end), piece
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""
@@ -243,25 +246,10 @@ class AnalyticalSnake(Plant):
         lumped: np.ndarray = segments * mass * self.spec.geometry.pitch**2 / 3
         return lumped
 
-    def _step_ends(self, schedule: Schedule, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the integrator's steps end, and after how many of them a sample is due.
-
-        They end on an even grid, as fine as the time step asks and in step with the samples, and on every
-        valve event in between.
-        """
+    def _steps(self, schedule: Schedule, samples: int) -> Steps:
+        """Return the integrator's steps, as fine as the time step asks."""
         longest = min(self.timestep, self._turn) if self._chambers_feel else self.timestep
-        per_sample = math.ceil(schedule.span / samples / longest * (1 - 1e-12))
-        count = samples * per_sample
-        grid = schedule.span / count
-        even = grid * np.arange(1, count + 1)
-        # An event at the end of another step ends none of its own, whichever of them rounding puts first.
-        same = 1e-9 * self.tick
-        steps = schedule.events / grid
-        events = schedule.events[np.abs(steps - np.round(steps)) * grid > same]
-        events = events[np.diff(events, prepend=-1.0) > same]
-        due = np.arange(per_sample, count + 1, per_sample)
-        marks = due + np.searchsorted(events, even[due - 1])
-        return np.sort(np.concatenate([even, events])), marks
+        return Steps.between(schedule.span, schedule.events, samples, longest=longest, same=1e-9 * self.tick)
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         """Return the history of these moments."""

@@ -69,7 +69,7 @@ class SnakeState:
 
     def at(self, k: int | slice) -> SnakeState:
         """Return moment k of a history, or a part of it."""
-        return SnakeState(**{f.name: getattr(self, f.name)[k] for f in fields(self)})
+        return SnakeState(*(getattr(self, name)[k] for name in _FIELDS))
 
     @staticmethod
     def history(parts: Sequence[SnakeState]) -> SnakeState:
@@ -78,7 +78,10 @@ class SnakeState:
         return joined(whole)
 
     def _sample(self) -> SnakeState:
-        return SnakeState(**{f.name: np.asarray(getattr(self, f.name))[None] for f in fields(self)})
+        return SnakeState(*(np.asarray(getattr(self, name))[None] for name in _FIELDS))
+
+
+_FIELDS = tuple(each.name for each in fields(SnakeState))  # asked for every tick
 
 
 class Plant(ABC):

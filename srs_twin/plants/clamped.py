@@ -10,16 +10,16 @@ with ψ the direction of chord j, and moments inwards: T_j is the force conjugat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
-from srs_twin import shape
+from srs_twin.compiled import compiled
 from srs_twin.plants import kernels
 from srs_twin.plants.base import Pose
 from srs_twin.plants.floor import Floor
 from srs_twin.plants.given import Body, Motion
-from srs_twin.plants.kinematics import Solid
+from srs_twin.plants.kinematics import Solid, chord_terms
 from srs_twin.pneumatics import Trace
 
 
@@ -32,13 +32,14 @@ class ClampedBends(Body):
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays where it is then."""
-        self._pose = pose
         self.state = np.zeros(kernels.STATES)
         self.state[:3] = pose
         self.velocity = np.zeros(3)
         mass = self.solid.mass
         pitch = self.solid.length + self.solid.gap
-        self._ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
+        ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
+        x, y, heading = pose
+        self._head = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`; `look` finds out where the chain is."""
@@ -46,85 +47,67 @@ class ClampedBends(Body):
 
     def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.look`; where the chain is follows from its bends alone."""
-        chain = _Chain.of(trace.bend, trace.bend_rate, trace.bend_acceleration, self.solid)
-        mass = self.solid.mass / self.solid.mass.sum()
-        mean, rate = chain.angle.mean(axis=1), chain.spin.mean(axis=1)
-        x, y, heading = self._pose
-        turned = np.exp(1j * heading)
-        centre = complex(x, y) + turned * (chain.place @ mass + self._ahead)
-        velocity = turned * (chain.velocity @ mass)
-        ahead = velocity * np.exp(-1j * (heading + mean))
-        found = np.zeros((len(mean), kernels.STATES))
-        found[:, kernels.X], found[:, kernels.Y], found[:, kernels.HEADING] = (
-            centre.real,
-            centre.imag,
-            heading + mean,
-        )
-        found[:, kernels.VX], found[:, kernels.VY] = velocity.real, velocity.imag
-        moving = np.stack([ahead.real, ahead.imag, rate], axis=1)
-        return Motion(found, moving, trace.bend, trace.bend_rate, chain.moments(self.solid))
-
-
-@dataclass(frozen=True)
-class _Chain:
-    """Places, velocities and accelerations of the connectors in the frame of the head, as complex numbers.
-
-    Attributes:
-        angle, spin, gain: headings (rad), their rates and accelerations, shape (samples, N).
-        place, velocity, acceleration: shape (samples, N), m.
-        direction: e(ψ) of each chord, shape (samples, segments).
-        span, slope: L (m) and dL/dq (m/rad) of each chord, same shape.
-    """
-
-    angle: np.ndarray
-    spin: np.ndarray
-    gain: np.ndarray
-    place: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    direction: np.ndarray
-    span: np.ndarray
-    slope: np.ndarray
-
-    @classmethod
-    def of(cls, bend: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, solid: Solid) -> _Chain:
-        """Return the chain with these bends (rad), rates and accelerations, shape (samples, segments)."""
-        angle, spin, gain = (_behind(-values) for values in (bend, rate, acceleration))
-        psi, turn, twist = ((each[:, 1:] + each[:, :-1]) / 2 for each in (angle, spin, gain))
-        span, slope, curvature = shape.chords(bend, solid.length, solid.gap)
-        if solid.frozen:
-            span, slope, curvature = np.full_like(span, solid.length + solid.gap), 0 * slope, 0 * curvature
-        stretch, swell = slope * rate, curvature * rate**2 + slope * acceleration
-        e = np.exp(1j * psi)
-        inward, aside = swell - span * turn**2, span * twist + 2 * stretch * turn
-        return cls(
-            angle, spin, gain,
-            place=_behind(-span * e),
-            velocity=_behind(-(stretch + 1j * span * turn) * e),
-            acceleration=_behind(-(inward + 1j * aside) * e),
-            direction=e, span=span, slope=slope,
+        torque = np.empty_like(trace.bend)
+        hang(
+            trace.bend, trace.bend_rate, trace.bend_acceleration, self.solid, self._head,
+            states, velocities, torque,
         )  # fmt: skip
+        return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
 
-    def moments(self, solid: Solid) -> np.ndarray:
-        """Return the net moments T_j that the bends need, shape (samples, segments), N·m."""
-        segments = self.span.shape[1]
-        found = np.empty(self.span.shape)
-        push = np.zeros(len(found), dtype=complex)
-        twist = np.zeros(len(found))
-        for j in range(segments - 1, -1, -1):
+
+@compiled
+def hang(bends, rates, accelerations, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
+    """Fill what follows from the bends of a chain that is held at its head.
+
+    Args:
+        bends: shape (samples, segments), rad.
+        rates: same shape, rad/s.
+        accelerations: same shape, rad/s².
+        solid: the chain.
+        head: where it is held: x, y (m), heading (rad).
+        states: out, pose and velocity of the centre of mass by the indices in `kernels`, world frame.
+        velocities: out, the same velocity in the mean-heading frame and the mean spin, shape (samples, 3).
+        torque: out, net moments that the bends need, shape (samples, segments), N·m.
+    """
+    n, total = solid.mass.shape[0], solid.mass.sum()
+    place, pull, gain = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    lever = np.empty((n - 1, 2))
+    for k in range(bends.shape[0]):
+        angle, spin, mean, mean_spin = head[2], 0.0, head[2], 0.0
+        gain[0] = 0.0
+        place[0], pull[0] = 0.0, 0.0
+        v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
+        for j in range(n - 1):
+            q, dq, ddq = bends[k, j], rates[k, j], accelerations[k, j]
+            psi, turn, twist = angle - q / 2, spin - dq / 2, gain[j] - ddq / 2
+            angle, spin, gain[j + 1] = angle - q, spin - dq, gain[j] - ddq
+            _, _, span, slope, curvature = chord_terms(q, solid)
+            stretch, swell = slope * dq, curvature * dq * dq + slope * ddq
+            inward, aside = swell - span * turn * turn, span * twist + 2 * stretch * turn
+            c, s = math.cos(psi), math.sin(psi)
+            place[j + 1, 0], place[j + 1, 1] = place[j, 0] - span * c, place[j, 1] - span * s
+            v_x, v_y = v_x - stretch * c + span * turn * s, v_y - stretch * s - span * turn * c
+            pull[j + 1, 0] = pull[j, 0] - inward * c + aside * s
+            pull[j + 1, 1] = pull[j, 1] - inward * s - aside * c
+            # The bend's lever on what is behind: the chord shortens, and turns by half of the bend.
+            lever[j, 0], lever[j, 1] = -slope * c - span / 2 * s, -slope * s + span / 2 * c
+            share = solid.mass[j + 1] / total
+            com_x, com_y = com_x + share * place[j + 1, 0], com_y + share * place[j + 1, 1]
+            com_vx, com_vy = com_vx + share * v_x, com_vy + share * v_y
+            mean, mean_spin = mean + (angle - head[2]) / n, mean_spin + spin / n
+        states[k, kernels.X], states[k, kernels.Y] = head[0] + com_x, head[1] + com_y
+        states[k, kernels.HEADING] = mean
+        states[k, kernels.VX], states[k, kernels.VY] = com_vx, com_vy
+        c, s = math.cos(mean), math.sin(mean)
+        velocities[k, 0], velocities[k, 1] = com_vx * c + com_vy * s, com_vy * c - com_vx * s
+        velocities[k, 2] = mean_spin
+        push_x = push_y = moment = 0.0
+        for j in range(n - 2, -1, -1):
             # Of all behind segment j: net force, and its moment about the connector at its rear end.
-            if j < segments - 1:
-                arm = self.place[:, j + 2] - self.place[:, j + 1]
-                twist += (arm.conj() * push).imag
-            own = solid.mass[j + 1] * self.acceleration[:, j + 1]
-            push, twist = push + own, twist + solid.inertia[j + 1] * self.gain[:, j + 1]
-            lever = (-self.slope[:, j] + 0.5j * self.span[:, j]) * self.direction[:, j]
-            found[:, j] = (lever.conj() * push).real - twist
-        return found
-
-
-def _behind(steps: np.ndarray) -> np.ndarray:
-    """Return what the steps from connector to connector add up to, 0 at the head; one column more."""
-    start = np.zeros_like(steps[:, :1])
-    found: np.ndarray = np.concatenate([start, np.cumsum(steps, axis=1)], axis=1)
-    return found
+            if j < n - 2:
+                arm_x, arm_y = place[j + 2, 0] - place[j + 1, 0], place[j + 2, 1] - place[j + 1, 1]
+                moment += arm_x * push_y - arm_y * push_x
+            push_x += solid.mass[j + 1] * pull[j + 1, 0]
+            push_y += solid.mass[j + 1] * pull[j + 1, 1]
+            moment += solid.inertia[j + 1] * gain[j + 1]
+            torque[k, j] = lever[j, 0] * push_x + lever[j, 1] * push_y - moment

@@ -132,13 +132,16 @@ class TwinSnake(Plant):
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance one tick; see `Plant.advance`."""
-        history = self.play(self.pneumatics.schedule(valves, self.tick), samples)
+        history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
         return [history.at(k) for k in range(samples)]
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
         """Follow a schedule; see `Plant.play`."""
         self.pneumatics.check(schedule.states)
-        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        return self._follow(schedule, whole_steps("schedule", schedule.span, "tick", self.tick), samples)
+
+    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+        """Follow a schedule of possible valve states over so many ticks."""
         interval = schedule.span / samples
         steps = whole_steps("sample interval", interval, "time step", self.timestep)
         block = max(1, math.floor(self.stretch / interval))
@@ -215,6 +218,10 @@ class TwinSnake(Plant):
         """Return what was to be seen at these times, each at the end of so many steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
+        if self._numerics.base == "clamped":
+            # In the air: nothing pushes, nothing is spent.
+            force = np.zeros((count, *self._last_push.shape))
+            return self._observe(times, stretch.states[ends], trace.at(ends), force, stretch.energy[ends])
         push, velocity = stretch.floor_force[:used, ..., :2], stretch.foot_velocity[:used, ..., :2]
         # The floor's force acts with the velocity that it leads to, at the end of its step.
         earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push
@@ -240,7 +247,10 @@ class TwinSnake(Plant):
         """Return the history of these states."""
         seen = self.physics.look(states)
         # Unwrap against the last sample: a connector turns by far less than π in between.
-        theta = np.unwrap(np.concatenate([self._theta[None], seen.headings]), axis=0)[1:]
+        theta = np.concatenate([self._theta[None], seen.headings])
+        if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
+            theta = np.unwrap(theta, axis=0)
+        theta = theta[1:]
         if len(theta):
             self._theta = theta[-1].copy()  # what was handed out is no longer ours
         bending = self.spec.bending
@@ -267,7 +277,8 @@ class TwinSnake(Plant):
 
     def _plausible_steps(self, states: np.ndarray) -> int:
         """Return how many steps, from the first, led to finite and plausible states."""
-        moved = np.diff(states[:, 0], prepend=-1.0) > 0  # after a divergence the engine's time stands still
+        clock = states[:, 0]
+        moved = np.append(True, clock[1:] > clock[:-1])  # after a divergence the engine's time stands still
         speeds = states[:, 1 + self.physics.model.nq :]
         fine = moved & np.isfinite(states).all(axis=1) & (np.abs(speeds) < _SPEED_LIMIT).all(axis=1)
         return int(np.argmin(fine)) if not fine.all() else len(fine)

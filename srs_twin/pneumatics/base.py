@@ -50,7 +50,10 @@ class Trace:
 
     def at(self, rows: np.ndarray) -> Trace:
         """Return some of the times, by their numbers."""
-        return Trace(*(getattr(self, each.name).take(rows, axis=0) for each in fields(Trace)))
+        return Trace(*(getattr(self, name).take(rows, axis=0) for name in _FIELDS))
+
+
+_FIELDS = tuple(each.name for each in fields(Trace))  # asked for every tick
 
 
 class Pneumatics(ABC):

@@ -29,6 +29,8 @@ class Schedule:
     @classmethod
     def of_slots(cls, commands: np.ndarray, span: float) -> Schedule:
         """Return the schedule of commands that share a stretch equally, shape (slots, segments, 2)."""
+        if len(commands) == 1:
+            return cls(span, np.zeros(1), np.ascontiguousarray(commands))
         changes = np.flatnonzero((commands[1:] != commands[:-1]).any(axis=(1, 2))) + 1
         begins = np.append(0, changes)
         return cls(span, span * begins / len(commands), np.ascontiguousarray(commands[begins]))
@@ -44,6 +46,8 @@ class Schedule:
 
     def part(self, begin: float, end: float) -> Schedule:
         """Return the schedule from `begin` to `end`, its times counted from `begin` (s)."""
+        if begin == 0.0 and end == self.span and self.starts[-1] < end - _SAME:
+            return self
         first = int(np.searchsorted(self.starts, begin + _SAME, side="right")) - 1
         last = int(np.searchsorted(self.starts, end - _SAME, side="left"))
         starts = np.maximum(self.starts[first:last] - begin, 0.0)

