@@ -221,7 +221,8 @@ class TwinSnake(Plant):
         if self._numerics.base == "clamped":
             # In the air: nothing pushes, nothing is spent.
             force = np.zeros((count, *self._last_push.shape))
-            return self._observe(times, stretch.states[ends], trace.at(ends), force, stretch.energy[ends])
+            work = stretch.energy[ends]
+            return self._observe(times, stretch.states[ends], trace.at(ends), force, force[:, :, 0], work)
         push, velocity = stretch.floor_force[:used, ..., :2], stretch.foot_velocity[:used, ..., :2]
         # The floor's force acts with the velocity that it leads to, at the end of its step.
         earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push
