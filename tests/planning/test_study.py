@@ -1,0 +1,47 @@
+"""The planning study: its tables say what was planned, and its baseline plans on the same checks."""
+
+from __future__ import annotations
+
+import planning as study
+import pytest
+from plan_sampling import TOUCH, deepest, joints, misses
+
+from srs_twin.errors import InputError
+from srs_twin.planning import Settings, plan
+
+
+def test_a_small_study_counts_each_planners_plans(capsys):
+    answers = study.study(1)
+    found = study.summary(answers)
+    for name in ("greedy", "best_first"):
+        plans = [p for each in answers[name].values() for p in each]
+        assert found[name]["solved"] == sum(p.found for p in plans)
+        assert sum(found[name]["outcomes"].values()) == len(study.COUNTS) == len(plans)
+        assert found[name]["drivable"] <= found[name]["solved"] <= found["solved_by_any"]
+    assert found["best_first"]["misses_of_greedy"] == 0
+    assert found["greedy"]["misses_of_greedy"] == 0
+    lines = study.tables(found, 1).splitlines()
+    assert lines[0].startswith("| planner | solved of 18 |")
+    assert [line.split(" | ")[0] for line in lines[2:4]] == ["| greedy", "| best_first"]
+
+
+def test_the_safety_part_reports_plans_that_collide(monkeypatch):
+    assert study.safety(6)["bad_seeds"] == []
+    monkeypatch.setattr(study, "deepest", lambda *_: 0.01)
+    assert study.safety(6)["bad_seeds"]
+
+
+def test_ompl_plans_are_held_to_the_same():
+    pytest.importorskip("ompl")
+    for count in (4, 12):
+        problem = study.fig54_problem(count, 1, arcs=False)
+        answer = plan(problem, Settings(seconds=5), planner="ompl")
+        assert answer.found
+        assert deepest(answer, problem) < TOUCH and joints(answer, problem) < 1e-6
+        assert not misses(answer, problem)
+
+
+def test_without_the_extra_ompl_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "ompl", None)
+    with pytest.raises(InputError, match=r"pip install 'srs-twin\[ompl\]'"):
+        plan(study.fig54_problem(4, 1, arcs=False), planner="ompl")
