@@ -11,7 +11,8 @@ from srs_twin.compiled import compiled
 NODES, OPEN, EXPANDED = range(3)
 """Places in `Frontier.counts`."""
 
-_BITS = 21
+# Of a row and a column in a cell's number; the rest, 2048, is for sectors of the heading.
+_BITS = 26
 _HALF = 1 << (_BITS - 1)
 
 

@@ -29,8 +29,8 @@ from srs_twin.world import Goal
 # the smallest change of heading wide, so that a node's children do not fall into one cell.
 _COUNT, _COARSEST_TURN = 5, 0.5
 _CELL, _SECTORS = 0.35, 48
-_SHARE = 1000
-"""Nodes of the first turn of each tree; every turn is twice the last."""
+_SHARE, _LARGEST_SHARE = 1000, 16_000
+"""Nodes of the first turn of each tree, and of the largest; every turn is twice the last."""
 
 
 @dataclass
@@ -65,16 +65,16 @@ class _Ended:
 def best_first(problem: Problem, settings: Settings) -> Plan:
     """Plan; see `planning.plan`."""
     checker, budget = Checker(problem.world, problem.footprint), _Budget(settings.nodes, settings.seconds)
-    best: tuple[Segment, ...] = ()
+    best: tuple[Segment, ...] | None = None
     for level, resolution in enumerate(_resolutions(problem, settings.levels)):
         trees = _trees(resolution, problem, settings, checker.surroundings)
         ended = _at(trees, problem, budget, _length(best), prove=level == 0)
         if ended.path is not None:
             best = _finished(ended.path, trees[0], problem, settings, checker)
-        if ended.final or budget.spent or (best and not settings.improve):
+        if ended.final or budget.spent or (best is not None and not settings.improve):
             break
     expanded, cell = settings.nodes - budget.nodes, (resolution.cell, resolution.sector)
-    if best:
+    if best is not None:
         return Plan(Outcome.FOUND, "a free path", best, expanded, cell)
     if ended.final:
         return Plan(Outcome.UNREACHABLE, ended.why, (), expanded)
@@ -124,7 +124,7 @@ def _at(trees: list[Tree], problem: Problem, budget: _Budget, best: float, *, pr
                 "the footprint's least width; move obstacles, or plan with a narrower footprint"
             )
             return _Ended(why=why, final=True)
-        prove, share = False, 2 * share
+        prove, share = False, min(2 * share, _LARGEST_SHARE)
     return _Ended()
 
 
@@ -155,5 +155,5 @@ def _finished(
     return path
 
 
-def _length(path: tuple[Segment, ...]) -> float:
-    return math.fsum(s.length for s in path) if path else math.inf
+def _length(path: tuple[Segment, ...] | None) -> float:
+    return math.inf if path is None else math.fsum(s.length for s in path)

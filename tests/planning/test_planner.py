@@ -145,6 +145,19 @@ def test_a_weight_costs_no_more_than_it_says():
     assert hasty.expanded <= shortest.expanded
 
 
+def test_who_is_there_already_has_arrived():
+    problem = replace(fig54(3, 0), start=Pose(2.0, 1.0, math.pi / 4 + 0.01))
+    answer = plan(problem)
+    assert answer.found and answer.segments == () and answer.length == 0 and answer.end is None
+    assert answer.samples().shape == (0, 3)
+
+
+def test_a_time_budget_ends_the_search():
+    wall = ring(1.5, 0, 0.4, 13, 0.08)
+    answer = plan(walled(world=World(wall)), Settings(nodes=10**8, seconds=0.2))
+    assert answer.outcome is Outcome.BUDGET_SPENT and answer.expanded < 10**7
+
+
 def test_any_arrival_heading():
     goal = replace(FIG54_GOAL, heading=None)
     problem = replace(fig54(10, 2), goal=goal)
@@ -257,6 +270,8 @@ def test_unknown_planners_and_idle_settings_are_refused():
         plan(walled(), planner="gredy")
     with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be 1 at least"):
         Settings(nodes=0)
+    with pytest.raises(InputError, match="levels 9, 5 at most"):
+        Settings(levels=9)
     with pytest.raises(InputError, match="seconds -1 must be above 0"):
         Settings(seconds=-1)
 

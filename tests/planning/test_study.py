@@ -20,7 +20,7 @@ def test_a_small_study_counts_each_planners_plans(capsys):
         assert found[name]["drivable"] <= found[name]["solved"] <= found["solved_by_any"]
     assert found["best_first"]["misses_of_greedy"] == 0
     assert found["greedy"]["misses_of_greedy"] == 0
-    lines = study.tables(found, 1).splitlines()
+    lines = study.tables(found).splitlines()
     assert lines[0].startswith("| planner | solved of 18 |")
     assert [line.split(" | ")[0] for line in lines[2:4]] == ["| greedy", "| best_first"]
 
