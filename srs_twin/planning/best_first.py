@@ -20,6 +20,7 @@ import numpy as np
 from srs_twin.compiled import compiled
 from srs_twin.planning.dubins import word
 from srs_twin.planning.frontier import EXPANDED, NODES, OPEN, pop, push, slot_of
+from srs_twin.planning.guide import way_from
 from srs_twin.planning.swept import along, blocked
 
 CONNECTED, ARRIVED, PAUSED, EXHAUSTED, FULL = range(5)
@@ -95,11 +96,12 @@ def add_root(frontier, x, y, heading, target, cell, sector, moves):  # type: ign
 
 
 @compiled
-def expand(frontier, moves, target, around, cell, sector, weight, best, share):  # type: ignore[no-untyped-def]  # noqa: D417
+def expand(frontier, moves, target, around, guide, cell, sector, weight, best, share):  # type: ignore[no-untyped-def]  # noqa: D417
     """Expand nodes until something happens; return what (see `CONNECTED`) and at which node.
 
     Args:
         frontier: changed in place.
+        guide: `guide.NO_GUIDE`, or what may lengthen the bound in the key; not where nodes are dropped.
         weight: w.
         best: length of the best plan known, m; nodes that cannot beat it are dropped.
         share: how many nodes to expand at most.
@@ -123,12 +125,12 @@ def expand(frontier, moves, target, around, cell, sector, weight, best, share): 
         if _connects(frontier, node, moves, target, around, best):
             return CONNECTED, node
         for move in range(moves.curvatures.shape[0]):
-            _try(frontier, node, move, moves, target, around, cell, sector, weight, best)
+            _try(frontier, node, move, moves, target, around, guide, cell, sector, weight, best)
     return EXHAUSTED, -1
 
 
 @compiled
-def _try(frontier, node, move, moves, target, around, cell, sector, weight, best):  # type: ignore[no-untyped-def]
+def _try(frontier, node, move, moves, target, around, guide, cell, sector, weight, best):  # type: ignore[no-untyped-def]
     """Make a child if it is the first or nearest in its cell, may beat the best plan, and its arc is free."""
     x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
     curvature, length = moves.curvatures[move], moves.length
@@ -147,7 +149,7 @@ def _try(frontier, node, move, moves, target, around, cell, sector, weight, best
         frontier, slot, to_x, to_y, to_heading, cost, bound, left, right, max(0.0, lasting - length)
     )
     frontier.links[child, 0], frontier.links[child, 1] = node, move
-    push(frontier, child, cost + weight * bound)
+    push(frontier, child, cost + weight * max(bound, way_from(guide, to_x, to_y)))
 
 
 @compiled

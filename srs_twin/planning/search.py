@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 from srs_twin.planning.collision import Checker, Surroundings
+from srs_twin.planning.guide import guide_to
 from srs_twin.planning.plan import Outcome, Plan, Problem, Segment, path_of
 from srs_twin.planning.primitives import Primitives
 from srs_twin.planning.settings import Settings
@@ -29,6 +31,7 @@ from srs_twin.world import Goal
 # the smallest change of heading wide, so that a node's children do not fall into one cell.
 _COUNT, _COARSEST_TURN = 5, 0.5
 _CELL, _SECTORS = 0.35, 48
+_GUIDED_WEIGHT = 1.5
 _SHARE, _LARGEST_SHARE = 1000, 16_000
 """Nodes of the first turn of each tree, and of the largest; every turn is twice the last."""
 
@@ -68,7 +71,8 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     best: tuple[Segment, ...] | None = None
     for level, resolution in enumerate(_resolutions(problem, settings.levels)):
         trees = _trees(resolution, problem, settings, checker.surroundings)
-        ended = _at(trees, problem, budget, _length(best), prove=level == 0)
+        guided = partial(_guided, resolution, problem, settings, checker.surroundings)
+        ended = _at(trees, guided, problem, budget, _length(best), prove=level == 0)
         if ended.path is not None:
             best = _finished(ended.path, trees[0], problem, settings, checker)
         if ended.final or budget.spent or (best is not None and not settings.improve):
@@ -97,22 +101,27 @@ def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
         yield Resolution(arcs, _CELL * arcs.length, 2 * math.pi / (_SECTORS * part))
 
 
-def _at(trees: list[Tree], problem: Problem, budget: _Budget, best: float, *, prove: bool) -> _Ended:
+def _at(
+    trees: list[Tree], guided: Callable[[], Tree], problem: Problem, budget: _Budget, best: float, *,
+    prove: bool,
+) -> _Ended:  # fmt: skip
     """Search at one resolution.
 
     The trees take turns with growing shares. The one from the goal rarely is the first to find a path; it is
-    there for goals that nothing leads to, which it knows at once, and the other tree after all cells.
+    there for goals that nothing leads to, which it knows at once, and the other tree after all cells. What
+    they do not find at once is sought with a guide as well: its path may be longer than need be.
     """
     share = _SHARE
     while not budget.spent:
-        for tree, end in zip(trees, ("on from the start", "back from the goal"), strict=False):
+        for tree in trees:
             before = tree.expanded
             found = tree.grow(max(1, min(share, budget.nodes)), best)
             budget.nodes -= tree.expanded - before
             if found is not None:
                 # What leads back from the goal leads there with its turns exchanged.
-                return _Ended(found if tree is trees[0] else [(-c, length) for c, length in reversed(found)])
+                return _Ended([(-c, length) for c, length in reversed(found)] if tree.backward else found)
             if tree.exhausted and not prove:
+                end = "back from the goal" if tree.backward else "on from the start"
                 return _Ended(why=f"no free arc leads {end} to a pose not yet tried")
             if tree.exhausted or budget.spent:
                 break
@@ -124,6 +133,8 @@ def _at(trees: list[Tree], problem: Problem, budget: _Budget, best: float, *, pr
                 "the footprint's least width; move obstacles, or plan with a narrower footprint"
             )
             return _Ended(why=why, final=True)
+        if share == _SHARE:
+            trees.append(guided())
         prove, share = False, min(2 * share, _LARGEST_SHARE)
     return _Ended()
 
@@ -137,8 +148,18 @@ def _trees(resolution: Resolution, problem: Problem, settings: Settings, around:
         back = turned(start)
         home = target_of(Goal(back.x, back.y, back.heading, radius=0.0, heading_tolerance=0.0), body)
         roots = [turned(pose) for pose in arrivals(problem.goal, resolution.sector)]
-        trees.append(Tree(roots, reversed_moves(moves), home, around, resolution, settings.weight))
+        trees.append(
+            Tree(roots, reversed_moves(moves), home, around, resolution, settings.weight, backward=True)
+        )
     return trees
+
+
+def _guided(resolution: Resolution, problem: Problem, settings: Settings, around: Surroundings) -> Tree:
+    """Return a tree from the start that follows the guide."""
+    body, goal, start = problem.footprint, problem.goal, problem.start
+    guide = guide_to(goal, start, problem.world, body.narrowest, 4 / min(body.tightest))
+    moves, weight = moves_of(resolution.primitives, body), max(settings.weight, _GUIDED_WEIGHT)
+    return Tree([start], moves, target_of(goal, body), around, resolution, weight, guide=guide)
 
 
 def _finished(

@@ -21,6 +21,7 @@ from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import shortest
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.frontier import EXPANDED, Frontier, empty_frontier, grown
+from srs_twin.planning.guide import NO_GUIDE, Guide
 from srs_twin.planning.primitives import Primitives
 from srs_twin.world import Goal, Pose
 
@@ -99,14 +100,17 @@ class Tree:
         around: the world.
         resolution: cells.
         weight: of the bound.
+        guide: round obstacles.
+        backward: it solves the reversed problem, from the goal.
     """
 
     def __init__(
         self, roots: list[Pose], moves: Moves, target: Target, around: Surroundings,
-        resolution: Resolution, weight: float,
+        resolution: Resolution, weight: float, *, guide: Guide = NO_GUIDE, backward: bool = False,
     ) -> None:  # fmt: skip
         self.moves, self.target, self.around = moves, target, around
         self.cells, self.weight = (resolution.cell, resolution.sector), weight
+        self.guide, self.backward = guide, backward
         self.frontier: Frontier = empty_frontier(max(_ROOM, 2 * len(roots)))
         for root in roots:
             add_root(self.frontier, root.x, root.y, root.heading, target, *self.cells, moves)
@@ -126,6 +130,7 @@ class Tree:
                 self.moves,
                 self.target,
                 self.around,
+                self.guide,
                 *self.cells,
                 self.weight,
                 best,
