@@ -12,7 +12,7 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.plan import Segment
+from srs_twin.planning.problem import Segment
 from srs_twin.planning.swept import blocked
 from srs_twin.world import Bounds, Circle, Polygon, Pose, World
 

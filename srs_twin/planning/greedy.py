@@ -26,7 +26,7 @@ import math
 from srs_twin.errors import InputError
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.plan import Outcome, Plan, Problem, Segment
+from srs_twin.planning.problem import Outcome, Plan, Problem, Segment
 from srs_twin.world import Pose
 
 G_STEP = 0.001

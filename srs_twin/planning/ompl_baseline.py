@@ -14,8 +14,8 @@ from srs_twin.errors import InputError
 from srs_twin.planning.best_first import Moves, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import shortest, word
-from srs_twin.planning.plan import Outcome, Plan, Problem, path_of
 from srs_twin.planning.primitives import Primitives
+from srs_twin.planning.problem import Outcome, Plan, Problem, path_of
 from srs_twin.planning.settings import Settings
 from srs_twin.planning.smoothing import shortened
 from srs_twin.planning.tree import Pieces, moves_of

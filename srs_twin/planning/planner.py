@@ -9,7 +9,7 @@ from dataclasses import replace
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.collision import Checker, inside
 from srs_twin.planning.footprint import checked
-from srs_twin.planning.plan import Plan, Problem
+from srs_twin.planning.problem import Plan, Problem
 from srs_twin.planning.settings import Settings
 from srs_twin.world import World
 

@@ -10,8 +10,8 @@ from functools import partial
 
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.guide import guide_to
-from srs_twin.planning.plan import Outcome, Plan, Problem, Segment, path_of
 from srs_twin.planning.primitives import Primitives
+from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, path_of
 from srs_twin.planning.settings import Settings
 from srs_twin.planning.smoothing import shortened
 from srs_twin.planning.tree import (
