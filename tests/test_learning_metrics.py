@@ -119,6 +119,9 @@ def test_the_path_is_the_prescribed_circle(speed, yaw_rate):
     assert found["path_curvature_before_per_m"] == pytest.approx(
         found["path_curvature_per_m"], rel=1e-3, abs=1e-6
     )
+    turn = yaw_rate / FREQUENCY
+    chord = speed * np.sinc(turn / (2 * math.pi)) / FREQUENCY
+    assert found["path_speed_m_s"] == pytest.approx(chord * FREQUENCY, rel=2e-3)
     assert found["heading_drift_rad"] == pytest.approx(yaw_rate / FREQUENCY, abs=1e-6)
     assert found["heading_drift_by_period_rad"] == pytest.approx([yaw_rate / FREQUENCY] * 12, abs=1e-6)
     if yaw_rate:
@@ -184,7 +187,13 @@ def test_a_mirror_exchanges_the_sides(real):
     about = {"control": {"fill_begins_s": begins.tolist()}}
     ours = learning_metrics(real)
     theirs = learning_metrics(with_metadata(mirrored(with_columns(real, **columns)), **about))
-    for name in ("periods_to_converge", "amplitude_error_end_rad", "duty_lowest", "path_radius_spread_rel"):
+    for name in (
+        "path_speed_m_s",
+        "periods_to_converge",
+        "amplitude_error_end_rad",
+        "duty_lowest",
+        "path_radius_spread_rel",
+    ):
         assert theirs[name] == pytest.approx(ours[name], abs=1e-9), name
     for name in ("path_curvature_per_m", "path_curvature_before_per_m", "path_radius_m", "heading_drift_rad"):
         assert theirs[name] == pytest.approx(-ours[name], rel=1e-6), name

@@ -24,6 +24,7 @@ _PLANT_ROWS = {
     "mean_bend_amplitude_rad": ("mean bend amplitude", "rad"),
     "periods_to_converge": ("periods to converge", "1"),
     "amplitude_error_end_rel": ("amplitude error, end", "1"),
+    "path_speed_m_s": ("speed at the end", "m/s"),
     "path_curvature_before_per_m": ("curvature before", "1/m"),
     "path_curvature_per_m": ("curvature at the end", "1/m"),
     "mechanical_power_w": ("mechanical power", "W"),

@@ -22,6 +22,7 @@ LEARNING_UNITS = {
     "periods_to_converge": "1",
     "amplitude_error_end_rad": "rad",
     "amplitude_error_end_rel": "1",
+    "path_speed_m_s": "m/s",
     "path_curvature_before_per_m": "1/m",
     "path_curvature_per_m": "1/m",
     "path_radius_m": "m",
@@ -68,8 +69,8 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
 
     - ``path_curvature_before_per_m``: over the two periods before the first update of a duty, None where they
       would begin less than half a period after the start.
-    - ``path_curvature_per_m``, ``path_radius_m``, ``heading_drift_rad`` (turn a period): means over the last
-      five.
+    - ``path_speed_m_s`` (chord over period), ``path_curvature_per_m``, ``path_radius_m``,
+      ``heading_drift_rad`` (turn a period): means over the last five.
       ``path_radius_spread_rel``: largest less smallest radius among them, over their mean.
     - ``box_left_m``, ``box_right_m``: how far the body reaches to the left (negative) and right of the circle
       or line through the period-averaged path of the last five.
@@ -118,7 +119,10 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
     if window is None:
         return {}
     chords, turns = _carried(trajectory, window)
-    found: dict[str, float | None] = {"heading_drift_rad": float(turns.mean())}
+    found: dict[str, float | None] = {
+        "heading_drift_rad": float(turns.mean()),
+        "path_speed_m_s": float(chords.mean()) / period,
+    }
     length = body_length(trajectory)
     path = PathFit.of(trajectory, window) if abs(chords.mean()) >= _LEAST_WAY * length else None
     if path is None:
