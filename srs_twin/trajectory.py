@@ -19,6 +19,7 @@ _UNITS = {
     "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
     "valve_minus": "1", "torque": "N·m", "work": "J", "air": "J", "qpos": "mixed",
     "obstacle_force_x": "N", "obstacle_force_y": "N",
+    "target_plus": "rad", "target_minus": "rad", "amplitude_plus": "rad", "amplitude_minus": "rad",
 }  # fmt: skip
 
 _OURS = "a trajectory written by srs-twin"

@@ -73,6 +73,15 @@ def test_steering_while_it_runs_moves_the_targets_alone():
     assert len(run.told("converged")) == 3
 
 
+def test_one_clock_for_all_chambers_converges_too():
+    gain = np.linspace(1.0, 1.4, 2 * SEGMENTS).reshape(SEGMENTS, 2)
+    run = Run(ILC(1.0, target=0.7, clock="common"), gain).go(16)
+    assert (np.array(run.controller.describe()["fill_begins_s"]) == 0).all()
+    assert run.amplitudes()[-1] == pytest.approx(0.7, rel=0.05)
+    updates = [event.time for event in run.events if event.kind == "ilc_update"]
+    assert updates == pytest.approx(np.arange(3, 16), abs=1e-9)
+
+
 # --- any input ----------------------------------------------------------------------------------------------
 
 
