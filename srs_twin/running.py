@@ -168,6 +168,7 @@ class PreparedRun:
             "robot": scenario.robot.name,
             "plants": {k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()},
             "comparison": comparison.metrics if comparison else None,
+            "events": {k: _notable(t) for k, t in trajectories.items()},
         }
         if attribution is not None:
             metrics["attribution"] = attribution.document()
@@ -184,6 +185,15 @@ class PreparedRun:
         )  # fmt: skip
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
         return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)
+
+
+def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
+    """Return what a person should know of a run: faults, and why it ended before its time."""
+    told = [asdict(event) for event in trajectory.events if event.kind == "fault"]
+    by = trajectory.metadata.get("ended_by")
+    if by is not None:
+        told.append({"time": float(trajectory.time[-1]), "kind": "ended", "text": f"the run, by its {by}"})
+    return told
 
 
 def _compare(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> Comparison:

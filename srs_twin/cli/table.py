@@ -137,7 +137,7 @@ def show(result: RunResult) -> None:
     console.print(table)
     if "attribution" in result.metrics:
         console.print(_why(result.metrics["attribution"]))
-    for text in expectation_lines(result.metrics):
+    for text in [*event_lines(result.metrics), *expectation_lines(result.metrics)]:
         for part in textwrap.wrap(text, console.width, subsequent_indent=" " * 7, break_long_words=False):
             print(part)
 
@@ -168,6 +168,14 @@ def _signed(value: float) -> str:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.4g}"
+
+
+def event_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """Return a line for each event that a person should know of."""
+    return [
+        f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
+        for plant, events in metrics.get("events", {}).items() for event in events
+    ]  # fmt: skip
 
 
 def expectation_lines(metrics: Mapping[str, Any]) -> list[str]:

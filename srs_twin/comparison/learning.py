@@ -19,12 +19,16 @@ from srs_twin.trajectory import Trajectory
 
 # Metrics of a run under iterative learning, each one number or None.
 LEARNING_UNITS = {
+    "amplitude_growth_rel": "1",
     "periods_to_converge": "1",
     "amplitude_error_end_rad": "rad",
     "amplitude_error_end_rel": "1",
     "path_speed_m_s": "m/s",
     "path_curvature_before_per_m": "1/m",
     "path_curvature_per_m": "1/m",
+    "path_bend_before_per_m": "1/m",
+    "path_bend_per_m": "1/m",
+    "path_bend_left_rel": "1",
     "path_radius_m": "m",
     "path_radius_spread_rel": "1",
     "heading_drift_rad": "rad",
@@ -45,6 +49,8 @@ LAST_PERIODS = 5
 _ROUNDING = 1e-6  # of a period
 # A snake that gets less far than this in a period has no path, body lengths.
 _LEAST_WAY = 1e-3
+_LEAST_CURVATURE = 1e-3
+"""Of a path that is not straight beforehand, 1/m."""
 
 
 def is_learning(trajectory: Trajectory) -> bool:
@@ -58,6 +64,8 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
     Amplitudes, in the periods of each chamber, numbered from 1 (a period that had begun before the start
     counts); chambers without a target, those of modules left out, do not count:
 
+    - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes over that of the
+      first; 1 where the air is there from the start.
     - ``periods_to_converge``: the first period from which on all amplitudes stay within 5 % of their target.
     - ``amplitude_error_end_rad`` and ``…_rel``: the largest error in the last period, and over its target.
     - ``duty_lowest`` and ``duty_highest``: of the last period.
@@ -72,6 +80,8 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
     - ``path_speed_m_s`` (chord over period), ``path_curvature_per_m``, ``path_radius_m``,
       ``heading_drift_rad`` (turn a period): means over the last five.
       ``path_radius_spread_rel``: largest less smallest radius among them, over their mean.
+    - ``path_bend_before_per_m``, ``path_bend_per_m``: the sizes of both curvatures; ``path_bend_left_rel``:
+      the second over the first, what learning has left of it.
     - ``box_left_m``, ``box_right_m``: how far the body reaches to the left (negative) and right of the circle
       or line through the period-averaged path of the last five.
     - ``heading_drift_by_period_rad``: turn of every whole period of the run.
@@ -84,11 +94,14 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
     """
     by_period = ChamberPeriods.of(trajectory)
     period = 1 / (positive_number(trajectory, "gait_frequency_hz") or math.nan)
+    path, before = _path(trajectory, period), _before(trajectory, period)
     return {
         **dict.fromkeys(LEARNING_UNITS),
         **_amplitudes(by_period),
-        **_path(trajectory, period),
-        "path_curvature_before_per_m": _before(trajectory, period),
+        "amplitude_growth_rel": _growth(by_period),
+        **path,
+        "path_curvature_before_per_m": before,
+        **_straightened(before, path.get("path_curvature_per_m")),
         "amplitude_error_rad": _listed(by_period.error),
         "duty": _listed(by_period.duty),
         "heading_drift_by_period_rad": _turns(trajectory, period).tolist(),
@@ -112,6 +125,16 @@ def _amplitudes(by_period: ChamberPeriods) -> dict[str, float | None]:
         "duty_lowest": float(duty.min()),
         "duty_highest": float(duty.max()),
     }
+
+
+def _growth(by_period: ChamberPeriods) -> float | None:
+    """Return by how much amplitudes grew while all duties stayed what they were."""
+    if not len(by_period.duty):
+        return None
+    same = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
+    last = len(same) - 1 if same.all() else int(np.argmin(same)) - 1
+    first, grown = by_period.amplitude[0].mean(), by_period.amplitude[last].mean()
+    return float(grown / first) if last > 0 and first > 0 else None
 
 
 def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
@@ -154,6 +177,13 @@ def _before(trajectory: Trajectory, period: float) -> float | None:
     if not abs(chords.mean()) >= _LEAST_WAY * body_length(trajectory):
         return None
     return path_curvature(float(chords.mean()), float(turns.mean()))
+
+
+def _straightened(before: float | None, after: float | None) -> dict[str, float | None]:
+    sizes = [None if each is None else abs(each) for each in (before, after)]
+    first, second = sizes
+    left = None if first is None or second is None or first < _LEAST_CURVATURE else second / first
+    return {"path_bend_before_per_m": first, "path_bend_per_m": second, "path_bend_left_rel": left}
 
 
 def _turns(trajectory: Trajectory, period: float) -> np.ndarray:

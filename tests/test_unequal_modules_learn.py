@@ -1,0 +1,103 @@
+"""Modules that differ under learning, on both plants: straight, along a curve, and with one that broke."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from srs_twin import Trajectory, rollout
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.scenario import parse_scenario
+
+both = pytest.mark.parametrize("plant", ["analytical", "twin"])
+_RUNS: dict[str, Trajectory] = {}
+
+
+def run(
+    plant: str, *, seed: int = 3, seconds: float = 18, faults: tuple[Any, ...] = (), **more: Any
+) -> Trajectory:
+    """Return a run at 1 Hz and 131 kPa with gains that spread by 15 %, a carrier of 120 Hz unless told."""
+    control = {"kind": "ilc", "frequency_hz": 1.0, "target_rad": 0.7, "carrier_hz": 120.0} | more.pop(
+        "control", {}
+    )
+    modules = {"gain_spread": 0.15} | more.pop("modules", {})
+    scenario = parse_scenario({
+        "robot": {"base": "gen4", "modules": modules, "actuator": {"bend_limit_rad": 1.571}},
+        "duration_s": seconds, "seed": seed, "supply": {"pressure_kpa": 131}, "controller": control,
+        "plants": {"analytical": {"model": "compliant", "friction": "wheel"}, "twin": {}},
+        "faults": list(faults), **more,
+    })  # fmt: skip
+    key = f"{plant} {scenario.document}"
+    if key not in _RUNS:
+        _RUNS[key] = rollout(scenario.build_plant(plant), scenario.build_controller(), seconds)
+    return _RUNS[key]
+
+
+@both
+@pytest.mark.parametrize("seed", [3, 12])
+def test_what_curls_open_loop_goes_straight(plant, seed):
+    found = plant_metrics(run(plant, seed=seed))
+    assert found["path_bend_before_per_m"] > 0.5
+    assert found["periods_to_converge"] <= 12
+    assert found["path_bend_left_rel"] < 0.1
+
+
+@both
+def test_an_unequal_snake_keeps_a_constant_curve(plant):
+    found = plant_metrics(run(plant, control={"offset": -0.3}))
+    assert found["periods_to_converge"] <= 12 and found["path_radius_spread_rel"] < 0.05
+    assert -0.6 < found["path_radius_m"] < -0.35
+
+
+@both
+def test_drifted_sensors_leave_a_curvature_of_their_own_size(plant):
+    """What is learnt is what the sensors say: all are content, and the path bends by their error."""
+    found = plant_metrics(
+        run(plant, modules={"gain_spread": 0.0, "sensor_bias_rad": [0.05, 0.05, 0.05, 0.05]})
+    )
+    assert found["periods_to_converge"] <= 12
+    # Bends that lie 0.05 rad to the right of where they are thought: 0.2 rad over a body of 0.3 m.
+    assert -1.0 < found["path_curvature_per_m"] < -0.2
+
+
+@both
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ({"kind": "stuck_valve", "chamber": "minus", "stuck": "closed"}, "valve of the − chamber stuck shut"),
+        ({"kind": "stuck_valve", "chamber": "plus", "stuck": "open"}, "valve of the + chamber stuck open"),
+        ({"kind": "dead_sensor"}, "sensor dead, all readings of a period are lost"),
+        ({"kind": "dead_sensor", "reading_rad": 0.1}, "sensor dead, readings stay within 0.02 rad"),
+    ],
+    ids=["shut", "open", "lost", "frozen"],
+)
+def test_what_breaks_is_named_and_the_others_go_on(plant, fault, named):
+    found = run(plant, seconds=16, faults=({"segment": 2, "from_s": 6.0} | fault,))
+    told = [event.text for event in found.events if event.kind == "fault"]
+    assert told == [f"segment 2: {named}"]
+    metrics = plant_metrics(found)
+    assert metrics["amplitude_error_end_rel"] < 0.05, "of the three that are left"
+    assert 0 <= metrics["duty_lowest"] <= metrics["duty_highest"] <= 1
+    assert np.isnan(found["target_plus_2"][-1]) and found["duty_plus_2"][-1] == 0
+
+
+@both
+def test_a_fault_ends_the_run_where_that_was_asked_for(plant):
+    fault = {"kind": "dead_sensor", "segment": 3, "from_s": 4.0}
+    found = run(plant, faults=(fault,), control={"on_fault": "stop"})
+    assert found.metadata["ended_by"] == "controller" and found.time[-1] < 7
+    assert found.events[-1].kind == "fault" and "segment 3" in found.events[-1].text
+
+
+@both
+def test_a_module_that_is_too_weak_keeps_a_bounded_duty_and_the_rest_converge(plant):
+    weak = [[1.0, 1.0], [0.25, 1.0], [1.0, 1.0], [1.0, 1.0]]
+    found = run(plant, modules={"gain": weak, "gain_spread": 0.0}, seconds=14)
+    metrics = plant_metrics(found)
+    errors, duties = np.array(metrics["amplitude_error_rad"])[-1], np.array(metrics["duty"])[-1]
+    assert duties[1, 0] == 1.0 and 0 < errors[1, 0] < 0.6
+    rest = np.ones((4, 2), dtype=bool)
+    rest[1, 0] = False
+    assert (np.abs(errors[rest]) < 0.05 * 0.7).all() and (duties[rest] < 1).all()
