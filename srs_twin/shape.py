@@ -8,7 +8,8 @@ $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
 Signs: connectors head first, q_j = θ_j − θ_{j+1} > 0 bends the head end to the left (Eq. 2 and 3 with
 the signs of E9, E20; Eq. 7 for the chord). The functions are elementwise, so they serve arrays with any
-leading axes and, compiled, the kernels.
+leading axes and, compiled, the kernels. `pair_heading`, `measured_bend` and `arc_between` are Algorithms 1
+and 2 of Section 3.4.1, which go from markers to curvature and shape.
 """
 
 from __future__ import annotations
@@ -91,3 +92,60 @@ def body_shape(bend: np.ndarray, mass: np.ndarray, length: float, gap: float) ->
     position = np.concatenate([np.zeros_like(links[..., :1, :]), -np.cumsum(links, axis=-2)], axis=-2)
     centre = np.einsum("i,...ij->...j", mass / mass.sum(), position)
     return position - centre[..., None, :]
+
+
+def pair_heading(rear: np.ndarray, front: np.ndarray) -> np.ndarray:
+    """Return the direction from one marker to another, shape (…), rad (Algorithm 1 with atan2, E10).
+
+    Args:
+        rear: position of the one, shape (…, 2), m.
+        front: position of the other, same shape.
+    """
+    along = front - rear
+    return np.asarray(np.arctan2(along[..., 1], along[..., 0]))
+
+
+def measured_bend(front: np.ndarray, rear: np.ndarray) -> np.ndarray:
+    """Return q = θ_A − θ_B in [−π, π) of segments whose ends' headings were measured (Algorithm 1, E9).
+
+    Over the segment's length l that is its curvature κ.
+
+    Args:
+        front: heading θ_A of the end towards the head, rad, any shape.
+        rear: heading θ_B of the other end, same shape.
+    """
+    return np.asarray((front - rear + np.pi) % (2 * np.pi) - np.pi)
+
+
+def arc_between(front: np.ndarray, rear: np.ndarray, curvature: np.ndarray, points: int = 21) -> np.ndarray:
+    r"""Return points of the arc of a given curvature through two ends (Algorithm 2 with E10 and E23).
+
+    With the distance d of the ends and the direction α from the rear to the front one,
+
+    $$ \sin\beta = \kappa d / 2, \qquad
+       P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc} \beta}\,
+       (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
+
+    which needs no centre and no case for κ = 0. Where noise has κ d / 2 beyond 1, which no arc has, β is a
+    right
+    angle: a half circle through both ends.
+
+    Args:
+        front: P_A, shape (…, 2), m.
+        rear: P_B, same shape.
+        curvature: κ, shape (…), 1/m; above 0 the head end turns to the left.
+        points: how many, ends included.
+
+    Returns:
+        From front to rear, shape (…, points, 2), m.
+    """
+    chord_vector = front - rear
+    distance = np.hypot(chord_vector[..., 0], chord_vector[..., 1])
+    half = np.arcsin(np.clip(curvature * distance / 2, -1.0, 1.0))[..., None]
+    s = np.linspace(0.0, 1.0, points)
+    angle = pair_heading(rear, front)[..., None] + half * (1 - s)
+    along = distance[..., None] * s * np.sinc(half * s / np.pi) / np.sinc(half / np.pi)
+    arc: np.ndarray = front[..., None, :] - along[..., None] * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=-1
+    )
+    return arc

@@ -1,0 +1,176 @@
+"""Chain: which marker is at which connector, from the distances between them.
+
+Neighbours along the body are never farther apart than a straight segment is long, others sometimes are: the
+tree that joins all markers over the least of their largest distances is the body. Markers of one rigid part
+keep their distance.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.identification.units import LENGTHS
+
+LONGEST, SHORTEST = 1.15, 0.75
+"""Of a straight segment's length: largest distance of neighbours over time that is one."""
+
+_SAMPLED = 2000
+
+
+def some_frames(points: np.ndarray) -> np.ndarray:
+    """Return at most a few thousand frames, evenly spread."""
+    return points[:: len(points) // _SAMPLED + 1]
+
+
+def largest_distances(points: np.ndarray) -> np.ndarray:
+    """Return the largest distance of each two markers but on a few frames, (markers, markers), m."""
+    return np.asarray(np.quantile(_apart(points), 0.98, axis=0))
+
+
+def body_order(name: str, points: np.ndarray) -> np.ndarray:
+    """Return markers in their order along the body, from one of its ends.
+
+    Args:
+        name: of the file.
+        points: shape (frames, markers, 2), m.
+
+    Raises:
+        InputError: they do not lie along one line.
+    """
+    distance = largest_distances(points)
+    edges = _tree(distance)
+    neighbours: dict[int, list[int]] = {k: [] for k in range(len(distance))}
+    for a, b in edges:
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    ends = [k for k, near in neighbours.items() if len(near) == 1]
+    if len(distance) > 1 and len(ends) != 2:
+        raise InputError(f"{name}: the markers do not lie along one body: {len(ends)} of them are at an end")
+    order = [ends[0] if ends else 0]
+    while len(order) < len(distance):
+        order.append(next(k for k in neighbours[order[-1]] if k not in order))
+    return np.array(order)
+
+
+def rigid_pairs(name: str, points: np.ndarray, connectors: int) -> np.ndarray:
+    """Return which markers form pairs of constant distance, shape (connectors, 2).
+
+    Raises:
+        InputError: no such pairs.
+    """
+    mean, spread = _distances(points)
+    score = spread + 0.02 * mean
+    pairs: list[tuple[int, int]] = []
+    free = set(range(points.shape[1]))
+    rows, columns = np.triu_indices(len(score), k=1)
+    for k in np.argsort(score[rows, columns], kind="stable"):
+        a, b = int(rows[k]), int(columns[k])
+        if {a, b} <= free:
+            pairs.append((a, b))
+            free -= {a, b}
+    worst = max(spread[a, b] / max(mean[a, b], 1e-9) for a, b in pairs)
+    if len(pairs) != connectors or worst > 0.2:
+        raise InputError(
+            f"{name}: no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} "
+            "%); "
+            "are there two at each connector? Give layout"
+        )
+    return np.array(pairs)
+
+
+def head_marker(name: str, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Return the order from the marker ahead of the head on: the end of the body that keeps its distance.
+
+    Raises:
+        InputError: both ends do, or none.
+    """
+    mean, spread = _distances(points)
+    ends = [(order[0], order[1]), (order[-1], order[-2])]
+    change = np.array([spread[end] / max(mean[end], 1e-9) for end in ends])
+    first, other = np.sort(change)
+    if other < 2 * first + 1e-4:
+        raise InputError(
+            f"{name}: which end has the second marker of the head cannot be told, the distances of the last "
+            "two "
+            f"change by {100 * change[0]:.2g} % and {100 * change[1]:.2g} %; give layout single, or a run "
+            "with motion"
+        )
+    return order if change[0] == first else order[::-1]
+
+
+def check_spacing(name: str, points: np.ndarray, pitch: float, robot: str) -> np.ndarray:
+    """Return the largest distance of each two neighbours, head first, shape (segments,), m.
+
+    Args:
+        name: of the file.
+        points: connectors in order, shape (frames, N, 2), m.
+        pitch: length of a straight segment, m.
+        robot: its name.
+
+    Raises:
+        InputError: the robot's segments are not that long.
+    """
+    steps = np.linalg.norm(np.diff(points, axis=1), axis=-1)
+    largest = np.quantile(steps, 0.98, axis=0)
+    ratio = largest / pitch
+    bad = np.flatnonzero((ratio > LONGEST) | (ratio < SHORTEST))
+    if bad.size:
+        k = int(bad[0])
+        raise InputError(
+            f"{name}: markers {k + 1} and {k + 2} from the head come as far as {1e3 * largest[k]:.4g} mm "
+            "apart, the "
+            f"connectors of {robot} {1e3 * pitch:.4g} mm{_unit_hint(float(np.median(ratio)))}"
+        )
+    return np.asarray(largest)
+
+
+def _unit_hint(ratio: float) -> str:
+    for unit, factor in LENGTHS.items():
+        for given, direction in ((factor, "in"), (1 / factor, "not in")):
+            if factor != 1 and 0.8 < ratio * given < 1.1:
+                return f"; were lengths {direction} {unit}?"
+    return "; is it this robot?"
+
+
+def _apart(points: np.ndarray) -> np.ndarray:
+    some = some_frames(points)
+    return np.asarray(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
+
+
+def _distances(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return medians and spreads of the distances; a few frames that are wrong do not count."""
+    low, middle, high = np.quantile(_apart(points), [0.25, 0.5, 0.75], axis=0)
+    return middle, 0.74 * (high - low)
+
+
+def _tree(distance: np.ndarray) -> list[tuple[int, int]]:
+    """Return the edges of the tree with the least sum of distances (Prim)."""
+    inside, edges = [0], []
+    outside = set(range(1, len(distance)))
+    while outside:
+        a, b = min(((i, j) for i in inside for j in outside), key=lambda edge: distance[edge])
+        edges.append((a, b))
+        inside.append(b)
+        outside.remove(b)
+    return edges
+
+
+def forward_distance(period: float, points: np.ndarray) -> float:
+    """Return how far markers moved towards the first of them, m; below 0 away from it.
+
+    Args:
+        period: of the frames, s.
+        points: in order along the body, shape (frames, N, 2), m.
+    """
+    stride = max(1, round(0.25 / period))
+    some = points[::stride]
+    if len(some) < 2:
+        some = points[[0, -1]]
+    centre, along = some.mean(axis=1), some[:, 0] - some[:, -1]
+    along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+    return float(
+        sum(((b - a) * (u + v) / 2).sum() for (a, u), (b, v) in pairwise(zip(centre, along, strict=True)))
+    )

@@ -1,0 +1,12 @@
+"""Units that recordings come in, and what they are in SI."""
+
+from __future__ import annotations
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+PRESSURES = {"pa": 1.0, "kpa": 1e3, "bar": 1e5, "psi": 6894.757}
+
+MOTIVE_LENGTHS = {
+    "meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in", "feet": "ft",
+}  # fmt: skip
+"""Words after 'Length Units' in a Motive export."""
