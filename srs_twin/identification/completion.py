@@ -39,7 +39,7 @@ def completed(
     geometry: Geometry,
     longer: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places and headings of the connectors, anew where a marker was not seen.
+    """Return places and headings of the connectors, those anew that a marker which was not seen tells of.
 
     Args:
         time: shape (frames,), s.
@@ -59,10 +59,11 @@ def completed(
     place, mark = position @ [1, 1j], points @ [1, 1j]
     local = (mark - place[:, connector]) * np.exp(-1j * theta[:, connector])
     arm = np.median(local[~torn].real, axis=0) + 1j * np.median(local[~torn].imag, axis=0)
-    bend = theta[:, :-1] - theta[:, 1:]
-    aim = CubicSpline(time[~torn], bend[~torn])(time[torn])
+    # Headings by interpolated markers may be any: two of a pair come close to each other.
+    turns = CubicSpline(time[~torn], theta[~torn])(time[torn])
+    aim = turns[:, :-1] - turns[:, 1:]
     weight = np.where(missing[torn], HIDDEN**-2, NOISE**-2)
-    state = np.concatenate([place[torn, :1].real, place[torn, :1].imag, theta[torn, :1], aim], axis=1)
+    state = np.concatenate([place[torn, :1].real, place[torn, :1].imag, turns[:, :1], aim], axis=1)
     for _ in range(_STEPS):
         seat, lever, _, _ = _laid(state, arm, connector, geometry, longer)
         miss = mark[torn] - seat
@@ -72,11 +73,15 @@ def completed(
         bends = np.arange(3, state.shape[1])
         normal[:, bends, bends] += BENDS**-2
         right[:, 3:] += (aim - state[:, 3:]) * BENDS**-2
-        state = state + np.clip(np.linalg.solve(normal, right[..., None])[..., 0], -0.5, 0.5)
+        state = state + np.clip(np.linalg.solve(normal, right[..., None])[..., 0], -0.3, 0.3)
     _, _, nodes, headings = _laid(state, arm, connector, geometry, longer)
+    hidden = np.stack([missing[torn][:, connector == k].any(axis=1) for k in range(theta.shape[1])], axis=1)
+    # Places that were measured stay; so do headings, where each connector has its own.
+    stays = ~hidden & (np.bincount(connector).min() > 1)
     position, theta = position.copy(), theta.copy()
-    position[torn] = np.stack([nodes.real, nodes.imag], axis=-1)
-    theta[torn] = headings
+    laid = np.stack([nodes.real, nodes.imag], axis=-1)
+    position[torn] = np.where(hidden[..., None], laid, position[torn])
+    theta[torn] = np.where(stays, theta[torn], headings)
     return position, theta
 
 

@@ -61,7 +61,9 @@ def choose(name: str, points: np.ndarray, connectors: int, pitch: float, layout:
     solid = solid[_near_others(points[:, solid], _APART * pitch)] if len(solid) > connectors else solid
     layouts = {each: markers_of(each, connectors) for each in LAYOUTS[1:]}
     if layout == "auto":
-        layout = next((each for each, count in layouts.items() if count == len(solid)), "")
+        # At once: a marker that was lost for long may have become two tracks.
+        together = int(np.quantile(seen[:, solid].sum(axis=1), 0.95, method="lower")) if solid.size else 0
+        layout = next((each for each, count in layouts.items() if count == together), "")
     wanted = layouts.get(layout, -1)
     if wanted < 0 or len(solid) < wanted:
         listed = ", ".join(f"{count} ({each})" for each, count in layouts.items())

@@ -150,7 +150,8 @@ def _columns(
         return points, [f"Unlabeled {1000 + k}" for k in range(count)]
     order = random.permutation(count)
     place = np.broadcast_to(order, (frames, count)).copy()
-    for swap in sorted(random.integers(1, frames, take.swaps).tolist()):
+    swaps: list[int] = sorted(random.integers(1, frames, take.swaps).tolist())
+    for swap in swaps:
         a, b = random.choice(count, 2, replace=False)
         place[swap:, [a, b]] = place[swap:, [b, a]]
     return np.take_along_axis(points, place[..., None], axis=1), [

@@ -145,7 +145,7 @@ class _Book:
                 expected.append(_carried(own[end], others[:, 0], others[:, 1]))
         distance = np.linalg.norm(begins[:, None] - np.array(expected), axis=-1).min(axis=1)
         reach = self._reach * min(_FARTHEST, 1.0 + (gap - 1) / self._longest)
-        cost = distance + (self._strange(track, frame, begins) if gap > _ALONE else 0.0)
+        cost = distance + self._strange(track, frame, begins)
         return np.where(distance > reach, _NEVER, cost)
 
     def _strange(self, track: int, frame: int, begins: np.ndarray) -> np.ndarray:
