@@ -17,6 +17,7 @@ from srs_twin.identification.units import LENGTHS
 LONGEST, SHORTEST = 1.15, 0.75
 """Of a straight segment's length: largest distance of neighbours over time that is one."""
 
+_TINY = 0.1  # of the body's length: no body curls up so far
 _SAMPLED = 2000
 
 
@@ -127,10 +128,37 @@ def check_spacing(name: str, points: np.ndarray, pitch: float, robot: str) -> np
     return np.asarray(largest)
 
 
+def check_scale(name: str, points: np.ndarray, pitch: float, segments: int, robot: str) -> None:
+    """Refuse markers that are as far from each other as those of no such robot, before any is followed.
+
+    Args:
+        name: of the file.
+        points: in slots, shape (frames, slots, 2), m.
+        pitch: length of a straight segment, m.
+        segments: how many there are.
+        robot: its name.
+
+    Raises:
+        InputError: the nearest two are farther apart than neighbours can be, or all of them hardly apart.
+    """
+    apart = _apart(points)
+    apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
+    apart = apart.reshape(len(apart), -1)
+    apart = apart[np.isfinite(apart).sum(axis=1) >= 2]
+    if not len(apart):
+        raise InputError(f"{name}: never two markers at once; {segments + 1} or more are wanted")
+    nearest, farthest = np.median(np.nanmin(apart, axis=1)), np.median(np.nanmax(apart, axis=1))
+    if nearest > 2 * LONGEST * pitch or farthest < _TINY * segments * pitch:
+        raise InputError(
+            f"{name}: markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of {robot} "
+            f"{1e3 * pitch:.4g} mm{_unit_hint(float(farthest / (segments * pitch)))}"
+        )
+
+
 def _unit_hint(ratio: float) -> str:
     for unit, factor in LENGTHS.items():
         for given, direction in ((factor, "in"), (1 / factor, "not in")):
-            if factor != 1 and 0.8 < ratio * given < 1.1:
+            if factor != 1 and 0.7 < ratio * given < 1.1:
                 return f"; were lengths {direction} {unit}?"
     return "; is it this robot?"
 

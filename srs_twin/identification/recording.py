@@ -9,6 +9,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.body import body_of
+from srs_twin.identification.chain import check_scale
 from srs_twin.identification.floor import Floor, on_floor
 from srs_twin.identification.frames import LEAST_FRAMES, Frames, in_order, taken
 from srs_twin.identification.gaps import filled, longest_whole, outliers, runs
@@ -98,10 +99,12 @@ def read_motion(
     plane, high = _without_high(floor)
     slots, columns = _slots(table, taken(plane, frames), len(frames.time))
     gap_frames = max(1, round(longest_gap_s / frames.period))
-    tracks = follow(slots, columns, gap_frames, _REACH * spec.geometry.pitch)
-    chosen = choose(table.name, tracks.points, spec.geometry.connectors, spec.geometry.pitch, layout)
+    geometry = spec.geometry
+    check_scale(table.name, slots, geometry.pitch, spec.segments, spec.name)
+    tracks = follow(table.name, slots, columns, gap_frames, _REACH * geometry.pitch)
+    chosen = choose(table.name, tracks.points, geometry.connectors, geometry.pitch, layout)
     points = tracks.points[:, chosen.tracks]
-    jumps = outliers(points, _JUMP * spec.geometry.pitch)
+    jumps = outliers(points, _JUMP * geometry.pitch)
     points[jumps] = np.nan
     kept = longest_whole(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:

@@ -13,8 +13,12 @@ from itertools import groupby
 
 import numpy as np
 
+from srs_twin.errors import InputError
+from srs_twin.identification.slots import MOST
 from srs_twin.identification.tracklets import GATE, Tracklet, closest, tracklets
 
+MOST_PIECES = 10_000
+_WILD = "markers jump from frame to frame, none can be followed"
 _SHORT = 3  # frames: fewer samples than these are joined last, where they fit between others
 _RARE = 0.03  # of all samples: as many in short tracklets are no outliers
 _ALONE = 4  # frames over which a marker is expected to go on as it did
@@ -39,10 +43,11 @@ class Tracks:
     dropped: int
 
 
-def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
+def follow(name: str, points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
     """Follow markers through frames.
 
     Args:
+        name: of the file.
         points: in slots, shape (frames, slots, 2), m.
         columns: from which column of the file each comes, shape (frames, slots).
         longest: frames over which a link inside a slot may go.
@@ -50,10 +55,17 @@ def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) 
 
     Returns:
         As many tracks as were needed.
+
+    Raises:
+        InputError: markers jump too often to be followed.
     """
     least = closest(points)
     gate = min(GATE * least, reach)
     pieces = tracklets(points, gate, longest)
+    if len(pieces) > MOST_PIECES:
+        raise InputError(
+            f"{name}: {_WILD} ({len(pieces)} pieces of their ways; at most {MOST_PIECES} are joined)"
+        )
     book = _Book(points, longest, reach)
     short = [each for each in pieces if len(each.frames) < _SHORT]
     if sum(len(each.frames) for each in short) > _RARE * np.count_nonzero(columns >= 0):
@@ -62,6 +74,10 @@ def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) 
     apart = {id(each) for each in short}
     for _, group in groupby((each for each in pieces if id(each) not in apart), key=lambda each: each.start):
         book.join(list(group))
+        if len(book.tracks) > MOST:
+            raise InputError(
+                f"{name}: {_WILD} (over {MOST} tracks); is the unit of length or of time another?"
+            )
     dropped = sum(len(each.frames) for each in short if not book.fits(each, gate))
     if not book.tracks:
         return Tracks(np.full((len(points), 1, 2), np.nan), np.full((len(points), 1), -1), dropped)

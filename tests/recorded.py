@@ -1,0 +1,57 @@
+"""Motions of the analytical plant as cameras would have recorded them, with what was true beside it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
+from srs_twin.identification import Recording, read_motion
+from srs_twin.identification.synthetic import Take, write_motive
+
+SPEC = load_robot("gen2")
+RATE = 100.0
+NOISE = 2e-4  # m, what `Take` has
+
+
+@cache
+def motion(seconds: float = 4.0, offset: float = 0.1, frequency: float = 2.0) -> Trajectory:
+    """Return a gait from rest: a start is in view."""
+    plant = AnalyticalSnake(SPEC, supply_pa=48e3)
+    return rollout(plant, Gait(frequency, offset), seconds, record_hz=RATE)
+
+
+def recorded(folder: Path, take: Take, truth: Trajectory | None = None, **options: object) -> Recording:
+    """Write a take and read it."""
+    path = folder / "take.csv"
+    write_motive(truth or motion(), take, path)
+    return read_motion(path, SPEC, **options)
+
+
+def true_at(trajectory: Trajectory, truth: Trajectory) -> Trajectory:
+    """Return the true samples at the times of a recording."""
+    rows = np.rint((trajectory.time + truth.time[0]) * RATE).astype(int)
+    return Trajectory({name: column[rows] for name, column in truth.columns.items()})
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """Return angles in [−π, π)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def plain_csv(trajectory: Trajectory, unit: str = "m", scale: float = 1.0) -> str:
+    """Return the connectors as a plain CSV file."""
+    count = trajectory.position.shape[1]
+    head = ",".join(["time", *(f"{axis}_{i}_{unit}" for i in range(1, count + 1) for axis in "xy")])
+    values = np.column_stack([trajectory.time, trajectory.position.reshape(len(trajectory), -1) * scale])
+    return head + "\n" + "\n".join(",".join(f"{v:.9g}" for v in row) for row in values) + "\n"
+
+
+def valve_csv(truth: Trajectory, start: float, stop: float, shift: float) -> str:
+    """Return the valves between two times, on a clock that shows `shift` more."""
+    names = [f"valve_{side}_{j}" for j in range(1, SPEC.segments + 1) for side in ("plus", "minus")]
+    rows = (truth.time >= start - 1e-9) & (truth.time <= stop + 1e-9)
+    values = np.column_stack([truth.time[rows] + shift, *(truth[name][rows] for name in names)])
+    return ",".join(["time", *names]) + "\n" + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in values)

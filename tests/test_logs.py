@@ -1,0 +1,322 @@
+"""Recordings of a motion: what was true comes back, identity is kept, and what was done to the data is said."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
+
+from srs_twin import InputError, Trajectory
+from srs_twin.identification import read_motion
+from srs_twin.identification.floor import MAPS
+from srs_twin.identification.synthetic import Take, motive_csv
+
+LAYOUTS = ("single", "head", "pair")
+
+
+def near(one, other, most):
+    """Of large arrays pytest would print for minutes how they differ."""
+    assert np.abs(np.asarray(one) - other).max() < most
+
+
+def errors(recording, truth):
+    """Return errors of places (m), bends and headings (rad) and which samples were measured throughout."""
+    trajectory = recording.trajectory
+    true = true_at(trajectory, truth)
+    place = np.linalg.norm(trajectory.position - true.position, axis=-1)
+    bend = trajectory.stack("bend") - true.stack("bend")
+    heading = wrapped(trajectory["heading"] - true["heading"])
+    return place, bend, heading, trajectory.stack("filled") == 0
+
+
+@pytest.mark.parametrize(("layout", "most"), [("single", 0.03), ("head", 0.002), ("pair", 1e-4)])
+def test_without_noise_the_motion_comes_back(tmp_path, layout, most):
+    """Of one marker a connector the straight start leaves 20 mrad open."""
+    found = recorded(tmp_path, Take(layout=layout, noise=0.0))
+    place, bend, heading, measured = errors(found, motion())
+    assert measured.all() and len(found.trajectory) == len(motion())
+    assert place.max() < 1e-6
+    assert np.abs(bend).max() < most
+    assert np.abs(heading).max() < most
+    near(found.trajectory.com, motion().com, 1e-6)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_noise_is_all_that_noise_adds(tmp_path, layout):
+    """0.2 mm over a lever of 20 mm is 14 mrad a heading, over segments of 55 mm a third of it, but added up."""
+    place, bend, heading, _ = errors(recorded(tmp_path, Take(layout=layout)), motion())
+    assert np.sqrt((place**2).mean()) < 1.5 * NOISE
+    assert np.sqrt((bend**2).mean()) < 0.04
+    assert np.sqrt((heading**2).mean()) < 0.02
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("seed", range(4))
+def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
+    """Every sample that was measured is its own marker's; what is filled is flagged."""
+    take = Take(layout=layout, swaps=30, lost=0.05, spikes=4, seed=seed)
+    found = recorded(tmp_path, take)
+    place, _, _, measured = errors(found, motion())
+    assert len(found.trajectory) > 0.9 * len(motion())
+    assert place[measured].max() < 8 * NOISE
+    assert found.summary.moves >= 15
+    assert 0.03 < found.summary.samples_filled / found.summary.samples_seen < 0.08
+    assert 0 < (~measured).mean() < 0.15
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
+    found = recorded(tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed))
+    place, _, _, measured = errors(found, motion())
+    assert found.summary.columns > 12
+    assert place[measured].max() < 8 * NOISE
+
+
+@pytest.mark.parametrize("layout", ["head", "pair"])
+def test_curvature_has_no_jump(tmp_path, layout):
+    """From frame to frame no bend changes by more than it truly does and noise allows, also where filled."""
+    found = recorded(tmp_path, Take(layout=layout, swaps=30, lost=0.05, gap_frames=2, noise=1e-4, seed=1))
+    fastest = np.abs(np.diff(motion().stack("bend"), axis=0)).max()
+    assert np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max() < 1.5 * fastest + 0.1
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0, 240.0])
+def test_any_frame_rate(tmp_path, rate):
+    found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
+    assert found.summary.rate_hz == pytest.approx(rate, rel=1e-6)
+    shared = np.isclose(np.rint(found.trajectory.time * RATE) / RATE, found.trajectory.time, atol=1e-6)
+    there = {name: column[shared] for name, column in found.trajectory.columns.items()}
+    true = true_at(Trajectory(there), motion())
+    assert np.abs(np.stack([there[f"bend_{j}"] for j in range(1, 5)], -1) - true.stack("bend")).max() < 0.01
+
+
+@pytest.mark.parametrize("up", MAPS)
+@pytest.mark.parametrize("unit", ["m", "cm", "mm", "in", "ft"])
+def test_axes_and_units_make_no_difference(tmp_path, up, unit):
+    """Found, not given: every map is a rotation, so no bend changes its sign."""
+    found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))
+    place, bend, _, _ = errors(found, motion())
+    assert found.summary.up == up
+    assert place.max() < 1e-5
+    assert np.abs(bend).max() < 0.002
+    assert any("converted" in each for each in found.summary.corrections) == (unit != "m")
+
+
+def test_the_wrong_way_up_is_the_mirror_image(tmp_path):
+    """Whoever exports with mirrored axes gives up with the other sign, and has left and right again."""
+    right = recorded(tmp_path, Take(layout="head", noise=0.0)).trajectory
+    mirrored = recorded(tmp_path, Take(layout="head", noise=0.0), up="-y").trajectory
+    near(mirrored.stack("bend"), -right.stack("bend"), 1e-9)
+    near(mirrored["y_1"], -right["y_1"], 1e-9)
+
+
+@settings(max_examples=10)
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.sampled_from(LAYOUTS))
+def test_the_world_may_be_turned_and_shifted(tmp_path_factory, x, y, turn, layout):
+    folder = tmp_path_factory.mktemp("turned")
+    here = recorded(folder, Take(layout=layout, noise=0.0, digits=9)).trajectory
+    truth = motion()
+    c, s = np.cos(turn), np.sin(turn)
+    place = truth.position @ np.array([[c, s], [-s, c]]) + [x, y]
+    moved = {f"x_{i + 1}": place[:, i, 0] for i in range(5)} | {
+        f"y_{i + 1}": place[:, i, 1] for i in range(5)
+    }
+    moved |= {f"theta_{i}": truth[f"theta_{i}"] + turn for i in range(1, 6)}
+    there = recorded(
+        folder, Take(layout=layout, noise=0.0, digits=9), replace(truth, columns={**truth.columns, **moved})
+    )
+    near(there.trajectory.stack("bend"), here.stack("bend"), 1e-5)
+    near(wrapped(there.trajectory["heading"] - here["heading"] - turn), 0, 1e-5)
+    near(there.trajectory.com, here.com @ np.array([[c, s], [-s, c]]) + [x, y], 1e-6)
+
+
+def test_a_tilted_floor_is_levelled_and_said(tmp_path):
+    text = motive_csv(motion(), Take(layout="head", noise=0.0, digits=9, unit="m", up="z"))
+    head, rows = text.split("X,Y,Z\r\n")
+    values = np.array([row.split(",") for row in rows.split("\r\n") if row], dtype=float)
+    c, s = np.cos(0.12), np.sin(0.12)
+    for k in range(2, values.shape[1], 3):
+        y, z = values[:, k + 1].copy(), values[:, k + 2].copy()
+        values[:, k + 1], values[:, k + 2] = c * y - s * z, s * y + c * z
+    path = tmp_path / "tilted.csv"
+    body = "\n".join(",".join(f"{v:.9g}" for v in row) for row in values)
+    path.write_text(f"{head}X,Y,Z\n{body}\n")
+    found = read_motion(path, SPEC)
+    assert "levelled by 6.9°" in found.summary.corrections
+    near(found.trajectory.stack("bend"), motion().stack("bend"), 0.005)
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_pairs_along_and_across_the_body(tmp_path, across):
+    found = recorded(tmp_path, Take(layout="pair", across=across, noise=0.0))
+    near(found.trajectory.stack("bend"), motion().stack("bend"), 1e-4)
+
+
+def test_the_head_is_where_it_is_said_to_be(tmp_path):
+    """A snake that crawls tail first: the motion alone would take its tail for the head."""
+    take = Take(labeled=True, noise=0.0)
+    backwards = replace(
+        motion(), columns={n: c if n == "time" else c[::-1] for n, c in motion().columns.items()}
+    )
+    guessed, told = (recorded(tmp_path, take, backwards, head=head) for head in (None, "snake:1"))
+    near(told.trajectory["x_1"], backwards["x_1"], 1e-6)
+    near(guessed.trajectory["x_5"], backwards["x_1"], 1e-6)
+    assert told.summary.head == "marker 'snake:1'" and "crawled" in guessed.summary.head
+    with pytest.raises(InputError, match="unknown marker 'snake:9'"):
+        recorded(tmp_path, take, backwards, head="snake:9")
+    with pytest.raises(InputError, match="marker 'snake:3' is at neither end of the body"):
+        recorded(tmp_path, take, backwards, head="snake:3")
+
+
+def test_a_snake_that_does_not_crawl_has_no_head(tmp_path):
+    still = replace(
+        motion(), columns={n: c if n == "time" else c[:1].repeat(401) for n, c in motion().columns.items()}
+    )
+    with pytest.raises(InputError, match="which end is the head cannot be told"):
+        recorded(tmp_path, Take(), still)
+
+
+def test_long_gaps_cut_the_recording_and_nothing_is_invented(tmp_path):
+    take = Take(layout="pair", occluded=[(3, 1.0, 1.5)])
+    found = recorded(tmp_path, take)
+    assert found.trajectory.time[0] == pytest.approx(1.5)
+    assert found.trajectory.stack("filled").max() == 0
+    assert f"{len(motion()) - len(found.trajectory)} left out at the ends" in found.summary.text()
+    bridged = recorded(tmp_path, take, longest_gap_s=0.6)
+    assert len(bridged.trajectory) == len(motion())
+    flags = bridged.trajectory.stack("filled")
+    assert flags.sum() == 50 and flags.sum(axis=0).max() == 50
+    assert bridged.summary.longest_filled_s == pytest.approx(0.51)
+
+
+@pytest.mark.parametrize("fill", ["spline", "linear"])
+def test_short_gaps_are_filled_within_a_millimetre(tmp_path, fill):
+    take = Take(layout="head", noise=0.0, lost=0.02, gap_frames=1.0)
+    place, _, _, measured = errors(recorded(tmp_path, take, fill=fill), motion())
+    assert 1e-9 < place[~measured].max() < 3e-3
+    assert np.sqrt((place[~measured] ** 2).mean()) < 1e-3
+
+
+def test_reflections_are_left_out_and_counted(tmp_path):
+    text = motive_csv(motion(), Take(noise=1e-4, unit="m"))
+    lines = text.split("\r\n")
+    extra = [",Marker" * 6, ",ghost" * 3 + ",lamp" * 3, ",7" * 3 + ",8" * 3, ",Position" * 6, ",X,Y,Z" * 2]
+    for line, more in zip(range(2, 7), extra, strict=True):
+        lines[line] += more
+    for k in range(7, len(lines) - 1):
+        lines[k] += ",0.3,0.03,5.0" + (",0.1,1.5,0.1" if k % 40 == 0 else ",,,")
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join(lines))
+    found = read_motion(path, SPEC)
+    assert found.summary.layout == "single"
+    assert found.summary.samples_other == len(motion()) + len(range(40, len(lines) - 1, 40))
+    place, _, _, measured = errors(found, motion())
+    assert measured.all() and place.max() < 1e-3
+
+
+def test_rows_may_be_shuffled_doubled_and_missing(tmp_path):
+    text = motive_csv(motion(), Take(layout="pair", noise=0.0))
+    lines = text.split("\r\n")
+    header, rows = lines[:7], lines[7:-1]
+    random = np.random.default_rng(3)
+    kept = np.delete(np.arange(len(rows)), [100, 101, 250])
+    order = np.append(random.permutation(kept), [40, 41])
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join([*header, *(rows[k] for k in order), ""]))
+    found = read_motion(path, SPEC)
+    said = "; ".join(found.summary.corrections)
+    assert "sorted" in said and "2 rows repeat the time" in said and "3 frames missing in the file" in said
+    assert found.summary.frames_missing == 3 and found.summary.header_frames == len(rows)
+    assert "where the header says 401" in found.summary.text()
+    place, _, _, measured = errors(found, motion())
+    assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
+    assert np.flatnonzero(~measured.all(axis=1)).tolist() == [100, 101, 250]
+
+
+@pytest.mark.parametrize("cut", [1, 7, 40])
+def test_a_file_cut_in_its_last_line_loses_that_line_and_says_so(tmp_path, cut):
+    text = motive_csv(motion(), Take(layout="pair", noise=0.0))
+    path = tmp_path / "x.csv"
+    path.write_text(text[: -2 - cut], newline="")
+    found = read_motion(path, SPEC)
+    assert found.summary.frames_read == len(motion()) - 1
+    assert any("may be cut: left out" in each for each in found.summary.corrections)
+    near(found.trajectory.stack("bend"), motion().stack("bend")[:-1], 1e-4)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2)])
+def test_plain_csv(tmp_path, unit, scale):
+    path = tmp_path / "plain.csv"
+    path.write_text(plain_csv(motion(), unit, scale))
+    found = read_motion(path, SPEC)
+    near(found.trajectory.position, motion().position, 1e-6)
+    near(found.trajectory.stack("bend"), motion().stack("bend"), 0.03)
+    assert found.summary.head == "connector 1 of the file"
+
+
+def test_plain_csv_in_another_unit_than_it_says(tmp_path):
+    path = tmp_path / "plain.csv"
+    path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
+    with pytest.raises(
+        InputError, match=r"plain.csv: markers lie 5.* mm apart, .* 55 mm; were lengths in mm\?"
+    ):
+        read_motion(path, SPEC)
+
+
+def test_another_robot_is_refused(tmp_path):
+    from srs_twin import load_robot
+
+    path = tmp_path / "plain.csv"
+    path.write_text(plain_csv(motion()))
+    with pytest.raises(InputError, match=r"the connectors of gen4 .* mm; is it this robot\?"):
+        read_motion(path, load_robot("gen4"))
+
+
+def test_segments_that_are_longer_than_the_robot_file_says_are_measured(tmp_path):
+    """The bends of one marker a connector hang on the lengths; they are estimated along."""
+    geometry = replace(SPEC.geometry, rigid_gap=SPEC.geometry.rigid_gap - 0.003)
+    path = tmp_path / "plain.csv"
+    path.write_text(plain_csv(motion()))
+    found = read_motion(path, replace(SPEC, geometry=geometry))
+    assert any(
+        each.startswith("segments are longer than gen2's by +2.") for each in found.summary.corrections
+    )
+    assert np.sqrt(((found.trajectory.stack("bend") - motion().stack("bend")) ** 2).mean()) < 0.05
+
+
+def test_metadata_and_units(tmp_path):
+    found = recorded(tmp_path, Take(layout="pair"), gait_frequency_hz=2.0)
+    about = found.trajectory.metadata
+    assert about["source"]["sha256"] == hashlib.sha256((tmp_path / "take.csv").read_bytes()).hexdigest()
+    assert (about["source"]["file"], about["plant"], about["robot"]) == ("take.csv", "measured", "gen2")
+    assert about["source"]["corrections"] == list(found.summary.corrections)
+    assert (
+        found.trajectory.unit("com_velocity_x") == "m/s" and found.trajectory.unit("bend_rate_2") == "rad/s"
+    )
+    path = tmp_path / "x.parquet"
+    found.trajectory.to_parquet(path)
+    again = Trajectory.from_parquet(path)
+    assert again.metadata == about and list(again.columns) == list(found.trajectory.columns)
+
+
+def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
+    from srs_twin.comparison.metrics import gait_metrics as metrics
+
+    found = recorded(tmp_path, Take(layout="pair", swaps=10, lost=0.02), gait_frequency_hz=2.0)
+    measured, true = metrics(found.trajectory), metrics(motion())
+    assert measured["com_speed_m_s"] == pytest.approx(true["com_speed_m_s"], rel=0.005)
+    assert measured["bend_amplitude_rad"] == pytest.approx(true["bend_amplitude_rad"], rel=0.05)
+
+
+def test_summary_counts_every_sample(tmp_path):
+    """What was seen is kept, or rejected, or of another marker, or outside the frames that are kept."""
+    found = recorded(tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)).summary
+    kept = found.frames_kept * 5 - found.samples_filled
+    gone = found.samples_rejected + found.samples_other
+    assert 0 <= found.samples_seen - kept - gone <= 5 * (found.frames_read - found.frames_kept)

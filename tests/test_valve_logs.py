@@ -1,0 +1,146 @@
+"""Valve and pressure logs: what they hold, and on whose clock."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded import SPEC, motion, recorded, valve_csv
+
+from srs_twin import InputError
+from srs_twin.identification import join, read_valves
+from srs_twin.identification.clock import estimate_offset
+from srs_twin.identification.synthetic import Take
+
+HEAD = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
+PSI = HEAD.replace("valve", "pressure").replace(",", "_psi,").replace("time_psi", "time_ms") + "_psi"
+
+
+def log(folder, text):
+    path = folder / "valves.csv"
+    path.write_text(text)
+    return read_valves(path, SPEC)
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory):
+    return recorded(tmp_path_factory.mktemp("take"), Take(layout="pair", lost=0.02))
+
+
+@pytest.mark.parametrize("shift", [0.0, 3.217, -20.1])
+def test_offset_is_found_from_the_start(tmp_path, captured, shift):
+    """The log says every 10 ms how the valves stood before: on average 5 ms late, which nobody can see."""
+    joined = join(captured, log(tmp_path, valve_csv(motion(), 0.0, 4.0, shift)), SPEC)
+    about = joined.trajectory.metadata["valve_log"]
+    assert about["offset_s"] == pytest.approx(-shift - 0.005, abs=0.003)
+    assert about["offset_estimated"] and 0 < about["offset_error_s"] < 0.002
+    assert about["bends_explained"] > 0.99
+    assert {"valve_plus_1", "valve_minus_4"} <= joined.trajectory.columns.keys()
+    assert joined.valves.time[0] == pytest.approx(about["offset_s"] + shift)
+
+
+def test_pressures_drive_the_bends_without_delay(tmp_path, captured):
+    truth = motion()
+    names = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
+    values = np.column_stack([1e3 * (truth.time + 7), *(truth[name] / 6894.757 for name in names)])
+    text = PSI + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in values)
+    joined = join(captured, log(tmp_path, text), SPEC)
+    assert joined.trajectory.metadata["valve_log"]["offset_s"] == pytest.approx(-7.0, abs=0.001)
+    rows = np.rint(joined.trajectory.time * 100).astype(int)
+    assert np.abs(joined.trajectory["pressure_plus_2"] - truth["pressure_plus_2"][rows]).max() < 2e3
+
+
+def test_a_gait_without_its_start_is_refused_with_the_candidates(tmp_path, captured):
+    middle = {name: column[100:300] for name, column in captured.trajectory.columns.items()}
+    inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
+    text = valve_csv(motion(), 0.8, 4.0, 0.0)
+    with pytest.raises(
+        InputError, match=r"offset of its clock is ambiguous, \d+ fit .* a gait repeats itself"
+    ):
+        join(inside, log(tmp_path, text), SPEC)
+    given_one = join(inside, log(tmp_path, text), SPEC, offset=0.0)
+    assert given_one.trajectory.metadata["valve_log"]["offset_estimated"] is False
+    assert len(given_one.trajectory) == 200
+
+
+def test_a_log_of_another_run_is_refused(tmp_path, captured):
+    other = valve_csv(motion(4.0, 0.0, 1.3), 0.0, 4.0, 0.0)
+    with pytest.raises(
+        InputError, match=r"valves.csv: (no offset explains|the offset of its clock is ambiguous)"
+    ):
+        join(captured, log(tmp_path, other), SPEC)
+
+
+def test_frames_that_the_log_does_not_cover_are_left_out_and_said(tmp_path, captured):
+    joined = join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0)
+    assert (joined.trajectory.time[0], joined.trajectory.time[-1]) == (1.0, 2.0)
+    assert any("frames that the log does not cover" in each for each in joined.summary.corrections)
+    with pytest.raises(InputError, match="0 frames in common"):
+        join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=100.0)
+
+
+@settings(max_examples=20)
+@given(st.floats(-5, 5), st.floats(0.2, 3), st.integers(0, 2**31))
+def test_standard_error_covers_what_noise_does(true, gain, seed):
+    """A step response, once, with white noise: the offset lies within five standard errors."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0, 8, 0.01)
+
+    def bend(t):
+        return np.where(t > 3, 1 - np.exp(-np.maximum(t - 3, 0) / 0.3), 0.0)[:, None]
+
+    measured = gain * bend(time) + 0.02 * random.standard_normal((len(time), 1))
+    log_time = np.arange(0, 8, 0.002)
+    found = estimate_offset("x", time, measured, log_time + true, bend(log_time))
+    assert abs(found.seconds + true) < 5 * found.error + 1e-3
+    assert found.error < 0.02 / gain
+
+
+def test_valves_hold_and_become_a_schedule(tmp_path):
+    rows = ["0.0" + ",-1" * 8, "0.5,1" + ",-1" * 7, "0.5,1,-1,1" + ",-1" * 5, "2.0" + ",-1" * 8]
+    found = log(tmp_path, "\n".join([HEAD, rows[3], *rows[:3], ""]))
+    assert found.time.tolist() == [0.0, 0.5, 2.0]
+    assert found.at(np.array([0.2, 0.5, 1.9, 5.0]))[:, 1, 0].tolist() == [-1, 1, 1, -1]
+    schedule = found.schedule()
+    assert schedule.starts.tolist() == [0.0, 0.5, 2.0] and schedule.span == 2.0
+    said = "; ".join(found.corrections)
+    assert "sorted" in said and "1 rows repeat the time" in said
+
+
+def test_open_and_closed_are_filling_and_venting(tmp_path):
+    found = log(tmp_path, "\n".join([HEAD, "0" + ",0" * 8, "1" + ",1,0" * 4, ""]))
+    assert found.values[:, 0].tolist() == [[-1, -1], [1, -1]]
+    assert any("0 taken as venting" in each for each in found.corrections)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("valve_plus_1", "valve_plus_9", "valves.csv:1: valve_plus_1 is missing; gen2 has 4 segments"),
+        ("valve_minus_4", "valve_minus_4,valve_plus_5", "valve_plus_5: gen2 has 4 segments"),
+        ("time", "clock", "valves.csv:1: no column 'time'"),
+        ("valve_plus_2", "valve_plus_1", "valves.csv:1:4: valve_plus_1: the same as column"),
+        ("valve_plus_1", "valve_plus_1_kpa", "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known"),
+        ("valve_plus_1", "pressure_plus_1", "valve_plus_1,… or pressure_plus_1,… are wanted; both given"),
+        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells where the header has 9"),
+        ("1.0,-1", "1.0,2", "valves.csv:3:2: valve_plus_1: 2 is not allowed; -1 (vent), 0 (hold) or 1 (fill)"),
+        ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: nothing is not allowed"),
+        ("1.0,", ",", "valves.csv:3:1: a row without a time"),
+        ("1.0,", "one,", "valves.csv:3:1: 'one' is no number"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_with_its_place(tmp_path, monkeypatch, old, new, says):
+    monkeypatch.chdir(tmp_path)
+    good = f"{HEAD}\n0.0{',-1' * 8}\n1.0{',-1' * 8}\n"
+    bad = good.replace(old, new, 1)
+    if new == "valve_minus_4,valve_plus_5":
+        bad = bad.replace(",-1\n", ",-1,-1\n")
+    with open("valves.csv", "w") as stream:
+        stream.write(bad)
+    with pytest.raises(InputError) as error:
+        read_valves("valves.csv", SPEC)
+    assert says in str(error.value)
+    assert error.value.exit_code == 2
