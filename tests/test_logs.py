@@ -1,4 +1,4 @@
-"""Recordings of a motion: what was true comes back, identity is kept, and what was done to the data is said."""
+"""Recordings of a motion: what was true comes back, identity is kept, what was done is said."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_without_noise_the_motion_comes_back(tmp_path, layout, most):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_noise_is_all_that_noise_adds(tmp_path, layout):
-    """0.2 mm over a lever of 20 mm is 14 mrad a heading, over segments of 55 mm a third of it, but added up."""
+    """0.2 mm over a lever of 20 mm is 14 mrad a heading; over segments of 55 mm less, but added up."""
     place, bend, heading, _ = errors(recorded(tmp_path, Take(layout=layout)), motion())
     assert np.sqrt((place**2).mean()) < 1.5 * NOISE
     assert np.sqrt((bend**2).mean()) < 0.04
@@ -306,10 +306,10 @@ def test_metadata_and_units(tmp_path):
 
 
 def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
-    from srs_twin.comparison.metrics import gait_metrics as metrics
+    from srs_twin.comparison.metrics import plant_metrics
 
     found = recorded(tmp_path, Take(layout="pair", swaps=10, lost=0.02), gait_frequency_hz=2.0)
-    measured, true = metrics(found.trajectory), metrics(motion())
+    measured, true = plant_metrics(found.trajectory), plant_metrics(motion())
     assert measured["com_speed_m_s"] == pytest.approx(true["com_speed_m_s"], rel=0.005)
     assert measured["bend_amplitude_rad"] == pytest.approx(true["bend_amplitude_rad"], rel=0.05)
 

@@ -55,6 +55,7 @@ def read_rows(source: Source, header_lines: int, columns: list[int], width: int)
     for _ in range(header_lines):
         start = source.raw.find(b"\n", start) + 1 or len(source.raw)
     stop, corrections = _whole_lines(source, start)
+    _check_first(source, start, stop, header_lines, width)
     count = source.raw.count(b"\n", start, stop)
     if count == 0:
         raise source.error("a header and no rows below it", header_lines + 1)
@@ -70,6 +71,15 @@ def read_rows(source: Source, header_lines: int, columns: list[int], width: int)
         corrections += (f"{int(endless.sum())} infinite numbers: taken as not seen",)
         values[endless] = np.nan
     return Rows(values, header_lines + 1, corrections)
+
+
+def _check_first(source: Source, start: int, stop: int, header_lines: int, width: int) -> None:
+    """Refuse by the first row alone, before all the others are looked at."""
+    end = source.raw.find(b"\n", start, stop)
+    first = source.raw[start : max(end, start)]
+    cells = first.count(b",") + 1
+    if first.strip() and b'"' not in first and cells != width:
+        raise source.error(f"{cells} cells where the header has {width}", header_lines + 1)
 
 
 def _whole_lines(source: Source, start: int) -> tuple[int, tuple[str, ...]]:

@@ -69,11 +69,11 @@ def _marks(source: Source, columns: list[Column]) -> dict[tuple[int, str], list[
         marks.setdefault((each.number, each.which), []).append(each)
     if not marks:
         raise source.error("no positions: columns x_1,y_1,x_2,y_2,… are wanted, head first", 1)
-    axes = {"".join(each.name for each in mark) for mark in marks.values()}
+    solid = any(len(mark) == 3 for mark in marks.values())
     for (number, which), mark in marks.items():
-        have = "".join(each.name for each in mark)
-        if have not in ("xy", "xyz") or len(axes) > 1:
-            missing = next((axis for axis in max(axes, key=len) + "xy" if axis not in have), "z")
+        have = {each.name for each in mark}
+        missing = next((axis for axis in ("xyz" if solid else "xy") if axis not in have), None)
+        if missing:
             raise source.error(f"{mark[0].text}: {missing}_{number}{which} is missing", 1, mark[0].place + 1)
     numbers = sorted({number for number, _ in marks})
     if numbers != list(range(1, len(numbers) + 1)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from srs_twin.errors import InputError
@@ -24,14 +25,22 @@ class Source:
     Attributes:
         name: as messages show it.
         path: where it lies.
-        raw: its bytes, without a byte order mark.
-        sha256: of the file, hexadecimal.
+        data: its bytes.
     """
 
     name: str
     path: Path
-    raw: bytes
-    sha256: str
+    data: bytes
+
+    @cached_property
+    def raw(self) -> bytes:
+        """The bytes without a byte order mark."""
+        return self.data.removeprefix(b"\xef\xbb\xbf")
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the file, hexadecimal."""
+        return hashlib.sha256(self.data).hexdigest()
 
     def error(self, what: str, line: int | None = None, column: int | None = None) -> InputError:
         """Return an error that names the place, both counted from 1; a column is a cell's number."""
@@ -50,7 +59,9 @@ class Source:
             end = self.raw.find(b"\n", start, MAX_HEADER_BYTES)
             if end < 0:
                 if len(self.raw) > MAX_HEADER_BYTES:
-                    raise self.error(f"the header is longer than {MAX_HEADER_BYTES >> 20} MB", len(found) + 1)
+                    raise self.error(
+                        f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB", len(found) + 1
+                    )
                 end = len(self.raw)
             found.append(self.raw[start:end].decode("utf-8", "replace").rstrip("\r"))
             start = end + 1
@@ -75,9 +86,8 @@ def read_source(path: str | os.PathLike[str]) -> Source:
         raw = place.read_bytes()
     except OSError as error:
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
-    digest = hashlib.sha256(raw).hexdigest()
     _check_text(name, raw)
-    return Source(name, place, raw.removeprefix(b"\xef\xbb\xbf"), digest)
+    return Source(name, place, raw)
 
 
 def _check_text(name: str, raw: bytes) -> None:

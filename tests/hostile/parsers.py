@@ -7,6 +7,7 @@ from typing import Any
 
 import hostile_bench
 import hostile_learning
+import hostile_logs
 import hostile_mjcf
 import hostile_parquet
 import warm
@@ -196,6 +197,36 @@ PARSERS: tuple[Parser, ...] = (
         values=hostile_mjcf.VALUES,
         command=("models", "check", "{}"),
         quick=lambda path: warm.refused(path, warm.check(path)),
+    ),
+    Parser(
+        name="Motive export",
+        suffix=".csv",
+        good=hostile_logs.MOTIVE,
+        parse=hostile_logs.motion,
+        function="srs_twin.identification.recording:read_markers",
+        malformed=hostile_logs.MOTIVE_MALFORMED,
+        values=hostile_logs.values(hostile_logs.MOTIVE),
+        same=hostile_logs.same_motion,
+    ),
+    Parser(
+        name="plain motion",
+        suffix=".csv",
+        good=hostile_logs.PLAIN,
+        parse=hostile_logs.motion,
+        function="srs_twin.identification.recording:read_markers",
+        malformed=hostile_logs.PLAIN_MALFORMED,
+        values=hostile_logs.values(hostile_logs.PLAIN),
+        same=hostile_logs.same_motion,
+    ),
+    Parser(
+        name="valve log",
+        suffix=".csv",
+        good=hostile_logs.VALVES,
+        parse=hostile_logs.valves,
+        function="srs_twin.identification.source:read_source",
+        malformed=hostile_logs.VALVE_MALFORMED,
+        values=hostile_logs.values(hostile_logs.VALVES),
+        same=hostile_logs.same_valves,
     ),
 )  # fmt: skip
 

@@ -1,0 +1,74 @@
+"""How long a take of 20,000 frames takes to read, and how much of its motion comes back.
+
+    uv run python benchmarks/logs.py [--frames 20000]
+
+A gait of generation 2 at 120 Hz, unlabeled columns that change places, 5 % of the positions lost. Errors are of
+frames on which every marker was seen, and of those on which one was filled in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from grid import table
+from scipy.interpolate import CubicSpline
+from timing import ROUNDS
+
+from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
+from srs_twin.identification import Recording, read_motion
+from srs_twin.identification.synthetic import Take, write_motive
+
+RATE = 120.0
+SPEC = load_robot("gen2")
+
+
+def motion(frames: int) -> Trajectory:
+    plant = AnalyticalSnake(SPEC, supply_pa=48e3)
+    return rollout(plant, Gait(2.0, 0.1), np.ceil(frames / RATE * 50) / 50, record_hz=200)
+
+
+def errors(found: Recording, truth: Trajectory) -> list[str]:
+    """Return rms and largest error of the bends (mrad), measured and filled."""
+    trajectory = found.trajectory
+    bend = trajectory.stack("bend") - CubicSpline(truth.time, truth.stack("bend"))(trajectory.time)
+    whole = (trajectory.stack("filled") == 0).all(axis=1)
+    cells = []
+    for rows in (whole, ~whole):
+        some = 1e3 * np.abs(bend[rows])
+        cells.append(f"{np.sqrt((some**2).mean()):.0f}, {some.max():.0f}" if rows.any() else "–")
+    return cells
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--frames", type=int, default=20_000)
+    frames = words.parse_args().frames
+    truth = motion(frames)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "take.csv"
+        for layout, count in (("single", 5), ("head", 6), ("pair", 10)):
+            write_motive(truth, Take(layout=layout, rate_hz=RATE, swaps=200, lost=0.05, gap_frames=2), path)
+            took = []
+            for _ in range(ROUNDS):
+                begun = time.perf_counter()
+                found = read_motion(path, SPEC)
+                took.append(1e3 * (time.perf_counter() - begun))
+            rows.append([
+                layout, str(count), f"{path.stat().st_size / 1e6:.1f}", f"{np.median(took):.0f}",
+                f"{took[0]:.0f}", str(found.summary.frames_kept), str(found.summary.moves),
+                str(found.summary.samples_filled), *errors(found, truth),
+            ])  # fmt: skip
+    head = [
+        "layout", "markers", "MB", "ms", "first, ms", "frames kept", "moves", "filled",
+        "bends measured: rms, max mrad", "filled: rms, max mrad",
+    ]  # fmt: skip
+    print(table(head, rows), flush=True)
+
+
+if __name__ == "__main__":
+    main()
