@@ -78,6 +78,16 @@ def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
     assert place[measured].max() < 8 * NOISE
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_columns_that_mean_nothing(tmp_path, layout):
+    """On every frame the markers stand in another order, some of them hidden."""
+    truth = motion(8.0)
+    found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
+    place, _, _, measured = errors(found, truth)
+    assert found.summary.moves > 2000 and len(found.trajectory) > 0.9 * len(truth)
+    assert place[measured].max() < 8 * NOISE
+
+
 @pytest.mark.parametrize("layout", ["head", "pair"])
 def test_curvature_has_no_jump(tmp_path, layout):
     """From frame to frame no bend changes by more than it truly does and noise allows, also where filled."""

@@ -150,7 +150,8 @@ def check_scale(name: str, points: np.ndarray, pitch: float, segments: int, robo
     nearest, farthest = np.median(np.nanmin(apart, axis=1)), np.median(np.nanmax(apart, axis=1))
     if nearest > 2 * LONGEST * pitch or farthest < _TINY * segments * pitch:
         raise InputError(
-            f"{name}: markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of {robot} "
+            f"{name}: markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
+            f"{robot} "
             f"{1e3 * pitch:.4g} mm{_unit_hint(float(farthest / (segments * pitch)))}"
         )
 

@@ -31,6 +31,7 @@ class Take:
         noise: standard deviation of each coordinate, m.
         rate_hz: frames a second; None: the samples of the trajectory.
         swaps: how often two columns change places for good.
+        shuffled: the order of the columns means nothing, it is another one on every frame.
         lost: share of the positions that are lost in short gaps.
         gap_frames: mean length of these gaps, frames.
         occluded: (marker from 0, from s, to s), when a marker was hidden.
@@ -50,6 +51,7 @@ class Take:
     noise: float = 2e-4
     rate_hz: float | None = None
     swaps: int = 0
+    shuffled: bool = False
     lost: float = 0.0
     gap_frames: float = 4.0
     occluded: Sequence[tuple[int, float, float]] = ()
@@ -132,8 +134,8 @@ def _hidden(time: np.ndarray, count: int, take: Take, random: np.random.Generato
     while hidden.sum() < wanted:
         start, marker = random.integers(1, len(time)), random.integers(count)
         hidden[start : start + random.geometric(1 / take.gap_frames), marker] = True
-    for marker, begin, end in take.occluded:
-        hidden[(time >= begin) & (time < end), marker] = True
+    for which, begin, end in take.occluded:
+        hidden[(time >= begin) & (time < end), which] = True
     return hidden
 
 
@@ -154,6 +156,8 @@ def _columns(
     for swap in swaps:
         a, b = random.choice(count, 2, replace=False)
         place[swap:, [a, b]] = place[swap:, [b, a]]
+    if take.shuffled:
+        place = random.permuted(place, axis=1)
     return np.take_along_axis(points, place[..., None], axis=1), [
         f"Unlabeled {1000 + k}" for k in range(count)
     ]

@@ -16,8 +16,10 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.slots import MOST
 from srs_twin.identification.tracklets import GATE, Tracklet, closest, tracklets
+from srs_twin.identification.untangling import untangled
 
 MOST_PIECES = 10_000
+_TANGLED = 2000  # pieces: so many come of a file whose columns mean nothing
 _WILD = "markers jump from frame to frame, none can be followed"
 _SHORT = 3  # frames: fewer samples than these are joined last, where they fit between others
 _RARE = 0.03  # of all samples: as many in short tracklets are no outliers
@@ -62,6 +64,9 @@ def follow(name: str, points: np.ndarray, columns: np.ndarray, longest: int, rea
     least = closest(points)
     gate = min(GATE * least, reach)
     pieces = tracklets(points, gate, longest)
+    if len(pieces) > _TANGLED:
+        points, columns = untangled(points, columns, gate)
+        pieces = tracklets(points, gate, longest)
     if len(pieces) > MOST_PIECES:
         raise InputError(
             f"{name}: {_WILD} ({len(pieces)} pieces of their ways; at most {MOST_PIECES} are joined)"
