@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
+from snakes import chain
 
-from srs_twin import InputError, Trajectory
+from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
 from srs_twin.identification.floor import MAPS
-from srs_twin.identification.synthetic import Take, motive_csv
+from srs_twin.identification.synthetic import Take, motive_csv, write_motive
 
 LAYOUTS = ("single", "head", "pair")
 
@@ -298,6 +299,22 @@ def test_segments_that_are_longer_than_the_robot_file_says_are_measured(tmp_path
         each.startswith("segments are longer than gen2's by +2.") for each in found.summary.corrections
     )
     assert np.sqrt(((found.trajectory.stack("bend") - motion().stack("bend")) ** 2).mean()) < 0.05
+
+
+@pytest.mark.parametrize("connectors", [2, 3, 9])
+def test_bodies_of_other_lengths(tmp_path, connectors):
+    spec = chain((0.03,) * connectors)
+    truth = rollout(AnalyticalSnake(spec, supply_pa=48e3), Gait(2.0, 0.1), 1.0, record_hz=RATE)
+    path = tmp_path / "x.csv"
+    write_motive(truth, Take(layout="head", noise=0.0), path)
+    found = read_motion(path, spec, layout="head").trajectory
+    whole = (found.stack("filled") == 0).all(axis=1)
+    assert whole.mean() > 0.7
+    near(found.stack("bend")[whole], truth.stack("bend")[whole], 0.01)
+    write_motive(truth, Take(layout="single", noise=0.0, labeled=True), path)
+    if connectors < 4:
+        with pytest.raises(InputError, match="put a second marker on the head"):
+            read_motion(path, spec, head="snake:1")
 
 
 def test_metadata_and_units(tmp_path):

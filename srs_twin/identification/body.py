@@ -20,6 +20,7 @@ from srs_twin.identification.markers import MarkerTable
 from srs_twin.shape import chord, pair_heading
 from srs_twin.spec import Geometry, RobotSpec
 
+_FEWEST = 3  # segments whose bends the lengths of their chords tell
 _CRAWLED = 0.1  # of the body's length: less does not tell which end leads
 _ANOTHER_LENGTH = 0.02  # of a straight segment: from here on it is said
 
@@ -102,9 +103,10 @@ def body_of(
         heading = pair_heading(position[:, 0], points[:, extra[0]])
         theta, _ = from_positions(position, geometry, heading, np.sqrt(2) * NOISE / lever)
     else:
-        if spec.segments == 1:
+        if spec.segments < _FEWEST:
             raise InputError(
-                f"{table.name}: one marker at each end of one segment does not tell to which side it bends"
+                f"{table.name}: one marker a connector does not tell how {spec.segments} segments bend, only "
+                f"{_FEWEST} or more; put a second marker on the head"
             )
         theta, _ = from_positions(position, geometry)
         said.append(

@@ -31,7 +31,7 @@ NOISE = 5e-4
 """σ, assumed error of a marker's position, m."""
 
 PRIOR = 0.3
-"""σ_ε, rad: a gait of one wave over the body has hardly any."""
+"""σ_ε, rad: a gait of one wave over the body has hardly any. Where the head's heading is measured, none."""
 
 _ASKEW = np.radians(25.0)
 _ROUNDS, _STEPS = 8, 6
@@ -102,8 +102,9 @@ def from_positions(
     sign = (-1.0) ** np.arange(alpha.shape[1])
     theta = _least_bent(alpha, sign)
     bend = theta[:, :-1] - theta[:, 1:]
-    aim, weight = np.zeros(len(bend)), 0.0
+    aim, weight, prior = np.zeros(len(bend)), 0.0, PRIOR**-2
     if head is not None:
+        prior = 0.0
         aim = (head - theta[:, 0] + np.pi) % (2 * np.pi) - np.pi
         weight = 1.0 / head_error**2
     longer = np.zeros(bend.shape[1])
@@ -114,8 +115,8 @@ def from_positions(
                 bend + 2 * sign * epsilon[:, None], geometry.segment_length, geometry.rigid_gap
             )
             miss, lever = length + longer - distance, 2 * sign * slope
-            down = (miss * lever).sum(axis=1) / (2 * NOISE**2) + epsilon / PRIOR**2 + (epsilon - aim) * weight
-            curve = (lever**2).sum(axis=1) / (2 * NOISE**2) + 1 / PRIOR**2 + weight
+            down = (miss * lever).sum(axis=1) / (2 * NOISE**2) + epsilon * prior + (epsilon - aim) * weight
+            curve = (lever**2).sum(axis=1) / (2 * NOISE**2) + prior + weight
             epsilon = epsilon - np.clip(down / curve, -0.2, 0.2)
         length = chords(bend + 2 * sign * epsilon[:, None], geometry.segment_length, geometry.rigid_gap)[0]
         longer = np.median(distance - length, axis=0)

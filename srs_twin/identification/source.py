@@ -91,7 +91,7 @@ def read_source(path: str | os.PathLike[str]) -> Source:
 
 
 def _check_text(name: str, raw: bytes) -> None:
-    if not raw.strip():
+    if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
     # A byte order mark of UTF-16, or a zero byte anywhere: neither stands in a CSV file.
     zero = raw.find(b"\0")
