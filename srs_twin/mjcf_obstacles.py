@@ -16,6 +16,7 @@ import numpy as np
 
 from srs_twin.mjcf_classes import ROOT
 from srs_twin.mjcf_numerics import Numerics
+from srs_twin.mjcf_wheels import add_force_sensor
 from srs_twin.spec import RobotSpec
 from srs_twin.world import World
 
@@ -28,7 +29,6 @@ WALL_M = 0.001
 _BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 _HEIGHT = 2.0  # of a round obstacle over the body's width
 _SHARPEST = 2.0  # contact time over the time step: what MuJoCo takes at least
-_NET_FORCE = 3  # contact sensor: sum over the contacts found
 _GREY = [0.45, 0.47, 0.5, 1]
 _UNSEEN = 4  # geom group
 
@@ -74,13 +74,8 @@ def hulls(mj: mujoco.MjSpec) -> list[str]:
 
 
 def _add_sensors(mj: mujoco.MjSpec) -> None:
-    force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     for hull in hulls(mj):
-        mj.add_sensor(
-            name=f"obstacle_force_{hull}", type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY, objname="world",
-            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=hull, intprm=[force, _NET_FORCE, 1],
-        )  # fmt: skip
+        add_force_sensor(mj, f"obstacle_force_{hull}", mujoco.mjtObj.mjOBJ_BODY, "world", on=hull)
         mj.add_sensor(
             name=f"velocity_{hull}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
             objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=hull,

@@ -143,19 +143,23 @@ def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None
     pairs = [mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread) for tread in treads(spec)]
     for pair, slower in zip(pairs, _slower(mj, spec), strict=True):
         pair.solref = [round(numerics.contact_time * slower, 7), 1]
-    force = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     for tread in treads(spec):
-        mj.add_sensor(
-            name=f"floor_force_{tread}", type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_GEOM, objname="floor",
-            reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=tread, intprm=[force, _NET_FORCE, 1],
-        )  # fmt: skip
+        add_force_sensor(mj, f"floor_force_{tread}", mujoco.mjtObj.mjOBJ_GEOM, "floor", on=tread)
     for tread in treads(spec):
         foot = tread.replace("tread", "foot")
         mj.add_sensor(
             name=f"velocity_{foot}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
             objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot,
         )  # fmt: skip
+
+
+def add_force_sensor(mj: mujoco.MjSpec, name: str, kind: mujoco.mjtObj, of: str, *, on: str) -> None:
+    """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N."""
+    mj.add_sensor(
+        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of,
+        reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=on,
+        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
+    )  # fmt: skip
 
 
 def _slower(mj: mujoco.MjSpec, spec: RobotSpec) -> np.ndarray:

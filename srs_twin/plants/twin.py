@@ -11,7 +11,8 @@ from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
 from srs_twin.plants.base import BASES, Plant, Pose, SnakeState
 from srs_twin.plants.divergence import believed
-from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
+from srs_twin.plants.physics import HEARD, SnakePhysics
+from srs_twin.plants.stretch import Stretch
 from srs_twin.plausible import implausible, plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.pneumatics.bending import air_bend
