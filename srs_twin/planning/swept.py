@@ -80,7 +80,7 @@ def blocked(x, y, heading, curvature, length, ahead, behind, left, right, circle
 
 
 @compiled
-def _place(u, w, curvature):  # type: ignore[no-untyped-def]
+def place(u, w, curvature):  # type: ignore[no-untyped-def]
     """Return n and s of a point."""
     ku, kw = curvature * u, 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
@@ -90,7 +90,7 @@ def _place(u, w, curvature):  # type: ignore[no-untyped-def]
 @compiled
 def _distance(u, w, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
     """Return the distance of a point (u not negative) from the region, 0 inside."""
-    n, s = _place(u, w, curvature)
+    n, s = place(u, w, curvature)
     if abs(s) <= h:
         return max(n - left, -right - n, 0.0)
     beyond = ec * (u - end_u) + es * (w - end_w)
@@ -125,7 +125,7 @@ def _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):  
     cuts.sort()
     for k in range(7):
         t = (cuts[k] + cuts[k + 1]) / 2
-        n, s = _place(au + t * du, aw + t * dw, curvature)
+        n, s = place(au + t * du, aw + t * dw, curvature)
         if abs(s) <= h and -right <= n <= left:
             return True
     return False

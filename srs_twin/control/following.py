@@ -1,0 +1,271 @@
+"""Follower: has a snake go along a plan by the offset of the gait underneath (Section 5.2.2).
+
+Camera (`camera`) → mean over a gait period → prediction (`prediction`) → steering law (`steering`) → offset,
+which arrives after the command delay → gait or ILC, which knows nothing of all this.
+
+It ends at the goal; where it cannot get there it ends as well and says why (`ENDINGS`). A snake that strays
+from its path too far gets a new plan, if there is somebody to plan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from srs_twin.control.base import Controller
+from srs_twin.control.camera import Camera, Frames, PeriodMean
+from srs_twin.control.prediction import Predictor
+from srs_twin.control.steering import Seen, Steering
+from srs_twin.errors import InputError
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.problem import Plan
+from srs_twin.planning.route import Place, Route
+from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Event
+from srs_twin.world import Goal, Pose, World
+
+if TYPE_CHECKING:
+    from srs_twin.plants.base import SnakeState
+
+ENDINGS = {
+    "goal_reached": "the goal is reached",
+    "goal_missed": "the path has ended beside the goal",
+    "no_plan": "there is no plan",
+    "strayed": "too far from the path, as often as new plans are allowed",
+    "stuck": "no way made for several periods",
+    "gait_ended": "the gait underneath has ended",
+}
+"""Why a follower ends; the first is the one that is wanted."""
+
+STUCK_SHARE = 0.1
+"""Of the footprint's speed: whatever is slower for `STUCK_PERIODS` is stuck."""
+STUCK_PERIODS = 6
+_SENT = 1e-3
+"""Offsets that differ by less are not sent."""
+_WINDOW = 0.3
+"""How far along the path, m, the nearest point is looked for about the last one: paths may cross."""
+
+_NOWHERE = Pose(math.nan, math.nan, math.nan), Place(math.nan, math.nan, math.nan, math.nan)
+
+Replan = Callable[[Pose], Plan]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What stands between follower and snake, and when it gives up.
+
+    Attributes:
+        camera: what it sees.
+        delay: of commands, s.
+        settle: ℓ, path over which a new offset takes hold, m.
+        stray: distance from the path at which a new plan is made, m; None: never.
+        replans: how many new plans at most.
+    """
+
+    camera: Camera
+    delay: float = 0.0
+    settle: float = 0.0
+    stray: float | None = None
+    replans: int = 3
+
+
+class Follower(Controller):
+    """Follows a plan (module docstring).
+
+    Attributes:
+        finished: at its end.
+        ending: why, of `ENDINGS`; None while it goes on.
+        plans: (time, plan) of each, the first at 0.
+    """
+
+    kind = "follow"
+
+    def __init__(
+        self,
+        gait: Controller,
+        law: Steering,
+        plan: Plan,
+        goal: Goal,
+        footprint: Footprint,
+        conditions: Conditions,
+        *,
+        world: World | None = None,
+        replan: Replan | None = None,
+    ) -> None:
+        """Make it.
+
+        Args:
+            gait: what goes by an `offset`: a `Gait` or an `ILC`.
+            law: decides the offset.
+            plan: what to follow; one that is not found ends the run at once.
+            goal: where to end.
+            footprint: what the plan was made with; bounds of the offset.
+            conditions: delay, camera, when to plan anew.
+            world: recorded with the run.
+            replan: makes a new plan from a pose; None: nobody does.
+
+        Raises:
+            InputError: a gait without an offset or a frequency.
+        """
+        if not hasattr(gait, "offset") or not gait.frequency:
+            raise InputError(f"controller '{gait.kind}' cannot be steered: it has no offset; gait and ilc have")
+        self.frequency, self.layouts = gait.frequency, gait.layouts
+        self._gait, self._law, self._first, self._goal = gait, law, plan, goal
+        self._footprint, self._conditions = footprint, conditions
+        self._world, self._replan = world or World(), replan
+        self._low, self._high = footprint.offsets[0], footprint.offsets[-1]
+        self.plans: list[tuple[float, Plan]] = [(0.0, plan)]
+        self.ending: str | None = None
+
+    def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
+        """See `Controller.reset`."""
+        assert self.frequency is not None
+        self._steer(0.0)
+        self._gait.reset(spec, tick, seed=seed)
+        self._period = period = 1 / self.frequency
+        conditions = self._conditions
+        self._frames, self._mean = Frames(conditions.camera, seed), PeriodMean(period)
+        self._predictor = Predictor(self._footprint, period, conditions.delay, conditions.settle)
+        self._slow = STUCK_SHARE * min(self._footprint.speeds) * period
+        self._moving_at = 0.0
+        self._orders: deque[tuple[float, float]] = deque()
+        self._commanded = 0.0
+        self._here = _NOWHERE
+        self._events: list[Event] = []
+        self.finished, self.ending, self.plans = False, None, []
+        self._take(0.0, self._first)
+
+    def step(self, state: SnakeState) -> np.ndarray:
+        """See `Controller.step`."""
+        time = float(state.time)
+        frame = self._frames.take(state) if not self.finished else None
+        if frame is not None:
+            self._mean.add(time, frame)
+            self._decide(time)
+        while self._orders and self._orders[0][0] <= time + 1e-9:
+            self._steer(self._orders.popleft()[1])
+        valves = self._gait.step(state)
+        if self._gait.finished and self.ending is None:
+            self._end(time, "gait_ended")
+        return valves
+
+    def signals(self) -> dict[str, Any]:
+        """Return those of the gait, and what the follower sees and commands; NaN before the first frame."""
+        pose, place = self._here
+        return self._gait.signals() | {
+            "offset_commanded": self._commanded,
+            "cross_track": place.n,
+            "heading_error": math.remainder(pose.heading - place.heading, 2 * math.pi),
+            "node": float(self._law.node),
+            "estimate_x": pose.x,
+            "estimate_y": pose.y,
+            "estimate_heading": pose.heading,
+        }
+
+    def events(self) -> list[Event]:
+        """Return the events since the last call: of the gait, new plans, the end."""
+        events, self._events = self._gait.events() + self._events, []
+        return events
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the gait says of itself, and plans, footprint, world and ending."""
+        goal, conditions = asdict(self._goal), asdict(self._conditions)
+        return self._gait.describe() | {
+            "gait": self._gait.kind,
+            "following": {
+                "law": type(self._law).__name__,
+                "plans": [_recorded(time, plan) for time, plan in self.plans],
+                "footprint": asdict(self._footprint),
+                "world": asdict(self._world),
+                "goal": goal,
+                "conditions": conditions,
+                "ending": self.ending,
+            },
+        }
+
+    def _decide(self, time: float) -> None:
+        """Look where the snake is, and send a new offset."""
+        mean, predictor = self._mean, self._predictor
+        assert mean.pose is not None
+        predictor.command(time, self._commanded)
+        predictor.measure(time, mean.middle, mean.pose, whole=mean.whole)
+        here = predictor.predict(mean.middle, mean.pose, time)
+        self._look(time, here)
+        if self.finished:
+            return
+        law, later = self._law, time + self._conditions.delay
+        pose = predictor.predict(mean.middle, mean.pose, later) if law.predicts else mean.pose
+        wanted = law.offset(Seen(pose, self._near(pose), predictor.disturbance))
+        wanted = min(max(wanted, self._low), self._high)
+        # At its bounds an offset is sent however little it changes.
+        if abs(wanted - self._commanded) >= _SENT or wanted in (self._low, self._high):
+            if wanted != self._commanded:
+                self._orders.append((later, wanted))
+            self._commanded = wanted
+
+    def _look(self, time: float, here: Pose) -> None:
+        """Look whether the snake has arrived, strayed or is stuck."""
+        place = self._near(here)
+        self._s, self._here = max(place.s, 0.0), (here, place)
+        moved, goal, stray = self._predictor.moved, self._goal, self._conditions.stray
+        if moved is None or moved > self._slow:
+            self._moving_at = time
+        if time - self._moving_at > STUCK_PERIODS * self._period:
+            self._end(time, "stuck")
+        elif place.s >= self._route.length:
+            if math.hypot(goal.x - here.x, goal.y - here.y) <= goal.radius:
+                self._end(time, "goal_reached")
+            else:
+                self._again(time, here, "goal_missed")
+        elif stray is not None and abs(place.n) > stray:
+            self._again(time, here, "strayed")
+
+    def _again(self, time: float, pose: Pose, why: str) -> None:
+        """Plan anew from a pose, or end."""
+        if self._replan is None or len(self.plans) > self._conditions.replans:
+            self._end(time, why)
+            return
+        try:
+            plan = self._replan(pose)
+        except InputError as error:
+            self._end(time, why, f"{ENDINGS[why]}; no new plan: {error}")
+            return
+        if not plan.found or not plan.segments:
+            self._end(time, why, f"{ENDINGS[why]}; no new plan: {plan.reason}")
+            return
+        number = len(self.plans)
+        self._events.append(Event(time, "replanned", f"new plan {number}, {plan.length:.3g} m ({why})"))
+        self._take(time, plan)
+
+    def _take(self, time: float, plan: Plan) -> None:
+        self.plans.append((time, plan))
+        if not plan.segments:
+            self._end(time, "no_plan" if not plan.found else "goal_reached", plan.reason)
+            return
+        self._route = Route(plan.segments)
+        self._law.begin(self._route)
+        self._s = 0.0
+
+    def _near(self, pose: Pose) -> Place:
+        """Return the place on the route, not far from the last one."""
+        return self._route.nearest(pose.x, pose.y, self._s - _WINDOW, self._s + _WINDOW)
+
+    def _end(self, time: float, why: str, text: str = "") -> None:
+        self.finished, self.ending = True, why
+        self._events.append(Event(time, why, text or ENDINGS[why]))
+
+    def _steer(self, offset: float) -> None:
+        self._gait.offset = offset  # type: ignore[attr-defined]
+
+
+def _recorded(time: float, plan: Plan) -> dict[str, Any]:
+    segments = [
+        [s.start.x, s.start.y, s.start.heading, s.curvature, s.length, s.offset, s.speed] for s in plan.segments
+    ]
+    return {"time": time, "outcome": plan.outcome.value, "reason": plan.reason, "segments": segments,
+            "nodes": plan.expanded}  # fmt: skip
