@@ -19,6 +19,8 @@ _UNITS = {
     "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
     "valve_minus": "1", "torque": "N·m", "work": "J", "air": "J", "qpos": "mixed",
     "obstacle_force_x": "N", "obstacle_force_y": "N",
+    "offset_commanded": "1", "cross_track": "m", "heading_error": "rad", "node": "1", "estimate_x": "m",
+    "estimate_y": "m", "estimate_heading": "rad",
     "target_plus": "rad", "target_minus": "rad", "amplitude_plus": "rad", "amplitude_minus": "rad",
 }  # fmt: skip
 

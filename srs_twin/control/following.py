@@ -94,6 +94,7 @@ class Follower(Controller):
         footprint: Footprint,
         conditions: Conditions,
         *,
+        body: Footprint | None = None,
         world: World | None = None,
         replan: Replan | None = None,
     ) -> None:
@@ -104,8 +105,9 @@ class Follower(Controller):
             law: decides the offset.
             plan: what to follow; one that is not found ends the run at once.
             goal: where to end.
-            footprint: what the plan was made with; bounds of the offset.
+            footprint: what the snake can do; bounds of the offset.
             conditions: delay, camera, when to plan anew.
+            body: the footprint that the plan was made with, recorded with the run; None: the same.
             world: recorded with the run.
             replan: makes a new plan from a pose; None: nobody does.
 
@@ -113,10 +115,11 @@ class Follower(Controller):
             InputError: a gait without an offset or a frequency.
         """
         if not hasattr(gait, "offset") or not gait.frequency:
-            raise InputError(f"controller '{gait.kind}' cannot be steered: it has no offset; gait and ilc have")
+            raise InputError(f"controller '{gait.kind}' has no offset to steer by; gait and ilc have")
         self.frequency, self.layouts = gait.frequency, gait.layouts
         self._gait, self._law, self._first, self._goal = gait, law, plan, goal
         self._footprint, self._conditions = footprint, conditions
+        self._body = body or footprint
         self._world, self._replan = world or World(), replan
         self._low, self._high = footprint.offsets[0], footprint.offsets[-1]
         self.plans: list[tuple[float, Plan]] = [(0.0, plan)]
@@ -180,7 +183,7 @@ class Follower(Controller):
             "following": {
                 "law": type(self._law).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
-                "footprint": asdict(self._footprint),
+                "footprint": asdict(self._body),
                 "world": asdict(self._world),
                 "goal": goal,
                 "conditions": conditions,
@@ -260,12 +263,18 @@ class Follower(Controller):
         self._events.append(Event(time, why, text or ENDINGS[why]))
 
     def _steer(self, offset: float) -> None:
-        self._gait.offset = offset  # type: ignore[attr-defined]
+        self._gait.offset = offset
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, Any]:
-    segments = [
-        [s.start.x, s.start.y, s.start.heading, s.curvature, s.length, s.offset, s.speed] for s in plan.segments
-    ]
-    return {"time": time, "outcome": plan.outcome.value, "reason": plan.reason, "segments": segments,
-            "nodes": plan.expanded}  # fmt: skip
+    """Return a plan as JSON values; `comparison.following` reads them."""
+    return {
+        "time": time,
+        "outcome": plan.outcome.value,
+        "reason": plan.reason,
+        "nodes": plan.expanded,
+        "segments": [
+            [s.start.x, s.start.y, s.start.heading, s.curvature, s.length, s.offset, s.speed]
+            for s in plan.segments
+        ],
+    }

@@ -14,7 +14,7 @@ Offset, speed and edges are read from a table by curvature, linear between its r
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -123,6 +123,24 @@ class Footprint:
     def narrowest(self) -> float:
         """Distance that every point of the path keeps from everything, whatever the curvature, m."""
         return min(*self.left, *self.right)
+
+    def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
+        """Return the same with a part of its turns and wider edges.
+
+        Planned with that, a follower has turns left to correct with, and room for what remains.
+
+        Args:
+            turn_share: of the tightest curvatures, 1 at most.
+            margin: added to both edges, m.
+        """
+        low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
+        inner = [k for k in self.curvatures if low + SMALL_TURN < k < high - SMALL_TURN]
+        rows = [(k, self.at(k)) for k in (low, *inner, high)]
+        return replace(
+            self, offsets=tuple(m.offset for _, m in rows), curvatures=tuple(k for k, _ in rows),
+            speeds=tuple(m.speed for _, m in rows), left=tuple(m.left + margin for _, m in rows),
+            right=tuple(m.right + margin for _, m in rows),
+        )  # fmt: skip
 
     def at(self, curvature: float) -> Motion:
         """Return what a curvature (1/m) means.

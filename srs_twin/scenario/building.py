@@ -13,6 +13,7 @@ from srs_twin.scenario.control import ControllerSettings
 from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.expectation_file import ExpectationFile
 from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.following import FollowSettings
 from srs_twin.scenario.plants_file import NOT_ON_A_BENCH
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.sensor_file import SensorFile
@@ -23,8 +24,7 @@ from srs_twin.scenario.settings import (
     SensorSettings,
     TwinSettings,
 )
-from srs_twin.scenario.world_file import WorldFile
-from srs_twin.world import Bounds, Circle, Goal, World
+from srs_twin.world import World
 
 L_PER_MIN = 60_000.0
 ML = 1e6
@@ -42,9 +42,10 @@ def build(
     file: ScenarioFile,
     robot: RobotFile,
     name: str,
-    controller: ControllerSettings,
+    controller: ControllerSettings | FollowSettings,
     layout: str,
     warnings: tuple[str, ...],
+    world: World,
 ) -> Scenario:
     """Return the scenario of a file that has passed all checks."""
     start, title, supply_pa = file.start, file.title or name, supply(file, robot)
@@ -81,7 +82,7 @@ def build(
         bench=file.bench,
         controller=controller,
         pose=(start.x_m, start.y_m, start.heading_rad),
-        world=_world(file.world),
+        world=world,
         plants=_plants(file),
         gap_factor=file.comparison.gap_factor,
         expect=tuple(_expectation(each) for each in file.expect),
@@ -159,15 +160,6 @@ def _plants(file: ScenarioFile) -> dict[str, PlantSettings]:
             hinges_per_segment=twin.hinges_per_segment,
         )
     return plants
-
-
-def _world(file: WorldFile) -> World:
-    bounds, goal = file.bounds, file.goal
-    return World(
-        obstacles=tuple(Circle(each.x_m, each.y_m, each.radius_m) for each in file.obstacles),
-        bounds=Bounds((bounds.x_m[0], bounds.x_m[1]), (bounds.y_m[0], bounds.y_m[1])) if bounds else None,
-        goal=Goal(goal.x_m, goal.y_m, goal.heading_rad, goal.radius_m) if goal else None,
-    )
 
 
 def _expectation(file: ExpectationFile) -> Expectation:

@@ -10,7 +10,7 @@ from srs_twin.errors import InputError, TimeStepError, whole_steps
 from srs_twin.pneumatics.bending import largest_bend
 from srs_twin.robot_file import RobotFile
 from srs_twin.scenario.control import ControllerSettings, LearningSettings, controller_settings
-from srs_twin.scenario.control_file import LearningFile
+from srs_twin.scenario.control_file import FollowFile, LearningFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
 from srs_twin.scenario.settings import SensorSettings, default_tick
@@ -25,6 +25,7 @@ def check(document: Document, file: ScenarioFile) -> None:
     _check_bench(document, file)
     _check_expectations(document, file)
     _check_gap_factor(document, file)
+    _check_following(document, file)
 
 
 def overpressure(document: Document, robot: RobotFile) -> list[str]:
@@ -74,7 +75,8 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
 def tick_of(file: ScenarioFile, kind: str) -> float:
     """Return the control tick of a plant that the file names, s."""
     given = getattr(file.plants, kind).tick_s
-    learning = isinstance(file.controller, LearningFile)
+    driven = file.controller.gait if isinstance(file.controller, FollowFile) else file.controller
+    learning = isinstance(driven, LearningFile)
     return default_tick(bench=file.bench, learning=learning) if given is None else float(given)
 
 
@@ -128,12 +130,13 @@ def checked_controller(
     """Return the controller, the layout of its valves and warnings; report why it cannot be had."""
     spec = robot.spec()
     limit = largest_bend(spec, supply_pa)
+    given = file.controller.gait if isinstance(file.controller, FollowFile) else file.controller
     try:
-        settings = controller_settings(file.controller, limit)
+        settings = controller_settings(given, limit)
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
         # What else is wrong is said as well.
-        settings = controller_settings(file.controller.model_copy(update={"beyond_range": "saturate"}), limit)
+        settings = controller_settings(given.model_copy(update={"beyond_range": "saturate"}), limit)
     controller = settings.make()
     layout = file.valves.layout or controller.layouts[0]
     if layout not in controller.layouts:
@@ -177,6 +180,23 @@ def check_damping(document: Document, file: ScenarioFile, robot: RobotFile) -> N
             f"{twin.timestep_s:g} s is too long for a robot whose damping times reach down to {shortest:g} s "
             "(bending.damping_time_s, out_of_plane_damping_time_s); it must be shorter",
         )
+
+
+def _check_following(document: Document, file: ScenarioFile) -> None:
+    """Who plans, who follows, and where to."""
+    follows, planner, world = isinstance(file.controller, FollowFile), file.planner, file.world
+    if follows and planner is None:
+        document.report(("controller",), "kind: follow has nothing to follow; give planner as well")
+    if planner is None:
+        if world.random and world.random.kind == "strewn" and not (world.random.area or world.bounds):
+            document.report(("world", "random"), "where? Give area, or bounds of the world")
+        return
+    if not follows:
+        document.report(("planner",), "nobody follows its plan; set controller.kind: follow", at_key=True)
+    if file.bench:
+        document.report(("planner",), "nothing goes anywhere on a bench; take one out", at_key=True)
+    if planner.kind != "given" and world.goal is None:
+        document.report(("planner",), f"kind: {planner.kind} needs world.goal", at_key=True)
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.scenario.control_file import (
     ConstantFile,
-    ControllerFile,
     DirectFile,
+    DrivingFile,
     GaitFile,
     HoldFile,
     LearningFile,
@@ -157,7 +157,7 @@ class LearningSettings:
 ControllerSettings = GaitSettings | LearningSettings | DirectSettings | IterativeSettings | HoldSettings
 
 
-def controller_settings(given: ControllerFile, limit: float) -> ControllerSettings:
+def controller_settings(given: DrivingFile, limit: float) -> ControllerSettings:
     """Return what a file says of its controller.
 
     Args:

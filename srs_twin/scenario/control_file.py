@@ -155,6 +155,61 @@ class LearningFile(Strict):
         return self
 
 
-ControllerFile = Annotated[
-    GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile, Field(discriminator="kind")
-]
+class CameraFile(Strict):
+    """Motion capture: how a follower sees the snake."""
+
+    rate_hz: float = quantity("Frames a second", "Hz", 5.0, 10_000.0, 120.0)
+    position_noise_m: float = quantity("RMS noise of x and y", "m", 0.0, 1.0, 0.0)
+    heading_noise_rad: float = quantity("RMS noise of the heading", "rad", 0.0, 3.0, 0.0)
+
+
+class FollowFile(Strict):
+    """Following of a plan by the offset of a gait (Section 5.2.2); the scenario needs a planner."""
+
+    kind: Literal["follow"] = section(_KIND)
+    follower: Literal["bearing", "path"] = section(
+        "bearing: the text's, towards one node after the other; path: feedback of the distance from the path "
+        "with its curvature ahead.",
+        "path",
+    )
+    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")] = section("What is steered.")
+    delay_s: float = quantity("How long a command takes to the snake", "s", 0.0, 10.0, 0.1)
+    camera: CameraFile = section("How it sees the snake.", CameraFile())
+    gain_per_rad: float | None = quantity(
+        "Offset for an error of bearing (bearing; default 0.3)", "1/rad", 0.001, 100.0, None
+    )
+    node_m: float | None = quantity("Distance of the nodes (bearing; default 0.2)", "m", 0.001, 100.0, None)
+    near_m: float | None = quantity(
+        "How near to a node is near enough (bearing; default 0.1)", "m", 0.001, 100.0, None
+    )
+    lookahead_m: float | None = quantity(
+        "Path over which a distance from it dies out (path; default 0.15)", "m", 0.001, 100.0, None
+    )
+    settle_m: float | None = quantity(
+        "Path over which a new offset takes hold (path; default: a third of the footprint's longest "
+        "transient, 0.05 without one)", "m", 0.0, 100.0, None,
+    )  # fmt: skip
+    replan_beyond_m: float | None = quantity(
+        "Distance from the path that calls for a new plan (default: none is made)", "m", 0.001, 100.0, None
+    )
+    replans: int = quantity("New plans at most", "", 0, 1000, 3)
+
+    @model_validator(mode="after")
+    def _what_belongs_together(self) -> FollowFile:
+        if self.gait.offset != 0:
+            raise ValueError("the follower decides the offset; take gait.offset out")
+        for follower, names in FOLLOWERS.items():
+            given = [name for name in names if getattr(self, name) is not None]
+            if given and self.follower != follower:
+                raise ValueError(
+                    f"{given[0]} belongs to follower: {follower}; set that, or take {given[0]} out"
+                )
+        return self
+
+
+FOLLOWERS = {"bearing": ("gain_per_rad", "node_m", "near_m"), "path": ("lookahead_m", "settle_m")}
+"""Keys that belong to one follower only."""
+
+
+DrivingFile = GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile
+ControllerFile = Annotated[DrivingFile | FollowFile, Field(discriminator="kind")]

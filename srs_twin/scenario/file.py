@@ -11,6 +11,7 @@ from srs_twin.scenario.control_file import ControllerFile
 from srs_twin.scenario.expectation_file import ExpectationFile
 from srs_twin.scenario.faults_file import FaultFile
 from srs_twin.scenario.fields import quantity, section
+from srs_twin.scenario.planner_file import PlannerFile
 from srs_twin.scenario.plants_file import AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.sensor_file import SensorFile
 from srs_twin.scenario.world_file import StartFile, WorldFile
@@ -67,6 +68,7 @@ class ScenarioFile(Strict):
     )
     controller: ControllerFile = section("What commands the valves.")
     start: StartFile = section("Where the snake lies at first.", StartFile())
+    planner: PlannerFile | None = section("How the way to the goal is found (controller.kind: follow).", None)
     world: WorldFile = section("Obstacles, bounds and goal.", WorldFile())
     plants: PlantsFile = section(
         "Which plants run (default: both).", PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from srs_twin.documents import Document, load_yaml
-from srs_twin.errors import InputFileError
+from srs_twin.errors import InputError, InputFileError
 from srs_twin.files import find, results_name
 from srs_twin.robot_file import RobotFile
 from srs_twin.robots import resolve_robot
@@ -20,10 +20,15 @@ from srs_twin.scenario.checks import (
     checked_controller,
     overpressure,
 )
+from srs_twin.scenario.control import ControllerSettings, GaitSettings, LearningSettings
+from srs_twin.scenario.control_file import FollowFile
 from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.following import FollowSettings, follow_settings
+from srs_twin.scenario.route_finding import planner_settings
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.scenario.world_file import WorldFile
+from srs_twin.scenario.surroundings import start_of, world_of
 from srs_twin.validation import validate
+from srs_twin.world import World
 
 
 def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
@@ -50,20 +55,51 @@ def _scenario(document: Document, name: str) -> Scenario:
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
-    controller, layout = None, ""
+    controller: ControllerSettings | FollowSettings | None = None
+    layout, world = "", World()
     if file:
+        world = _world(document, file)
         check(document, file)
         if robot:
             check_damping(document, file, robot)
             check_faults(document, file, robot)
             check_sensor(document, sensors(file.sensor)[0], robot)
-            controller, layout, said = checked_controller(document, file, robot, supply(file, robot))
+            driving, layout, said = checked_controller(document, file, robot, supply(file, robot))
             warnings += said
+            controller = _followed(document, file, driving, world)
     document.finish(foreign)
     assert file is not None and robot is not None and controller is not None, "no problem was reported"
-    if file.world != WorldFile():
-        warnings.append("world: read and checked, but no plant or controller takes notice of it yet")
-    return build(file, robot, file.name or name, controller, layout, tuple(warnings))
+    if file.planner is None and (world.goal or world.bounds):
+        warnings.append(
+            "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
+        )
+    return build(file, robot, file.name or name, controller, layout, tuple(warnings), world)
+
+
+def _world(document: Document, file: ScenarioFile) -> World:
+    try:
+        return world_of(file)
+    except InputError as error:
+        document.report(("world", "random"), str(error))
+        return World()
+
+
+def _followed(
+    document: Document, file: ScenarioFile, gait: ControllerSettings, world: World
+) -> ControllerSettings | FollowSettings:
+    """Put a follower on top of the gait where the file has one; report why it cannot be had."""
+    if file.planner is None or not isinstance(file.controller, FollowFile) or document.problems:
+        return gait
+    assert isinstance(gait, GaitSettings | LearningSettings)
+    try:
+        planner = planner_settings(file.planner, start_of(file), world)
+    except InputFileError as error:
+        document.report(("planner", "footprint"), error.lines[0])
+        return gait
+    except InputError as error:
+        document.report(("planner",), str(error))
+        return gait
+    return follow_settings(file.controller, gait, planner)
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:

@@ -10,6 +10,7 @@ from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics.faults import StuckValve
 from srs_twin.scenario.control import ControllerSettings, LearningSettings
 from srs_twin.scenario.expectation import Expectation
+from srs_twin.scenario.following import FollowSettings
 from srs_twin.scenario.settings import (
     AnalyticalSettings,
     PlantSettings,
@@ -71,7 +72,7 @@ class Scenario:
     sensor: SensorSettings
     faults: tuple[DeadSensor | StuckValve, ...]
     bench: bool
-    controller: ControllerSettings
+    controller: ControllerSettings | FollowSettings
     pose: tuple[float, float, float]
     world: World
     plants: Mapping[str, PlantSettings]
@@ -93,7 +94,8 @@ class Scenario:
         """
         if kind not in _KINDS:
             raise UnknownNameError("plant", kind, _KINDS)
-        learning = isinstance(self.controller, LearningSettings)
+        driven = self.controller.gait if isinstance(self.controller, FollowSettings) else self.controller
+        learning = isinstance(driven, LearningSettings)
         tick = default_tick(bench=self.bench, learning=learning)
         settings = self.plants.get(kind) or _KINDS[kind](tick=tick)
         robot = robot or self.robot

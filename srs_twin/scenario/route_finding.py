@@ -1,0 +1,121 @@
+"""Planning of a scenario in SI: from start, goal and world to a plan, once for all who ask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from srs_twin.errors import InputError
+from srs_twin.scenario.planner_file import BestFirstFile, GivenFile, GreedyFile, OmplFile, PlannerFile
+from srs_twin.world import Goal, Pose, World
+
+if TYPE_CHECKING:
+    from srs_twin.planning import Footprint, Plan, Problem, Settings
+
+GIVEN = "given"
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """How the way is found.
+
+    Attributes:
+        kind: "best_first", "greedy", "ompl" or "given".
+        footprint: the robot's, whole: what it can do.
+        turn_share: share of the tightest turns to plan with.
+        margin: added to both edges, m.
+        problem: start, goal, world, and the footprint to plan with; of a path that is given its end is the
+            goal.
+        settings: how hard to try.
+        pieces: (curvature, length) of the path, 1/m and m, where it is given.
+    """
+
+    kind: str
+    footprint: Footprint
+    turn_share: float
+    margin: float
+    problem: Problem
+    settings: Settings
+    pieces: tuple[tuple[float, float], ...] = ()
+
+    def plan(self) -> Plan:
+        """Return the plan.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+        return _plan(self)
+
+    def plan_from(self, pose: Pose) -> Plan:
+        """Return a plan from another pose.
+
+        Raises:
+            InputError: as `plan`.
+        """
+        return _plan(replace(self, problem=replace(self.problem, start=pose)))
+
+
+@lru_cache(maxsize=16)
+def _plan(settings: PlannerSettings) -> Plan:
+    """Plan once: the file's check, both plants and the report ask for the same."""
+    from srs_twin.planning import Outcome, Plan, plan
+    from srs_twin.planning.problem import path_of
+
+    if settings.kind == GIVEN:
+        start, footprint = settings.problem.start, settings.problem.footprint
+        return Plan(Outcome.FOUND, "the path is given", path_of(start, list(settings.pieces), footprint))
+    return plan(settings.problem, settings.settings, planner=settings.kind)
+
+
+def planner_settings(given: PlannerFile, start: Pose, world: World) -> PlannerSettings:
+    """Return what a file says of planning.
+
+    Raises:
+        InputError: no such footprint, a turn tighter than it has, edges that are too wide, no goal.
+    """
+    from srs_twin.planning import Problem, load_footprint
+    from srs_twin.planning.footprint import checked
+
+    footprint = load_footprint(given.footprint)
+    reduced = checked(footprint.reduced(given.turn_share, given.margin_m))
+    pieces: tuple[tuple[float, float], ...] = ()
+    if isinstance(given, GivenFile):
+        pieces = tuple((turn / given.step_m, given.step_m) for turn in given.turns_rad)
+        goal = _end_of(start, pieces, reduced, world.goal)
+    elif world.goal is None:
+        raise InputError("there is no goal to plan to; give world.goal")
+    else:
+        goal = world.goal
+    problem = Problem(start, goal, world, reduced, _primitives(given))
+    return PlannerSettings(
+        given.kind, footprint, given.turn_share, given.margin_m, problem, _settings(given), pieces
+    )
+
+
+def _end_of(
+    start: Pose, pieces: tuple[tuple[float, float], ...], footprint: Footprint, goal: Goal | None
+) -> Goal:
+    from srs_twin.planning.problem import path_of
+
+    end = path_of(start, list(pieces), footprint)[-1].end
+    radius = goal.radius if goal else 0.05
+    return Goal(end.x, end.y, end.heading, radius)
+
+
+def _primitives(given: PlannerFile):  # type: ignore[no-untyped-def]
+    from srs_twin.planning import Primitives
+
+    arcs = None if isinstance(given, GivenFile | OmplFile) else given.primitives
+    return None if arcs is None else Primitives(arcs.count, arcs.turn_rad, arcs.length_m)
+
+
+def _settings(given: PlannerFile) -> Settings:
+    from srs_twin.planning import Settings
+
+    if isinstance(given, BestFirstFile):
+        return Settings(given.nodes, given.seconds, given.weight, given.levels, given.smooth, given.improve)
+    if isinstance(given, OmplFile):
+        return Settings(seconds=given.seconds)
+    assert isinstance(given, GreedyFile | GivenFile)
+    return Settings()
