@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.comparison.energy import ENERGY_METRICS, energy_metrics
+from srs_twin.comparison.following import FOLLOWING_UNITS, following_metrics
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.learning import (
     LEARNING_LIST_UNITS,
@@ -36,6 +37,7 @@ METRIC_UNITS = {
     **TRACKING_UNITS,
     **LEARNING_UNITS,
     **READING_UNITS,
+    **FOLLOWING_UNITS,
     "wall_s": "s",
     "realtime_factor": "1",
 }
@@ -88,7 +90,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     A run with a reference for the bends has `tracking.tracking_metrics`, one under iterative learning
     `learning.learning_metrics`; they are None without. A run on a bench without a reference has
     ``final_bend_rad``, the first segment's bend at its end. A run with a sensor that is not ideal has
-    `reading.reading_metrics`.
+    `reading.reading_metrics`; one that followed a plan `following.following_metrics`.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
@@ -116,6 +118,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
         **(learning_metrics(trajectory) if is_learning(trajectory) else dict.fromkeys(_LEARNING)),
         **reading_metrics(trajectory),
+        **following_metrics(trajectory),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
         "valve_switches": trajectory.metadata.get("valve_switches"),

@@ -1,0 +1,248 @@
+"""Metrics of following a plan: how near the path, how much of the body in its footprint, how it ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from srs_twin.comparison.sampling import positive_number
+from srs_twin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from srs_twin.planning import Footprint, Segment
+
+PLAN_UNITS = {"plan_found": "1", "plan_length_m": "m", "plan_nodes": "1", "plan_kink_rad": "rad"}
+"""Metrics of a plan alone."""
+
+FOLLOWING_UNITS = {
+    **PLAN_UNITS,
+    "goal_reached": "1",
+    "arrival_error_m": "m",
+    "arrival_heading_error_rad": "rad",
+    "cross_track_rms_m": "m",
+    "cross_track_max_m": "m",
+    "inside_share": "1",
+    "inside_50mm_share": "1",
+    "contacts": "1",
+    "contact_time_s": "s",
+    "clearance_m": "m",
+    "following_time_s": "s",
+    "replans": "1",
+}
+
+TEXT_HALF_WIDTH, TEXT_SHIFT, TEXT_TIGHTEST = 0.025, 0.01, math.pi / 3 / 0.2
+"""The box of Section 5.2: 50 mm, shifted by 10 mm at 60 degrees in 0.2 m; m and 1/m."""
+
+TOUCH_N = 1e-3
+"""Forces below are none."""
+_APART_S = 0.1
+"""Touches closer together in time are one contact."""
+
+
+def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
+    """Return what the metadata say of the plan that a run followed; None where it followed none."""
+    control = trajectory.metadata.get("control")
+    found = control.get("following") if isinstance(control, Mapping) else None
+    return found if isinstance(found, Mapping) else None
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A part of a run under one plan.
+
+    Attributes:
+        samples: of the trajectory.
+        segments: of the plan.
+    """
+
+    samples: slice
+    segments: tuple[Segment, ...]
+
+
+def legs(trajectory: Trajectory) -> Iterator[Leg]:
+    """Yield the parts of a run under each of its plans; plans without a path have none."""
+    about = following(trajectory)
+    plans = about["plans"] if about else []
+    begins = [*(int(np.searchsorted(trajectory.time, p["time"] - 1e-9)) for p in plans), len(trajectory)]
+    for plan, begin, end in zip(plans, begins, begins[1:], strict=False):
+        if plan["segments"] and end > begin:
+            yield Leg(slice(begin, end), segments_of(plan))
+
+
+def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
+    """Return the path of a recorded plan."""
+    from srs_twin.planning import Segment
+    from srs_twin.world import Pose
+
+    return tuple(
+        Segment(Pose(x, y, heading), curvature, length, offset, speed)
+        for x, y, heading, curvature, length, offset, speed in plan["segments"]
+    )
+
+
+def footprint_of(about: Mapping[str, Any]) -> Footprint:
+    """Return the recorded footprint that the plans were made with."""
+    from srs_twin.planning import Footprint
+
+    given = about["footprint"]
+    columns = {k: tuple(given[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
+    return Footprint(given["name"], given["title"], **columns, ahead=given["ahead"], behind=given["behind"])
+
+
+def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
+    """Measure one run that followed a plan; all None of one that did not.
+
+    Against the plan in force at each moment:
+
+    - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from the path.
+    - ``inside_share``: share of time at which the whole body, connectors and the middles of segments with
+      half the width to both sides, is between the edges of the planned footprint. Before the start and
+      beyond the end, where head or tail may be, the path goes on straight with the edges of going straight.
+    - ``inside_50mm_share``: the same of the text's box of 50 mm.
+
+    At its end: ``goal_reached`` (1 or 0: the centre of mass within the goal's radius),
+    ``arrival_error_m``, ``arrival_heading_error_rad`` (period mean, carried on to the end; None without a
+    heading to arrive with).
+
+    ``contacts`` and ``contact_time_s`` count forces of obstacles (None where there is nothing to touch),
+    ``clearance_m`` is the least distance between body and obstacles, below 0 inside one (None without any).
+    ``following_time_s`` is the length of the run, ``replans`` the number of new plans. ``plan_…`` tell of
+    the first plan.
+    """
+    about = following(trajectory)
+    if about is None:
+        return dict.fromkeys(FOLLOWING_UNITS)
+    first = about["plans"][0]
+    return {
+        **plan_metrics(first["outcome"] == "found", segments_of(first), first["nodes"]),
+        **_arrival(trajectory, about),
+        **_deviation(trajectory, about),
+        **_contacts(trajectory),
+        "clearance_m": _clearance(trajectory, about["world"]),
+        "following_time_s": float(trajectory.time[-1] - trajectory.time[0]),
+        "replans": len(about["plans"]) - 1,
+    }
+
+
+def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, Any]:
+    """Return the metrics of a plan alone."""
+    from srs_twin.planning import Outcome, Plan
+
+    plan = Plan(Outcome.FOUND if found else Outcome.STUCK, "", segments)
+    return {
+        "plan_found": int(found),
+        "plan_length_m": plan.length if found else None,
+        "plan_nodes": nodes,
+        "plan_kink_rad": plan.kink if found else None,
+    }
+
+
+def _arrival(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, Any]:
+    goal = about["goal"]
+    error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
+    heading = None
+    if goal["heading"] is not None:
+        heading = abs(math.remainder(_mean_heading(trajectory) - goal["heading"], 2 * math.pi))
+    return {
+        "goal_reached": int(error <= goal["radius"]),
+        "arrival_error_m": error,
+        "arrival_heading_error_rad": heading,
+    }
+
+
+def _mean_heading(trajectory: Trajectory) -> float:
+    """Return the heading at the end without the gait's swing: the last period's mean, carried on by half."""
+    frequency = positive_number(trajectory, "gait_frequency_hz")
+    time, heading = trajectory.time, trajectory["heading"]
+    period = min(1 / frequency if frequency else 0.0, time[-1] - time[0])
+    if period <= 0:
+        return float(heading[-1])
+    at = np.linspace(time[-1] - period, time[-1], 201)
+    seen = np.interp(at, time, heading)
+    return float(np.trapezoid(seen, at) / period + (seen[-1] - seen[0]) / 2)
+
+
+def _deviation(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, Any]:
+    from srs_twin.planning.route import Route
+
+    footprint, outline = footprint_of(about), body_points(trajectory)
+    aside, inside, text = [], [], []
+    for leg in legs(trajectory):
+        route = Route(leg.segments)
+        aside.append(route.places(trajectory.com[leg.samples])[1])
+        points = outline[leg.samples]
+        s, n = (each.reshape(points.shape[:2]) for each in route.places(points.reshape(-1, 2)))
+        curvature = np.array([a.curvature for a in leg.segments])
+        ends = np.cumsum([a.length for a in leg.segments])
+        here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
+        here = np.where(s < 0, 0.0, here)
+        left, right = (
+            np.interp(here, footprint.curvatures, edge) for edge in (footprint.left, footprint.right)
+        )
+        inside.append(((n <= left) & (n >= -right)).all(axis=1))
+        shift = TEXT_SHIFT * np.clip(-here / TEXT_TIGHTEST, -1, 1)
+        text.append((np.abs(n - shift) <= TEXT_HALF_WIDTH).all(axis=1))
+    if not aside:
+        return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
+    beside = np.concatenate(aside)
+    return {
+        "cross_track_rms_m": float(np.sqrt((beside**2).mean())),
+        "cross_track_max_m": float(np.abs(beside).max()),
+        "inside_share": float(np.concatenate(inside).mean()),
+        "inside_50mm_share": float(np.concatenate(text).mean()),
+    }
+
+
+def body_points(trajectory: Trajectory) -> np.ndarray:
+    """Return points on both sides of connectors and of the middles of segments, shape (samples, k, 2), m."""
+    half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
+    centres, heading = centre_points(trajectory)
+    across = half * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    return np.concatenate([centres + across, centres - across], axis=1)
+
+
+def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return connectors and middles of segments, shape (samples, 2N − 1, 2), m, and the headings there."""
+    position, theta = trajectory.position, trajectory.stack("theta")
+    chord = position[:, :-1] - position[:, 1:]
+    bend = np.diff(-theta, axis=1)
+    # The middle of an arc stands off its chord by chord · tan(bend/4)/2, to the outside of the bend.
+    off = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
+    middle = (position[:, :-1] + position[:, 1:]) / 2 + off * np.stack([chord[..., 1], -chord[..., 0]], -1)
+    return (
+        np.concatenate([position, middle], axis=1),
+        np.concatenate([theta, (theta[:, :-1] + theta[:, 1:]) / 2], axis=1),
+    )
+
+
+def _contacts(trajectory: Trajectory) -> dict[str, Any]:
+    if not trajectory.has("obstacle_force_x"):
+        return {"contacts": None, "contact_time_s": None}
+    force = np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
+    touching = force.max(axis=1) > TOUCH_N
+    at = trajectory.time[touching]
+    steps = np.diff(trajectory.time, prepend=trajectory.time[0])
+    return {
+        "contacts": int(touching.any()) + int((np.diff(at) > _APART_S).sum()),
+        "contact_time_s": float(steps[touching].sum()),
+    }
+
+
+def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None:
+    half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
+    points = centre_points(trajectory)[0].reshape(-1, 2)
+    nearest = [
+        float(np.hypot(points[:, 0] - c["x"], points[:, 1] - c["y"]).min()) - c["radius"]
+        for c in world["obstacles"]
+    ]
+    if world["polygons"]:
+        import shapely
+
+        cloud = shapely.points(points)
+        for each in world["polygons"]:
+            nearest.append(float(shapely.distance(shapely.Polygon(each["corners"]), cloud).min()))
+    return min(nearest) - half if nearest else None
