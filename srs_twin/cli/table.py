@@ -54,6 +54,24 @@ _BENCH_ROWS = {
     "reading_range_t": ("reading: field range", "T"),
     "realtime_factor": ("real-time factor", "1"),
 }
+# The same of a run that followed a plan.
+_PLAN_ROWS = {
+    "plan_found": ("plan found", "1"),
+    "plan_length_m": ("length of the plan", "m"),
+    "goal_reached": ("goal reached", "1"),
+    "arrival_error_m": ("distance from the goal", "m"),
+    "arrival_heading_error_rad": ("heading beside goal's", "rad"),
+    "cross_track_rms_m": ("cross-track, RMS", "m"),
+    "cross_track_max_m": ("cross-track, largest", "m"),
+    "inside_share": ("inside the footprint", "1"),
+    "inside_50mm_share": ("inside 50 mm", "1"),
+    "contacts": ("contacts", "1"),
+    "clearance_m": ("clearance", "m"),
+    "following_time_s": ("time taken", "s"),
+    "replans": ("new plans", "1"),
+    "com_speed_m_s": ("CoM speed", "m/s"),
+    "realtime_factor": ("real-time factor", "1"),
+}
 _COMPARISON_ROWS = {
     "shape_rms_m": ("body shape, RMS", "m"),
     "path_rms_m": ("CoM path, RMS", "m"),
@@ -87,7 +105,7 @@ def rows(metrics: Mapping[str, Any]) -> list[Row]:
     """
     plants, stated = metrics["plants"], published(metrics["expectations"])
     found = []
-    for key, (heading, unit) in (_BENCH_ROWS if _followed_or_held(plants) else _PLANT_ROWS).items():
+    for key, (heading, unit) in _rows_of(plants).items():
         values = [each.get(key) for each in plants.values()]
         if all(value is None for value in values):
             continue
@@ -103,6 +121,12 @@ def rows(metrics: Mapping[str, Any]) -> list[Row]:
             text = _number(comparison[key])
             found.append(Row(heading, unit, blank, text, _number(stated.get(key, _NONE)[0])))
     return found
+
+
+def _rows_of(plants: Mapping[str, Mapping[str, Any]]) -> Mapping[str, tuple[str, str]]:
+    if any(each.get("plan_found") is not None for each in plants.values()):
+        return _PLAN_ROWS
+    return _BENCH_ROWS if _followed_or_held(plants) else _PLANT_ROWS
 
 
 def _followed_or_held(plants: Mapping[str, Mapping[str, Any]]) -> bool:

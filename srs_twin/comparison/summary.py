@@ -11,7 +11,7 @@ RELATIVE = {
     "rise_time_s", "settling_2_s", "settling_5_s", "ripple_pp_rad", "ripple_rms_rad", "sensed_ripple_pp_rad",
     "steady_rms_rad", "error_rms_rad", "amplitude_rel", "fit_residual_rad", "inlet_openings",
     "outlet_openings", "path_radius_m", "path_speed_m_s", "duty_lowest", "duty_highest", "reading_error_rad",
-    "reading_backstep_rad", "reading_range_t",
+    "reading_backstep_rad", "reading_range_t", "cross_track_rms_m", "cross_track_max_m", "following_time_s",
 }  # fmt: skip
 """Metrics whose difference is given over the analytical value; of others in their own unit."""
 

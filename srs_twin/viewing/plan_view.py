@@ -40,8 +40,8 @@ def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure
     figure, (axes,) = panels(tall)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = style_of(plant, index)
-        for moment in _rows(run, moments):
-            _outline(axes, moment, spec.geometry, style, filled=plant == "twin")
+        for moment in rows_at(run, moments):
+            outline(axes, moment, spec.geometry, style, filled=plant == "twin")
         axes.plot(
             *run.com.T, color=style.color, linestyle=style.dash, linewidth=style.width, label=style.label
         )
@@ -80,11 +80,11 @@ def hero_figure(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figu
         # One scale of colour for the whole run, whichever moments are shown.
         colors = pressure_colors(pressure_difference(run)) / 255.0
         rows = np.searchsorted(run.time, np.array(moments) - 1e-9).clip(max=len(run) - 1)
-        for row, moment in zip(rows, _rows(run, moments), strict=True):
+        for row, moment in zip(rows, rows_at(run, moments), strict=True):
             if colored:
                 _snake(axes, moment, geometry, colors[row])
             else:
-                _outline(axes, moment, geometry, style, filled=False)
+                outline(axes, moment, geometry, style, filled=False)
     axes.apply_aspect()
     _dress(axes, trajectories, spec, moments)
     return figure
@@ -112,13 +112,14 @@ def strobe_times(
     return np.linspace(float(run.time[0]), last, int(np.clip(apart, 2, most or _MOST_SHOWN))).tolist()
 
 
-def _rows(run: Trajectory, moments: list[float]) -> list[Trajectory]:
+def rows_at(run: Trajectory, moments: list[float]) -> list[Trajectory]:
     """Return the samples at given times as one-sample trajectories."""
     rows = np.searchsorted(run.time, np.array(moments) - 1e-9).clip(max=len(run) - 1)
     return [Trajectory({name: column[[row]] for name, column in run.columns.items()}) for row in rows]
 
 
-def _outline(axes: Axes, moment: Trajectory, geometry: Geometry, style: Style, *, filled: bool) -> None:
+def outline(axes: Axes, moment: Trajectory, geometry: Geometry, style: Style, *, filled: bool) -> None:
+    """Draw the outline of a body, with a dot at its head."""
     shape = np.asarray(LineString(body_line(moment, geometry)[0]).buffer(geometry.width / 2).exterior.coords)
     if filled:
         axes.fill(*shape.T, facecolor=style.color, alpha=0.25, linewidth=0)
@@ -161,7 +162,7 @@ def _boxes(
 def _bounds(
     trajectories: Mapping[str, Trajectory], geometry: Geometry, moments: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    drawn = [row.position[0] for run in trajectories.values() for row in _rows(run, moments)]
+    drawn = [row.position[0] for run in trajectories.values() for row in rows_at(run, moments)]
     points = np.concatenate(drawn)
     margin = 1.6 * geometry.half_track + geometry.width
     return points.min(axis=0) - margin, points.max(axis=0) + margin
@@ -182,7 +183,7 @@ def _dress(axes: Axes, trajectories: Mapping[str, Trajectory], spec: RobotSpec, 
     axes.grid(True, color="white", linewidth=1.0)
     axes.set_axisbelow(True)
     shown = trajectories.get("twin") or next(iter(trajectories.values()))
-    for moment, row in zip(moments, _rows(shown, moments), strict=True):
+    for moment, row in zip(moments, rows_at(shown, moments), strict=True):
         top = row.position[0].max(axis=0)[1] + spec.geometry.half_track + spec.geometry.wheel_radius
         axes.text(row.com[0, 0], top, f"t = {moment:.1f} s", ha="center", va="bottom", fontsize=9)
     names: list[Line2D | Patch] = [

@@ -8,12 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from srs_twin.comparison.following import following
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.comparison.summary import difference, published
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.checks import check_drawable
+from srs_twin.viewing.following_plot import following_plot
 from srs_twin.viewing.html import Markup, element, page, picture, table
 from srs_twin.viewing.learning_plot import learning_plot
 from srs_twin.viewing.plan_view import plan_view
@@ -62,6 +64,13 @@ _LEARNING_READING = (
     "within 5 % of their targets. What is said of the path without 'before' is of the last five periods; "
     "curvature is positive to the left. The box is how far the body reaches to the left (negative) and right "
     "of the circle or line through the path of the centre of mass.",
+    *_GAIT_READING[1:],
+)
+_PLAN_READING = (
+    _OWN_CONTROLLERS,
+    "Cross-track is the distance of the centre of mass from the plan in force. Inside: the share of time at "
+    "which the whole body is between the edges of the footprint that was planned with; of the 50 mm box, the "
+    "text's. Clearance is the least distance between body and obstacles.",
     *_GAIT_READING[1:],
 )
 _FOLLOWING_READING = (
@@ -122,6 +131,8 @@ def _reading(trajectories: Mapping[str, Trajectory]) -> Sequence[str]:
     """Return how to read the report of such runs."""
     if all(run.has("reference_1") for run in trajectories.values()):
         return _FOLLOWING_READING
+    if all(following(run) is not None for run in trajectories.values()):
+        return _PLAN_READING
     if all(map(is_learning, trajectories.values())):
         return _LEARNING_READING
     return _GAIT_READING
@@ -192,6 +203,9 @@ def _pictures(
         made.insert(0, picture(learning_plot(trajectories), text))
     if (read := reading_plot(trajectories)) is not None:
         made.append(picture(read, "What the first segment's sensor reads over what it is bent by."))
+    if (followed := following_plot(trajectories, spec)) is not None:
+        text = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."
+        made.insert(0, picture(followed, text))
     if comparison is not None and len(comparison.time):
         made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
     return made

@@ -1,6 +1,7 @@
 """Write a finished run as a Rerun recording, whole columns at once; nothing is logged while it simulates.
 
-Entity tree: `world/floor`, `world/<plant>/{body/segment_j, connectors, wheels, trail, com}`,
+Entity tree: `world/floor`, `world/plan/{path, edges, obstacles, goal}`,
+`world/<plant>/{body/segment_j, connectors, wheels, trail, com}`,
 `module/<j>/{bend, pressure}/<plant>`, `body/{speed, heading}/<plant>`, `comparison/{shape, path}`.
 The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
 as the views' names say.
@@ -21,6 +22,7 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.blueprint import TIMELINE, Layout, run_blueprint
 from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.colors import REFERENCE, Style, style_of
+from srs_twin.viewing.plan_scene import send_plan
 from srs_twin.viewing.scene import Entities, send_snake
 from srs_twin.viewing.signals import forward_speed, gait_period, period_speed, pressure_difference
 
@@ -78,6 +80,7 @@ def _recorded(
         entities = Entities(log, f"world/{plant}", scene.time)
         send_snake(entities, scene, spec.geometry, style, ghost=ghost)
         _send_signals(log, plant, run, style)
+    send_plan(log, trajectories)
     if comparison is not None:
         for index, (name, error) in enumerate(
             (("shape", comparison.shape_error), ("path", comparison.path_error))
