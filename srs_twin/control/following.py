@@ -203,7 +203,7 @@ class Follower(Controller):
             return
         law, later = self._law, time + self._conditions.delay
         pose = predictor.predict(mean.middle, mean.pose, later) if law.predicts else mean.pose
-        wanted = law.offset(Seen(pose, self._near(pose), predictor.disturbance))
+        wanted = law.offset(Seen(pose, self._near(pose), predictor.turning, predictor.disturbance))
         wanted = min(max(wanted, self._low), self._high)
         # At its bounds an offset is sent however little it changes.
         if abs(wanted - self._commanded) >= _SENT or wanted in (self._low, self._high):

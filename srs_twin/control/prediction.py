@@ -61,6 +61,11 @@ class Predictor:
         self._model: deque[_Moment] = deque([(0.0, 0.0, 0.0, 0.0)])
         self._means: deque[_Moment] = deque()
 
+    @property
+    def turning(self) -> float:
+        """Curvature of the snake's path when a command of now arrives: the model's and the disturbance."""
+        return self.curvature + self.disturbance
+
     def command(self, time: float, offset: float) -> None:
         """Move the model on to a time under the offset commanded from now on; it runs ahead by the delay."""
         before, x, y, heading = self._model[-1]

@@ -7,12 +7,13 @@ threshold of a node, the next one is next.
 `PathLaw`, ours: with the distance n to the left of the path and the heading error e, both predicted for the
 moment at which the command takes effect, the curvature
 
-.. math:: κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n} - \frac{2ζ}{L}\,(e - e_n) - d, \qquad
-    e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr)
+.. math:: κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n} - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
+    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr)
 
-makes n die out over the length L like a second-order system with damping ζ. The plan's curvature is looked
-up ahead by the length ℓ over which a new offset takes hold, d is the predictor's disturbance, and the
-footprint gives the offset for κ.
+makes n die out over the length L like a second-order system with damping ζ. A new offset takes hold over a
+length ℓ like a first-order lag, the measured transient: the plan's curvature is looked up ahead by ℓ, and the
+rate of the error, which the model knows without noise, undoes the lag in the feedback. d is the predictor's
+disturbance, and the footprint gives the offset for κ.
 """
 
 from __future__ import annotations
@@ -39,11 +40,13 @@ class Seen:
     Attributes:
         pose: of the snake: the mean over a period for laws that do not predict.
         place: of that pose on the route.
+        curvature: of its path then, as the model has it, 1/m.
         disturbance: see `Predictor`, 1/m.
     """
 
     pose: Pose
     place: Place
+    curvature: float
     disturbance: float
 
 
@@ -132,6 +135,7 @@ class PathLaw(Steering):
         ahead = self._route.curvature(s + self._settle)
         error = math.remainder(seen.pose.heading - heading, 2 * math.pi)
         towards = -min(max(n / (2 * DAMPING * self._length), -_STEEPEST), _STEEPEST)
-        back = 2 * DAMPING / self._length * (error - towards)
+        rate = seen.curvature - seen.place.curvature + math.sin(error) / (2 * DAMPING * self._length)
+        back = 2 * DAMPING / self._length * (error - towards + self._settle * rate)
         curvature = ahead / max(1 - ahead * n, 0.5) - back - seen.disturbance
         return float(np.interp(curvature, self._curvatures, self._offsets))
