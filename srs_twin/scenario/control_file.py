@@ -176,11 +176,11 @@ class FollowFile(Strict):
     delay_s: float = quantity("How long a command takes to the snake", "s", 0.0, 10.0, 0.1)
     camera: CameraFile = section("How it sees the snake.", CameraFile())
     gain_per_rad: float | None = quantity(
-        "Offset for an error of bearing (bearing; default 0.3)", "1/rad", 0.001, 100.0, None
+        "Offset for an error of bearing (bearing; default 0.6)", "1/rad", 0.001, 100.0, None
     )
     node_m: float | None = quantity("Distance of the nodes (bearing; default 0.2)", "m", 0.001, 100.0, None)
     near_m: float | None = quantity(
-        "How near to a node is near enough (bearing; default 0.1)", "m", 0.001, 100.0, None
+        "How near to a node is near enough (bearing; default 0.2)", "m", 0.001, 100.0, None
     )
     lookahead_m: float | None = quantity(
         "Path over which a distance from it dies out (path; default 0.15)", "m", 0.001, 100.0, None

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from srs_twin.control.steering import Steering
     from srs_twin.planning import Footprint
 
-GAIN_PER_RAD = 0.3
+GAIN_PER_RAD = 0.6
 NODE_M = 0.2
-NEAR_M = 0.1
+NEAR_M = 0.2
 LOOKAHEAD_M = 0.15
 SETTLE_M = 0.05
 """Defaults: docs/following.md says how they were found."""

@@ -1,0 +1,117 @@
+"""The text's follower beside ours on the shipped scenarios of following, over seeds, on both plants.
+
+    uv run python benchmarks/following.py                              # three fields, 20 seeds each
+    uv run python benchmarks/following.py --seeds 2 --scenarios follow_fig57 --json out.json
+
+A seed draws the modules of generation 4 and the camera's noise. A run has succeeded that reached the goal
+and touched nothing: by the forces of obstacles on the twin, by distance on the analytical model, which
+obstacles do not stop. Every follower is bound to the same plan, delay and camera.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grid import table
+
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.files import atomic_write
+from srs_twin.processes import each
+from srs_twin.rollout import rollout
+from srs_twin.scenario import load_scenario, parse_scenario
+
+FIELDS = ("follow_gen4_a", "follow_gen4_b", "follow_gen4_c")
+PLANTS = ("analytical", "twin")
+FOLLOWERS = ("bearing", "path")
+OF_PATH = ("lookahead_m", "settle_m")
+LONGEST_S = 60
+Order = tuple[str, str, str, int]
+
+
+def run(order: Order) -> dict[str, Any]:
+    """Run one scenario with a follower on a plant with a seed."""
+    name, follower, plant, seed = order
+    document = copy.deepcopy(dict(load_scenario(name).document)) | {"expect": [], "seed": seed}
+    document["duration_s"] = LONGEST_S
+    controller = document["controller"]
+    controller["follower"] = follower
+    if follower == "bearing":
+        for key in OF_PATH:
+            controller.pop(key, None)
+    scenario = parse_scenario(document, name=name)
+    way = rollout(
+        scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
+        pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
+    )  # fmt: skip
+    ending = way.metadata["control"]["following"]["ending"] or "time_out"
+    names = (
+        "goal_reached", "cross_track_rms_m", "cross_track_max_m", "inside_share", "contacts", "clearance_m",
+        "arrival_error_m", "arrival_heading_error_rad", "following_time_s", "replans",
+    )  # fmt: skip
+    metrics = plant_metrics(way)
+    return {"order": order, "ending": ending} | {name: metrics[name] for name in names}
+
+
+def succeeded(row: dict[str, Any]) -> bool:
+    """Say whether a run reached the goal and touched nothing."""
+    touched = row["clearance_m"] <= 0 if row["contacts"] is None else row["contacts"] > 0
+    return bool(row["goal_reached"]) and not touched
+
+
+def summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Return one line of the table: of runs that differ in their seeds only."""
+    name, follower, plant, _ = rows[0]["order"]
+
+    def median(metric: str, factor: float = 1.0) -> str:
+        return f"{factor * np.median([row[metric] for row in rows]):.3g}"
+
+    return [
+        name, plant, follower, f"{sum(map(succeeded, rows))} of {len(rows)}",
+        str(sum(row["goal_reached"] for row in rows)), median("cross_track_rms_m", 1e3),
+        f"{1e3 * max(row['cross_track_max_m'] for row in rows):.3g}", median("inside_share", 100),
+        f"{1e3 * min(row['clearance_m'] for row in rows):.3g}", median("arrival_error_m", 1e3),
+        median("arrival_heading_error_rad"), median("following_time_s"),
+        str(sum(row["replans"] for row in rows)),
+    ]  # fmt: skip
+
+
+HEADINGS = (
+    "field", "plant", "follower", "reached without contact", "reached", "cross-track RMS, median, mm",
+    "largest, mm", "inside, median, %", "least clearance, mm", "from goal, median, mm", "heading, median, rad",
+    "time, median, s", "new plans in all",
+)  # fmt: skip
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    options.add_argument("--scenarios", nargs="+", default=FIELDS, metavar="NAME")
+    options.add_argument("--seeds", type=int, default=20)
+    options.add_argument("--plants", nargs="+", default=PLANTS, choices=PLANTS)
+    options.add_argument("--followers", nargs="+", default=FOLLOWERS, choices=FOLLOWERS)
+    options.add_argument("--workers", type=int, default=2)
+    options.add_argument("--json", type=Path, metavar="FILE", help="also write every run there")
+    given = options.parse_args()
+    orders = [
+        (name, follower, plant, seed)
+        for name in given.scenarios for plant in given.plants for follower in given.followers
+        for seed in range(given.seeds)
+    ]  # fmt: skip
+    rows: list[dict[str, Any]] = [{}] * len(orders)
+    for done in each(run, orders, workers=given.workers):
+        if done.result is None:
+            raise SystemExit(f"{orders[done.number]}: {done.error}")
+        rows[done.number] = done.result
+    groups = [rows[k : k + given.seeds] for k in range(0, len(rows), given.seeds)]
+    print(table(HEADINGS, [summary(group) for group in groups]))
+    if given.json:
+        with atomic_write(given.json) as part:
+            part.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
