@@ -123,12 +123,12 @@ class Checker:
             lasting -= first
         return True
 
-    def blocker(self, pose: Pose) -> str:
-        """Return in words what the straight body at a pose touches, or an empty string."""
+    def blocker(self, pose: Pose, length: float = 0.0) -> str:
+        """Return in words what the body touches that goes straight from a pose (length in m), or nothing."""
         body, motion = self.footprint, self.footprint.at(0.0)
         for name, world in _pieces(self.world):
             if blocked(
-                pose.x, pose.y, pose.heading, 0.0, 0.0, body.ahead, body.behind, motion.left, motion.right,
+                pose.x, pose.y, pose.heading, 0.0, length, body.ahead, body.behind, motion.left, motion.right,
                 *surroundings(world),
             ):  # fmt: skip
                 return name

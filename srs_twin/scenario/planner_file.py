@@ -34,7 +34,13 @@ class _PlannerFile(Strict):
     margin_m: float = quantity("Added to both edges of the footprint", "m", 0.0, 10.0, 0.0)
 
 
-class _SearchFile(_PlannerFile):
+class _FreeFile(_PlannerFile):
+    run_up_m: float = quantity(
+        "Straight beginning of the path, over which the gait gets going", "m", 0.0, 100.0, 0.0
+    )
+
+
+class _SearchFile(_FreeFile):
     primitives: PrimitivesFile | None = section("Arcs to plan with (default: the planner's own).", None)
 
 
@@ -53,14 +59,14 @@ class BestFirstFile(_SearchFile):
     improve: bool = section("Go on to finer levels for shorter paths while the budget lasts.", False)
 
 
-class GreedyFile(_PlannerFile):
+class GreedyFile(_FreeFile):
     """The text's search: the best child of either side in turn, for good."""
 
     kind: Literal["greedy"] = section(_KIND)
     primitives: PrimitivesFile = section("Arcs to plan with.")
 
 
-class OmplFile(_PlannerFile):
+class OmplFile(_FreeFile):
     """RRT-Connect of the Open Motion Planning Library (extra ompl)."""
 
     kind: Literal["ompl"] = section(_KIND)

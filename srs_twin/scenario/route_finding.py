@@ -29,6 +29,7 @@ class PlannerSettings:
             goal.
         settings: how hard to try.
         pieces: (curvature, length) of the path, 1/m and m, where it is given.
+        run_up: straight beginning of the first plan, m.
     """
 
     kind: str
@@ -38,6 +39,7 @@ class PlannerSettings:
     problem: Problem
     settings: Settings
     pieces: tuple[tuple[float, float], ...] = ()
+    run_up: float = 0.0
 
     def plan(self) -> Plan:
         """Return the plan.
@@ -53,19 +55,27 @@ class PlannerSettings:
         Raises:
             InputError: as `plan`.
         """
-        return _plan(replace(self, problem=replace(self.problem, start=pose)))
+        return _plan(replace(self, problem=replace(self.problem, start=pose), run_up=0.0))
 
 
 @lru_cache(maxsize=16)
 def _plan(settings: PlannerSettings) -> Plan:
     """Plan once: the file's check, both plants and the report ask for the same."""
     from srs_twin.planning import Outcome, Plan, plan
+    from srs_twin.planning.collision import Checker
     from srs_twin.planning.problem import path_of
 
     if settings.kind == GIVEN:
         start, footprint = settings.problem.start, settings.problem.footprint
         return Plan(Outcome.FOUND, "the path is given", path_of(start, list(settings.pieces), footprint))
-    return plan(settings.problem, settings.settings, planner=settings.kind)
+    if settings.run_up == 0:
+        return plan(settings.problem, settings.settings, planner=settings.kind)
+    problem = settings.problem
+    (first,) = path_of(problem.start, [(0.0, settings.run_up)], problem.footprint)
+    if hit := Checker(problem.world, problem.footprint).blocker(problem.start, settings.run_up):
+        raise InputError(f"the straight beginning of {settings.run_up:g} m touches {hit}; run_up_m sets it")
+    found = plan(replace(problem, start=first.end), settings.settings, planner=settings.kind)
+    return replace(found, segments=(first, *found.segments)) if found.found else found
 
 
 def planner_settings(given: PlannerFile, start: Pose, world: World) -> PlannerSettings:
@@ -89,8 +99,9 @@ def planner_settings(given: PlannerFile, start: Pose, world: World) -> PlannerSe
         goal = world.goal
     problem = Problem(start, goal, world, reduced, _primitives(given))
     return PlannerSettings(
-        given.kind, footprint, given.turn_share, given.margin_m, problem, _settings(given), pieces
-    )
+        given.kind, footprint, given.turn_share, given.margin_m, problem, _settings(given), pieces,
+        0.0 if isinstance(given, GivenFile) else given.run_up_m,
+    )  # fmt: skip
 
 
 def _end_of(
