@@ -1,0 +1,68 @@
+"""Places along a plan's path: against a brute search along finely sampled poses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin.planning import Footprint
+from srs_twin.planning.problem import path_of
+from srs_twin.planning.route import Route
+from srs_twin.world import Pose
+
+BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
+PIECES = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.05, 0.6)), min_size=1, max_size=5)
+
+
+def route(pieces, start=Pose(0.0, 0.0, 0.0)):
+    return Route(path_of(start, pieces, BODY))
+
+
+@settings(max_examples=40)
+@given(PIECES, st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3))
+def test_no_sampled_point_is_nearer(pieces, x, y, heading):
+    way = route(pieces, Pose(0.3, -0.2, heading))
+    place = way.nearest(x, y)
+    samples = [way.pose(s) for s in np.linspace(-1.9, way.length + 1.9, 3000)]
+    least = min(math.hypot(p.x - x, p.y - y) for p in samples)
+    foot = way.pose(place.s)
+    found = math.hypot(foot.x - x, foot.y - y)
+    assert found <= least + 1e-9 and found >= least - 2e-3
+    if -1.9 < place.s < way.length + 1.9:
+        assert abs(place.n) == pytest.approx(found, abs=1e-6)
+
+
+def test_left_is_positive_and_ends_go_on_straight():
+    way = route([(0.0, 1.0), (2.0, 0.5)])
+    assert way.nearest(0.5, 0.2)[:2] == pytest.approx((0.5, 0.2))
+    assert way.nearest(0.5, -0.2)[:2] == pytest.approx((0.5, -0.2))
+    assert way.nearest(-0.3, 0.1)[:2] == pytest.approx((-0.3, 0.1))
+    end = way.pose(way.length)
+    assert end.heading == pytest.approx(1.0)
+    ahead = way.nearest(end.x + 0.2 * math.cos(1), end.y + 0.2 * math.sin(1))
+    assert ahead[:2] == pytest.approx((1.7, 0.0), abs=1e-9)
+    assert (way.curvature(0.5), way.curvature(1.2), way.curvature(1.6), way.curvature(-1)) == (0, 2, 0, 0)
+
+
+def test_a_turn_by_more_than_half_a_circle_is_found_all_along():
+    way = route([(2.0, 2.8)])
+    for s in np.linspace(0.01, 2.79, 40):
+        pose = way.pose(s)
+        assert way.nearest(pose.x, pose.y)[:2] == pytest.approx((s, 0.0), abs=1e-9)
+
+
+def test_a_window_tells_crossings_apart():
+    way = route([(5.0, 2 * math.pi / 5), (0.0, 1.0)])
+    assert way.nearest(0.0, 0.0, -0.1, 0.3).s == pytest.approx(0.0, abs=1e-9)
+    assert way.nearest(0.0, 0.0, 1.0, 1.5).s == pytest.approx(2 * math.pi / 5, abs=1e-9)
+
+
+def test_many_places_are_those_of_each():
+    way, rng = route([(1.0, 0.7), (-2.0, 0.9)]), np.random.default_rng(0)
+    points = rng.uniform(-1, 2, (50, 2))
+    s, n = way.places(points)
+    assert [(a, b) for a, b in zip(s, n, strict=True)] == [way.nearest(*p)[:2] for p in points]

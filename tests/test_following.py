@@ -1,0 +1,290 @@
+"""The follower on a unicycle: it comes to the path, whatever delay and noise; how it ends; what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from unicycle import Unicycle, Wheel
+
+from srs_twin import InputError
+from srs_twin.control.camera import Camera, Frames, PeriodMean
+from srs_twin.control.following import ENDINGS, Conditions, Follower
+from srs_twin.control.iterative_smc import IterativeSMC
+from srs_twin.control.prediction import Predictor
+from srs_twin.control.reference import Constant
+from srs_twin.control.steering import BearingLaw, PathLaw
+from srs_twin.planning import Footprint, Outcome, Plan
+from srs_twin.planning.problem import path_of
+from srs_twin.planning.route import Route
+from srs_twin.spec import load_robot
+from srs_twin.world import Goal, Pose
+
+BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
+SETTLE = 0.05
+STRAIGHT = ((0.0, 3.0),)
+WINDING = ((2.0, 0.4), (-3.0, 0.5), (0.0, 0.3), (3.5, 0.4), (-2.0, 0.5))
+
+
+def as_told(offset):
+    return 5.0 / 0.3 * offset
+
+
+def a_plan(pieces=STRAIGHT, start=Pose(0.0, 0.0, 0.0)):
+    return Plan(Outcome.FOUND, "given", path_of(start, list(pieces), BODY))
+
+
+def ours():
+    return PathLaw(BODY, 0.15, SETTLE)
+
+
+def follow(
+    plan, *, start=(0.0, 0.0, 0.0), law=None, camera=Camera(), delay=0.0, duration=30.0, seed=0, radius=0.05,
+    stray=None, replans=3, replan=None, curvature_at=as_told, goal=None, **snake,
+):  # fmt: skip
+    """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag."""
+    wheel = Wheel()
+    end = plan.end or Pose(1.0, 0.0, 0.0)
+    conditions = Conditions(camera, delay, SETTLE, stray, replans)
+    follower = Follower(
+        wheel, law or ours(), plan, goal or Goal(end.x, end.y, None, radius), BODY, conditions, replan=replan
+    )
+    plant = Unicycle(wheel, curvature_at, **snake)
+    state = plant.reset(pose=start)
+    follower.reset(plant.spec, plant.tick, seed=seed)
+    way = [(0.0, *start)]
+    for _ in range(round(duration / plant.tick)):
+        valves = follower.step(state)
+        if follower.finished:
+            break
+        state = plant.step(valves)
+        way.append((plant.time, plant.x, plant.y, plant.heading))
+    return follower, plant, np.array(way)
+
+
+def beside(plan, way, since=0.0):
+    return Route(plan.segments).places(way[way[:, 0] >= since, 1:3])[1]
+
+
+@pytest.mark.parametrize("aside", [0.1, -0.1])
+def test_it_comes_to_a_straight_path_and_stays(aside):
+    plan = a_plan()
+    follower, _, way = follow(plan, start=(0.0, aside, 0.0))
+    assert follower.ending == "goal_reached"
+    assert np.abs(beside(plan, way, since=6.0)).max() < 1e-3
+    assert math.hypot(way[-1, 1] - 3.0, way[-1, 2]) < 0.01
+
+
+def test_a_winding_path_is_followed_within_millimetres_and_arrived_at():
+    follower, _, way = follow(a_plan(WINDING))
+    assert follower.ending == "goal_reached"
+    assert np.sqrt((beside(a_plan(WINDING), way) ** 2).mean()) < 0.008
+
+
+def test_delay_and_noise_cost_little():
+    plan = a_plan(WINDING)
+    camera = Camera(60.0, 0.002, 0.02)
+    for seed in range(3):
+        follower, _, way = follow(plan, camera=camera, delay=0.1, seed=seed)
+        assert follower.ending == "goal_reached"
+        assert np.sqrt((beside(plan, way) ** 2).mean()) < 0.012
+
+
+@settings(max_examples=15)
+@given(
+    gain=st.floats(0.6, 1.6), drift=st.floats(-0.5, 0.5), aside=st.floats(-0.1, 0.1),
+    heading=st.floats(-0.5, 0.5), speed=st.floats(0.12, 0.3),
+)  # fmt: skip
+def test_a_snake_unlike_its_footprint_comes_to_the_path_all_the_same(gain, drift, aside, heading, speed):
+    plan = a_plan(((0.0, 8.0),))
+    _, _, way = follow(
+        plan, start=(0.0, aside, heading), curvature_at=lambda offset: gain * as_told(offset) + drift,
+        speed=speed, delay=0.1, duration=6.0 / speed,
+    )  # fmt: skip
+    assert np.abs(beside(plan, way, since=4.0 / speed)).max() < 0.01
+
+
+@pytest.mark.parametrize("law", [ours, lambda: BearingLaw(0.6, 0.2, 0.2)])
+def test_mirrored_paths_have_mirrored_ways(law):
+    ways = []
+    for side in (1.0, -1.0):
+        plan = a_plan(tuple((side * k, length) for k, length in WINDING))
+        _, plant, way = follow(plan, law=law(), wag=side * 0.3, delay=0.1)
+        ways.append(way * (1, 1, side, side))
+        assert np.isfinite([offset for _, offset in plant.offsets]).all()
+    assert len(ways[0]) == len(ways[1])
+    assert ways[0] == pytest.approx(ways[1], abs=1e-9)
+
+
+def test_the_texts_follower_goes_from_node_to_node_and_arrives():
+    law = BearingLaw(0.6, 0.2, 0.2)
+    plan = a_plan(WINDING)
+    follower, _, way = follow(plan, law=law, radius=0.1)
+    assert follower.ending == "goal_reached"
+    assert law.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
+    ours_beside = beside(plan, follow(plan)[2])
+    assert np.sqrt((beside(plan, way) ** 2).mean()) > 2 * np.sqrt((ours_beside**2).mean())
+
+
+def test_an_offset_arrives_after_the_delay_and_stays_in_bounds():
+    follower, plant, _ = follow(a_plan(), start=(0.0, 0.3, 0.0), delay=0.1)
+    first = next(time for time, offset in plant.offsets if offset != 0)
+    assert first == pytest.approx(0.1, abs=plant.tick / 2)
+    assert max(abs(offset) for _, offset in plant.offsets) == pytest.approx(0.3)
+
+
+def test_prediction_is_better_than_what_the_camera_last_showed():
+    """On a circle the prediction from a mean that is half a period old is where the snake is."""
+    predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
+    wheel = Wheel()
+    plant = Unicycle(wheel, as_told)
+    state, orders, far, lag = plant.reset(), [(0.1, 0.2)], [], []
+    frames = Frames(Camera(), 0)
+    for _ in range(400):
+        time = float(state.time)
+        if frame := frames.take(state):
+            mean.add(time, frame)
+            predictor.command(time, 0.2)
+            predictor.measure(time, mean.middle, mean.pose, whole=mean.whole)
+            seen = predictor.predict(mean.middle, mean.pose, time)
+            far.append(math.hypot(seen.x - plant.x, seen.y - plant.y))
+            lag.append(math.hypot(mean.pose.x - plant.x, mean.pose.y - plant.y))
+        while orders and orders[0][0] <= time + 1e-9:
+            wheel.offset = orders.pop(0)[1]
+        state = plant.step(None)
+    assert max(far[100:]) < 0.003 < 0.04 < min(lag[100:])
+    assert predictor.speed == pytest.approx(0.2, rel=0.02)
+    assert abs(predictor.disturbance) < 0.1
+
+
+def test_a_period_mean_is_blind_to_the_gait_and_exact_on_lines():
+    mean = PeriodMean(0.5)
+    for k in range(200):
+        t = k / 60
+        wag = 0.4 * math.sin(2 * math.pi * 2 * t + 1)
+        mean.add(t, Pose(0.2 * t, -0.1 * t, 3.1 + 0.5 * t + wag))
+    last = 199 / 60
+    assert mean.whole and mean.middle == pytest.approx(last - 0.25)
+    assert mean.pose.x == pytest.approx(0.2 * (last - 0.25), abs=1e-4)
+    assert mean.pose.y == pytest.approx(-0.1 * (last - 0.25), abs=1e-4)
+    assert mean.pose.heading == pytest.approx(3.1 + 0.5 * (last - 0.25), abs=2e-3)
+
+
+def test_headings_are_counted_on_over_the_turn():
+    mean = PeriodMean(0.5)
+    for k in range(600):
+        t = k / 60
+        mean.add(t, Pose(0.0, 0.0, math.remainder(2.0 * t, 2 * math.pi)))
+    assert mean.pose.heading == pytest.approx(2.0 * (599 / 60 - 0.25), abs=1e-6)
+
+
+def test_frames_come_at_their_rate_with_noise_of_their_size_and_the_same_for_a_seed():
+    def frames(seed, rate=30.0):
+        camera, plant = Frames(Camera(rate, 0.01, 0.1), seed), Unicycle(Wheel(), as_told, speed=0.0, wag=0.0)
+        state, found = plant.reset(), []
+        for _ in range(5000):
+            found.append(camera.take(state))
+            state = plant.step(None)
+        return found
+
+    taken = [each for each in frames(1) if each is not None]
+    assert len(taken) == pytest.approx(100 * 30, abs=1)
+    assert np.std([p.x for p in taken]) == pytest.approx(0.01, rel=0.1)
+    assert np.std([p.heading for p in taken]) == pytest.approx(0.1, rel=0.1)
+    assert frames(1) == frames(1) and frames(1) != frames(2)
+    assert all(each is not None for each in frames(1, rate=1000.0))
+
+
+def test_no_plan_ends_it_at_once_with_the_planners_reason():
+    follower, _, way = follow(Plan(Outcome.STUCK, "every arc is blocked"))
+    assert follower.finished and follower.ending == "no_plan" and len(way) == 1
+    (event,) = follower.events()
+    assert (event.kind, event.text) == ("no_plan", "every arc is blocked")
+    assert follower.describe()["following"]["plans"][0]["outcome"] == "stuck"
+
+
+def test_a_snake_that_stops_is_stuck():
+    follower, _, way = follow(a_plan(), stops=3.0)
+    assert follower.ending == "stuck"
+    assert 3.0 < way[-1, 0] < 3.0 + 0.5 * 8
+
+
+def test_a_goal_beside_the_path_is_missed():
+    follower, _, _ = follow(a_plan(), goal=Goal(3.0, 0.4, None, 0.05))
+    assert follower.ending == "goal_missed"
+    assert follower.events()[-1].text == ENDINGS["goal_missed"]
+
+
+def blind(offset):
+    """Turns whatever it is told."""
+    return 2.0
+
+
+def test_straying_gets_new_plans_as_often_as_allowed():
+    asked = []
+
+    def replan(pose):
+        asked.append(pose)
+        return a_plan(start=pose)
+
+    follower, _, _ = follow(a_plan(), curvature_at=blind, stray=0.1, replans=2, replan=replan)
+    assert follower.ending == "strayed" and len(asked) == 2
+    kinds = [event.kind for event in follower.events()]
+    assert kinds == ["replanned", "replanned", "strayed"]
+    times = [time for time, _ in follower.plans]
+    assert times == sorted(times) and len(times) == 3
+
+
+def test_a_new_plan_that_cannot_be_ends_it_and_says_why():
+    def refuse(pose):
+        raise InputError("start (1, 2): the straight body's footprint touches obstacle 1")
+
+    follower, _, _ = follow(a_plan(), curvature_at=blind, stray=0.1, replan=refuse)
+    assert follower.ending == "strayed" and len(follower.plans) == 1
+    assert follower.events()[-1].text.endswith("touches obstacle 1")
+
+
+def test_a_new_plan_leads_to_the_goal():
+    """Pushed off its path once, it goes on along another one."""
+    plan = a_plan()
+
+    def replan(pose):
+        return a_plan(((-3.0, 0.3), (3.0, 0.3), (0.0, 0.8)), start=pose)
+
+    follower, _, _ = follow(
+        plan, start=(0.0, 0.2, 0.4), stray=0.15, replan=replan, goal=Goal(1.5, 0.0, None, 5.0)
+    )
+    assert follower.ending == "goal_reached" and len(follower.plans) == 2
+
+
+def test_a_controller_without_an_offset_is_refused():
+    with pytest.raises(InputError, match="'iterative_smc' has no offset to steer by; gait and ilc have"):
+        Follower(
+            IterativeSMC(Constant(0.1)), ours(), a_plan(), Goal(1, 0, None, 0.1), BODY, Conditions(Camera())
+        )
+
+
+def test_a_run_can_be_had_again():
+    first, second = (follow(a_plan(WINDING), camera=Camera(60, 0.002, 0.02), seed=4)[2] for _ in range(2))
+    assert (first == second).all()
+
+
+def test_settings_of_reset_do_not_remain():
+    """One follower driven twice does the same twice."""
+    wheel = Wheel()
+    plan = a_plan(WINDING)
+    follower = Follower(
+        wheel, ours(), plan, Goal(plan.end.x, plan.end.y, None, 0.05), BODY, Conditions(Camera())
+    )
+    ways = []
+    for _ in range(2):
+        plant = Unicycle(wheel, as_told)
+        state = plant.reset()
+        follower.reset(load_robot("gen2"), plant.tick, seed=0)
+        for _ in range(200):
+            state = plant.step(follower.step(state))
+        ways.append((plant.x, plant.y, follower.signals()["offset_commanded"]))
+    assert ways[0] == ways[1]

@@ -1,0 +1,88 @@
+"""A snake without a body: a unicycle whose curvature follows the offset of a gait, seen with a wagging head."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from srs_twin.control.base import Controller
+from srs_twin.plants.base import Plant, SnakeState
+from srs_twin.spec import load_robot
+
+VENT = np.full((4, 2), -1, dtype=np.int8)
+NOTHING = np.full((4,), np.nan)
+
+
+class Wheel(Controller):
+    """A gait that is nothing but its offset."""
+
+    kind = "wheel"
+    frequency = 2.0
+
+    def __init__(self):
+        self.offset = 0.0
+
+    def reset(self, spec, tick, *, seed=0):
+        pass
+
+    def step(self, state):
+        return VENT
+
+    def signals(self):
+        return {"offset": self.offset}
+
+
+@dataclass
+class Unicycle(Plant):
+    """κ' = (map(offset) − κ)/ℓ per metre; what a controller must not read is NaN.
+
+    Attributes:
+        wheel: whose offset steers.
+        curvature_at: offset → curvature, 1/m.
+        speed: m/s.
+        settle: ℓ, m.
+        wag: amplitude of the swing of the heading at the gait's frequency, rad.
+        stops: when it stops, s.
+    """
+
+    wheel: Wheel
+    curvature_at: object
+    speed: float = 0.2
+    settle: float = 0.05
+    wag: float = 0.3
+    stops: float = math.inf
+    tick: float = 0.02
+    name: str = "analytical"
+    spec: object = field(default_factory=lambda: load_robot("gen2"))
+
+    def reset(self, *, pose=(0.0, 0.0, 0.0), seed=0):
+        self.x, self.y, self.heading = pose
+        self.time, self.curvature, self.offsets = 0.0, 0.0, []
+        return self._state()
+
+    def step(self, valves):
+        self.offsets.append((self.time, self.wheel.offset))
+        pieces = 10
+        for _ in range(pieces if self.time < self.stops else 0):
+            way = self.speed * self.tick / pieces
+            self.curvature += (self.curvature_at(self.wheel.offset) - self.curvature) * (
+                1 - math.exp(-way / self.settle)
+            )
+            self.heading += way * self.curvature / 2
+            self.x += way * math.cos(self.heading)
+            self.y += way * math.sin(self.heading)
+            self.heading += way * self.curvature / 2
+        self.time = round(self.time + self.tick, 9)
+        return self._state()
+
+    def _state(self):
+        nan, pairs = np.full((5, 2), np.nan), np.full((4, 2), np.nan)
+        swing = self.wag * math.sin(2 * math.pi * Wheel.frequency * self.time)
+        return SnakeState(
+            time=self.time, com=np.array([self.x, self.y]), com_velocity=np.full(2, np.nan),
+            heading=self.heading + swing, position=nan, theta=np.full(5, np.nan), bend=NOTHING,
+            bend_rate=NOTHING, pressure=pairs, valves=pairs, sensed=np.zeros(4), contact_force=nan,
+            obstacle_force=nan, torque=NOTHING, work=math.nan, air=math.nan, qpos=np.empty(0),
+        )  # fmt: skip
