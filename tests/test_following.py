@@ -1,4 +1,4 @@
-"""The follower on a unicycle: it comes to the path, whatever delay and noise; how it ends; what it refuses."""
+"""The follower on a unicycle: that it comes to the path in spite of delay and noise, and how it ends."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from srs_twin.planning.route import Route
 from srs_twin.spec import load_robot
 from srs_twin.world import Goal, Pose
 
+ORIGIN, CLEAR = Pose(0.0, 0.0, 0.0), Camera()
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
 SETTLE = 0.05
 STRAIGHT = ((0.0, 3.0),)
@@ -33,7 +34,7 @@ def as_told(offset):
     return 5.0 / 0.3 * offset
 
 
-def a_plan(pieces=STRAIGHT, start=Pose(0.0, 0.0, 0.0)):
+def a_plan(pieces=STRAIGHT, start=ORIGIN):
     return Plan(Outcome.FOUND, "given", path_of(start, list(pieces), BODY))
 
 
@@ -42,7 +43,7 @@ def ours():
 
 
 def follow(
-    plan, *, start=(0.0, 0.0, 0.0), law=None, camera=Camera(), delay=0.0, duration=30.0, seed=0, radius=0.05,
+    plan, *, start=(0.0, 0.0, 0.0), law=None, camera=CLEAR, delay=0.0, duration=30.0, seed=0, radius=0.05,
     stray=None, replans=3, replan=None, curvature_at=as_told, goal=None, **snake,
 ):  # fmt: skip
     """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag."""

@@ -1,4 +1,4 @@
-"""A snake without a body: a unicycle whose curvature follows the offset of a gait, seen with a wagging head."""
+"""A snake without a body: a unicycle whose curvature follows the offset of a gait, and whose head wags."""
 
 from __future__ import annotations
 

@@ -8,7 +8,8 @@ threshold of a node, the next one is next.
 moment at which the command takes effect, the curvature
 
 .. math:: κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
-    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d, \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr)
+    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
+    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr)
 
 makes n die out over the length L like a second-order system with damping ζ. A new offset takes hold over a
 length ℓ like a first-order lag, the measured transient: the plan's curvature is looked up ahead by ℓ, and the

@@ -1,0 +1,182 @@
+"""Metrics of following, on ways that were prescribed: every number is known beforehand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import Snake
+
+from srs_twin.comparison.following import FOLLOWING_UNITS, centre_points, following_metrics, legs
+from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
+from srs_twin.planning import Footprint
+from srs_twin.trajectory import Trajectory
+
+WIDTH = 0.03
+BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
+
+
+def plan(segments, time=0.0, outcome="found"):
+    return {"time": time, "outcome": outcome, "reason": "", "nodes": 7, "segments": segments}
+
+
+def line(length=1.2, y=0.0, x=0.0):
+    return [x, y, 0.0, 0.0, length, 0.0, 0.2]
+
+
+def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), circles=(), polygons=(), footprint=BODY):
+    """Return the trajectory with the metadata of a follower."""
+    about = {
+        "plans": plans,
+        "goal": dict(zip(("x", "y", "heading", "radius"), goal, strict=True)),
+        "world": {
+            "obstacles": [dict(zip(("x", "y", "radius"), c, strict=True)) for c in circles],
+            "polygons": [{"corners": p} for p in polygons], "bounds": None,
+        },
+        "footprint": {
+            "name": "box", "title": "box", "offsets": footprint.offsets, "curvatures": footprint.curvatures,
+            "speeds": footprint.speeds, "left": footprint.left, "right": footprint.right, "ahead": 0.0,
+            "behind": 0.0,
+        },
+    }  # fmt: skip
+    metadata = dict(trajectory.metadata) | {"control": {"following": about}, "body_width_m": WIDTH}
+    return Trajectory(trajectory.columns, events=trajectory.events, metadata=metadata)
+
+
+def moved(trajectory, dx=0.0, dy=0.0):
+    columns = {
+        name: column + (dx if name.startswith(("x_", "com_x")) else dy if name.startswith(("y_", "com_y")) else 0)
+        for name, column in trajectory.columns.items()
+    }  # fmt: skip
+    return replace(trajectory, columns=columns)
+
+
+STILL = Snake(amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0)
+"""A rod that slides along x with 0.2 m/s for 6 s."""
+
+
+def test_a_run_without_a_plan_has_none_and_the_names_are_metrics():
+    metrics = plant_metrics(STILL.trajectory())
+    assert all(metrics[name] is None for name in FOLLOWING_UNITS)
+    assert FOLLOWING_UNITS.items() <= METRIC_UNITS.items()
+
+
+def test_a_rod_beside_its_path():
+    run = followed(moved(STILL.trajectory(), dy=0.01), [plan([line()])])
+    metrics = following_metrics(run)
+    assert metrics["cross_track_rms_m"] == pytest.approx(0.01)
+    assert metrics["cross_track_max_m"] == pytest.approx(0.01)
+    assert (metrics["goal_reached"], metrics["replans"], metrics["plan_found"]) == (1, 0, 1)
+    assert metrics["arrival_error_m"] == pytest.approx(0.01)
+    assert metrics["arrival_heading_error_rad"] is None
+    assert metrics["following_time_s"] == pytest.approx(6.0)
+    assert (metrics["plan_length_m"], metrics["plan_nodes"]) == (pytest.approx(1.2), 7)
+    # 10 + 15 mm are within 25 and 50.
+    assert (metrics["inside_share"], metrics["inside_50mm_share"]) == (1.0, 1.0)
+    assert (metrics["contacts"], metrics["contact_time_s"], metrics["clearance_m"]) == (None, None, None)
+
+
+def test_how_much_of_the_time_is_spent_inside():
+    trajectory = STILL.trajectory()
+    aside = np.where(trajectory.time < 1.5, 0.0, np.where(trajectory.time < 3.0, 0.02, 0.04))
+    columns = {
+        name: column + (aside if name.startswith(("y_", "com_y")) else 0)
+        for name, column in trajectory.columns.items()
+    }
+    metrics = following_metrics(followed(replace(trajectory, columns=columns), [plan([line()])]))
+    # With half the width 15, 35 and 55 mm from the path: 50 mm planned, 25 mm in the text.
+    assert metrics["inside_share"] == pytest.approx(0.5, abs=0.003)
+    assert metrics["inside_50mm_share"] == pytest.approx(0.25, abs=0.003)
+
+
+def test_edges_shift_with_the_turn():
+    """A rod on a circle: its middle swings out to neither side, its ends to the outside."""
+    radius = 0.3
+    run = Snake(
+        speed=0.2, yaw_rate=0.2 / radius, amplitude=0.0, sway=(0, 0), heading_sway=0.0, duration=2.0
+    ).trajectory()
+    half = run.metadata["body_length_m"] / 2
+    reach = math.hypot(radius + WIDTH / 2, half) - radius
+    arc = [0.0, 0.0, 0.0, 1 / radius, 0.4, 0.2, 0.2]
+    for outer, share in ((reach + 1e-3, 1.0), (reach - 1e-3, 0.0)):
+        edges = Footprint(
+            "b", "b", (-0.3, 0.0, 0.3), (-1 / radius, 0.0, 1 / radius), (0.2,) * 3, (0.1,) * 3,
+            (0.1, 0.1, outer), 0.0, 0.0,
+        )  # fmt: skip
+        full = [[*arc[:4], 2.0 * math.pi * radius * 0.9, *arc[5:]]]
+        metrics = following_metrics(followed(run, [plan(full)], footprint=edges))
+        late = metrics["inside_share"]
+        # At first the tail is before the start, where the path goes on straight.
+        assert late == pytest.approx(share, abs=0.5) and (late > 0.5) == (share == 1.0)
+
+
+def test_each_plan_counts_from_its_time_on():
+    run = followed(STILL.trajectory(), [plan([line()]), plan([line(y=0.03)], time=3.0)])
+    parts = list(legs(run))
+    assert [part.samples for part in parts] == [slice(0, 300), slice(300, 601)]
+    metrics = following_metrics(run)
+    assert metrics["replans"] == 1
+    assert metrics["cross_track_rms_m"] == pytest.approx(0.03 * math.sqrt(301 / 601))
+
+
+def test_a_goal_missed_and_the_heading_without_the_swing():
+    run = Snake(yaw_rate=0.1, duration=4.0).trajectory()
+    x, y = run.com[-1]
+    metrics = following_metrics(followed(run, [plan([line()])], goal=(x + 0.06, y, 0.5, 0.05)))
+    assert metrics["goal_reached"] == 0
+    assert metrics["arrival_error_m"] == pytest.approx(0.06)
+    # The heading at the end is 0.4, whatever it swings by.
+    assert metrics["arrival_heading_error_rad"] == pytest.approx(0.1, abs=0.03)
+
+
+def test_no_plan_at_all():
+    run = followed(STILL.trajectory(), [plan([], outcome="unreachable")])
+    metrics = following_metrics(run)
+    assert metrics["plan_found"] == 0 and metrics["plan_length_m"] is None
+    assert metrics["cross_track_rms_m"] is None and metrics["inside_share"] is None
+
+
+def test_clearance_of_circles_and_polygons():
+    # The rod passes at y = 0, from -half to 1.2 + half.
+    run = STILL.trajectory()
+    for dy, expected in ((0.2, 0.2 - 0.05 - WIDTH / 2), (0.04, 0.04 - 0.05 - WIDTH / 2)):
+        metrics = following_metrics(followed(run, [plan([line()])], circles=[(0.5, dy, 0.05)]))
+        assert metrics["clearance_m"] == pytest.approx(expected, abs=1e-3)
+    square = [(0.4, 0.1), (0.6, 0.1), (0.6, 0.3), (0.4, 0.3)]
+    metrics = following_metrics(followed(run, [plan([line()])], polygons=[square]))
+    assert metrics["clearance_m"] == pytest.approx(0.1 - WIDTH / 2)
+
+
+def test_contacts_are_counted_with_their_time():
+    trajectory = STILL.trajectory()
+    force = np.zeros((len(trajectory), 5))
+    force[100:120, 0] = 0.2  # 0.2 s
+    force[125:130, 2] = -0.1  # 0.05 s later: the same contact
+    force[400:401, 4] = 0.5
+    force[500:520, 1] = 1e-6  # nothing
+    nothing = np.zeros(len(trajectory))
+    columns = dict(trajectory.columns) | {f"obstacle_force_y_{i + 1}": force[:, i] for i in range(5)}
+    columns |= {f"obstacle_force_x_{i + 1}": nothing for i in range(5)}
+    metrics = following_metrics(followed(replace(trajectory, columns=columns), [plan([line()])]))
+    assert metrics["contacts"] == 2
+    assert metrics["contact_time_s"] == pytest.approx(0.26)
+
+
+def test_middles_of_segments_lie_on_their_arcs():
+    """Against the centre line that `synthetic` integrates: the middle of an arc by its own length."""
+    snake = Snake(amplitude=0.9, rigid_gap=0.0)
+    run = snake.trajectory()
+    points, heading = centre_points(run)
+    middles, arcs = points[:, 5:], heading[:, 5:]
+    bend = run.stack("bend")
+    for j in range(4):
+        # From connector j back along the arc: chord of half of it, with bend/2, from its heading.
+        half = snake.segment_length / 2
+        q = bend[:, j] / 2
+        chord = half * np.sinc(q / 2 / np.pi)
+        at = run.stack("theta")[:, j] - q / 2
+        expected = run.position[:, j] - chord[:, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
+        assert middles[:, j] == pytest.approx(expected, abs=2e-4)
+        assert arcs[:, j] == pytest.approx(run.stack("theta")[:, j] - q)
