@@ -13,12 +13,16 @@ from srs_twin.cli.counting import Counting
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from srs_twin.sweep import Summary
     from srs_twin.sweep.engines import Engine
     from srs_twin.sweep.task import Row
+    from srs_twin.viewing.sweep_beside import BesideTable
 
 SWEEPS = Path("runs/sweeps")
 _SHOWN_REASONS = 5
+_MOST_BESIDE = 30  # rows of published values; more are for the report
 
 
 def sweep(
@@ -106,11 +110,34 @@ def _show(summary: Summary) -> None:
         table.add_column(heading, justify="left" if heading == "metric" else "right", no_wrap=True)
     for name, (least, median, most) in summary.spans.items():
         table.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
+    console = Console(file=sys.stdout, highlight=False)
     if summary.spans:
-        Console(file=sys.stdout, highlight=False).print(table)
+        console.print(table)
+    if summary.beside is not None and len(summary.beside.rows) <= _MOST_BESIDE:
+        console.print(_beside(summary.beside))
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
+    print(f"report {summary.folder / 'report.html'}")
     _say(f"files in {summary.folder}: {', '.join(summary.files)}")
+
+
+def _beside(found: BesideTable) -> Table:
+    """Return the table of published values: under the name of each metric a line a place."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {escape(found.source)}")
+    table.title_justify = "left"
+    for i, heading in enumerate(found.headings[1:]):
+        table.add_column(escape(heading), justify="right" if i else "left")
+    metric = None
+    for name, *cells in found.rows:
+        if name != metric:
+            table.add_row(escape(name))
+        metric = name
+        table.add_row(*(escape(f"{'' if i else '  '}{cell}") for i, cell in enumerate(cells)))
+    return table
 
 
 def _complain(summary: Summary) -> None:

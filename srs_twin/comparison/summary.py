@@ -34,12 +34,17 @@ def difference(metrics: Mapping[str, Any], metric: str) -> str:
         return ""
     if metric == "com_speed_m_s":
         ours *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
-    apart = "0" if abs(theirs - ours) <= _ROUNDING * abs(ours) else f"{theirs - ours:+.3g}"
-    # A share of nothing, or of the other direction, says nothing.
-    share = f"{100 * (theirs - ours) / ours:+.1f} %" if ours * theirs > 0 else ""
-    if metric in RELATIVE:
-        return share or apart
-    return apart
+    return relative_difference(ours, theirs) if metric in RELATIVE else _apart(ours, theirs)
+
+
+def relative_difference(of: float, value: float) -> str:
+    """Return value − of in per cent of `of`: "-11.5 %"; in its own unit where a share says nothing."""
+    # A share of nothing, or of the other direction.
+    return f"{100 * (value - of) / of:+.1f} %" if of * value > 0 else _apart(of, value)
+
+
+def _apart(of: float, value: float) -> str:
+    return "0" if abs(value - of) <= _ROUNDING * abs(of) else f"{value - of:+.3g}"
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:

@@ -18,9 +18,12 @@ from srs_twin.folders import open_folder
 from srs_twin.processes import Done
 from srs_twin.sweep.engines import Engine
 from srs_twin.sweep.points import Point, Sweep
-from srs_twin.sweep.results import RESULTS, digest, spans, table, write
+from srs_twin.sweep.report import REPORT, write_report
+from srs_twin.sweep.results import RESULTS, digest, shown_columns, shown_metrics, spans, table, write
 from srs_twin.sweep.store import RowStore
 from srs_twin.sweep.task import DONE, FAILED, Row
+from srs_twin.viewing.sweep_beside import BesideTable, beside_table
+from srs_twin.viewing.sweep_table import SweepTable
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,6 +47,7 @@ class Summary:
         sha256: of the results, see `results.digest`.
         spans: speed, yaw rate and amplitude of each plant → least, median and most.
         files: what was written, by name.
+        beside: published values beside those of the plants, where the sweep has any.
     """
 
     folder: Path
@@ -54,6 +58,7 @@ class Summary:
     sha256: str
     spans: Mapping[str, tuple[float, float, float]]
     files: tuple[str, ...]
+    beside: BesideTable | None = None
 
     @property
     def failed(self) -> int:
@@ -126,7 +131,7 @@ class OpenSweep:
                     progress(row)
 
     def finish(self) -> Summary:
-        """Write the table and the pictures of the rows there are, sweep.json last.
+        """Write the table, the pictures and the report of the rows there are, sweep.json last.
 
         Raises:
             InputError: a file cannot be written.
@@ -134,7 +139,8 @@ class OpenSweep:
         rows = list(self._store.rows())
         found = table(self.sweep, rows)
         write(self.folder / RESULTS, found)
-        pictures = self._draw(found)
+        titles = self._draw(found)
+        shown, beside = SweepTable.of(shown_columns(self.sweep, found)), self.sweep.beside
         for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
             with atomic_write(self.folder / name) as part:
                 part.write_text(dump_yaml(document), "utf-8")
@@ -147,24 +153,34 @@ class OpenSweep:
             exit_code=max((row.exit_code for row in failed), default=0),
             sha256=digest(rows),
             spans=spans(found),
-            files=(RESULTS, *pictures, SWEEP, SCENARIO, SUMMARY),
+            files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
+            beside=None if beside is None else beside_table(beside, shown),
         )
+        self._report(summary, shown, titles)
         with atomic_write(self.folder / SUMMARY) as part:
             part.write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
         return summary
 
-    def _draw(self, found: pa.Table) -> tuple[str, ...]:
-        """Write the pictures; return their names."""
+    def _draw(self, found: pa.Table) -> dict[str, str]:
+        """Write the pictures; return their names and titles."""
         if not self.sweep.plots:
-            return ()
+            return {}
         # matplotlib takes longer to import than a sweep without pictures has to wait.
         from srs_twin.viewing.sweep_plots import PlotRequest, draw, save
 
-        names = []
+        titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):
-            names.append(f"{PLOTS}/{number}_{plot.kind}_{plot.metric}.png")
-            save(draw(PlotRequest(**plot.model_dump()), found), self.folder / names[-1])
-        return tuple(names)
+            name = f"{PLOTS}/{number}_{plot.kind}_{plot.metric}.png"
+            figure = draw(PlotRequest(**plot.model_dump()), found, self.sweep.beside)
+            save(figure, self.folder / name)
+            title, _, _ = figure.get_suptitle().partition("\n")
+            titles[name] = f"{name}: {title}"
+        return titles
+
+    def _report(self, summary: Summary, rows: SweepTable, titles: Mapping[str, str]) -> None:
+        pictures = {title: (self.folder / name).read_bytes() for name, title in titles.items()}
+        metrics = shown_metrics(self.sweep)
+        write_report(self.folder / REPORT, self.sweep, summary, rows, metrics, pictures)
 
     def _about(self, summary: Summary) -> dict[str, Any]:
         return {

@@ -14,6 +14,9 @@ MAX_POINTS = 1_000_000
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 Values = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
+PublishedValues = Annotated[
+    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(min_length=1, max_length=10_000)
+]
 FieldName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
@@ -94,6 +97,27 @@ class PlotFile(Strict):
         return self
 
 
+class BesideFile(Strict):
+    """What was published of the metrics, at some values of the varied fields."""
+
+    source: str = Field(
+        title="Source", min_length=1, max_length=60, description="Where it is published (Table 8)."
+    )
+    note: str | None = Field(
+        None,
+        title="Note",
+        min_length=1,
+        max_length=1000,
+        description="What a reader must know to compare (signs, how it was measured).",
+    )
+    at: Annotated[dict[FieldName, Values], Field(min_length=1, max_length=MAX_FIELDS)] = section(
+        "Varied fields, each with its values where something is published; equally many of each."
+    )
+    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)] = section(
+        "Metrics of the plants, each with its published values there; null where there is none."
+    )
+
+
 class SweepFile(Strict):
     """One scenario over many values of its fields."""
 
@@ -129,6 +153,7 @@ class SweepFile(Strict):
     )
     trajectories: bool = section("Whether every trajectory is kept as well.", False)
     plots: Annotated[list[PlotFile], Field(max_length=32)] = section("Pictures.", [])
+    beside: BesideFile | None = section("Published values that stand beside the results.", None)
 
 
 def sweep_json_schema() -> dict[str, Any]:

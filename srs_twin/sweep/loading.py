@@ -15,10 +15,12 @@ from srs_twin.robots import load_robot_file
 from srs_twin.running import versions
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants_file import PLANTS
+from srs_twin.sweep.beside import check_beside, not_run
 from srs_twin.sweep.file import RangeFile, SweepFile
 from srs_twin.sweep.points import NOT_PHYSICS, Experiment, Sweep, Value, leaves, parts
 from srs_twin.sweep.samples import sample
 from srs_twin.validation import validate
+from srs_twin.viewing.sweep_beside import Beside
 
 
 def load_sweep(name_or_path: str | os.PathLike[str]) -> Sweep:
@@ -54,6 +56,11 @@ def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
         return None, ()
 
 
+def _beside(file: SweepFile) -> Beside | None:
+    given = file.beside
+    return None if given is None else Beside(given.source, given.at, given.metrics, given.note or "")
+
+
 class _Loading:
     """Checks a sweep against its scenario and puts it together."""
 
@@ -70,6 +77,8 @@ class _Loading:
         file, before = self._file, len(self._document.problems)
         self._check_names()
         self._check_metrics()
+        if file.beside is not None:
+            check_beside(self._document, file, file.beside)
         values, robots = self._sampled(), self._robots()
         if values is None or len(self._document.problems) > before:
             return None
@@ -88,7 +97,9 @@ class _Loading:
             versions=versions(),
             document=self._document.data,
             warnings=self._warnings,
+            beside=_beside(file),
         )
+        sweep = replace(sweep, warnings=(*sweep.warnings, *not_run(sweep)))
         self._check_values(sweep)
         return None if len(self._document.problems) > before else sweep
 

@@ -15,6 +15,7 @@ from srs_twin.documents import Loc
 
 if TYPE_CHECKING:
     from srs_twin.sweep.file import PlotFile
+    from srs_twin.viewing.sweep_beside import Beside
 
 Value = bool | int | float | str
 Changes = Mapping[str, Value]
@@ -84,6 +85,7 @@ class Sweep:
         versions: package → version: those that decide the numbers.
         document: plain data of the sweep file.
         warnings: what a person should know before believing the results.
+        beside: what was published of the metrics; the keys of points do not depend on it.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Sweep:
     versions: Mapping[str, str]
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
+    beside: Beside | None = None
 
     @cached_property
     def points(self) -> tuple[Point, ...]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.files import atomic_write
 from srs_twin.sweep.points import Sweep
 from srs_twin.sweep.task import Row
@@ -84,12 +85,37 @@ def spans(found: pa.Table) -> dict[str, tuple[float, float, float]]:
     return spans
 
 
+def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
+    """Return the metrics that people are shown first: the file's, else those drawn and in `spans`."""
+    if sweep.metrics is not None:
+        return sweep.metrics
+    published = sweep.beside.metrics if sweep.beside else ()
+    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *_FIRST)))
+
+
+def shown_columns(sweep: Sweep, found: pa.Table) -> pa.Table:
+    """Return a table without the metrics that are not `shown_metrics`."""
+    metrics, names = set(shown_metrics(sweep)), found.column_names
+    about = {*names[: names.index("exit_code") + 1], "wall_s"}
+    return found.select([n for n in names if n in about or _NUMBERS.sub("", n.partition(".")[2]) in metrics])
+
+
 def _metrics(sweep: Sweep, rows: Sequence[Row]) -> list[str]:
     """Return the metrics that become columns, in the order in which runs name them."""
-    found = dict.fromkeys(name for row in rows for name in row.values)
+    found = dict.fromkeys(name for row in rows for name in row.values) or _expected(sweep)
     if sweep.metrics is None:
         return list(found)
     return [name for name in found if _NUMBERS.sub("", name.partition(".")[2]) in _stems(sweep.metrics)]
+
+
+def _expected(sweep: Sweep) -> dict[str, None]:
+    """Return the columns that pictures need where no run has come to say which there are."""
+    named = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
+    wanted = [name for name in named if name is not None and name not in sweep.fields]
+    owners = {
+        name: ("comparison",) if name in COMPARISON_UNITS else sweep.experiment.plants for name in wanted
+    }
+    return dict.fromkeys(f"{owner}.{name}" for name in wanted for owner in owners[name])
 
 
 def _stems(metrics: Sequence[str]) -> set[str]:

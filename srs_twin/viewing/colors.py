@@ -44,6 +44,9 @@ STYLES = {
 REFERENCE = Style("reference", "#000000", "-", 0.9)
 """What the bends are to follow."""
 
+PUBLISHED_COLOR = "#000000"
+"""Of values from a publication; its marker is no plant's either."""
+
 _MORE = ("#CC79A7", "#56B4E9", "#E69F00")
 
 

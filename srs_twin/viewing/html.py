@@ -6,9 +6,10 @@ import base64
 import html
 import io
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Literal
 
-import matplotlib
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #d0d4da; --soft: #5b6470; --card: #f5f6f8;
@@ -28,7 +29,8 @@ td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .met { color: var(--good); font-weight: 600; } .missed { color: var(--bad); font-weight: 600; }
 details { background: var(--card); border-radius: 6px; padding: 0.6rem 1rem; margin: 0.8rem 0; }
 summary { cursor: pointer; font-weight: 600; }
-@media print { body { max-width: none; } details { break-inside: avoid; } figure { break-inside: avoid; } }
+@media print { body { max-width: none; } details, figure, tr { break-inside: avoid; }
+  .wide { overflow: visible; } table { font-size: 0.75rem; } th, td { padding: 0.15rem 0.35rem; } }
 """
 
 # The page needs no script and nothing from outside; a browser that knows it will also refuse any.
@@ -67,12 +69,25 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numbers: Itera
 
 def picture(figure: Figure, caption: str) -> Markup:
     """Return a figure as SVG inside the page; the same figure gives the same bytes."""
+    # A page without pictures need not wait for it.
+    import matplotlib
+
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    image = Markup(f'<img alt="{html.escape(caption)}" src="data:image/svg+xml;base64,{data}">')
-    return element("figure", image, element("figcaption", caption))
+    return image(buffer.getvalue(), "svg+xml", caption)
+
+
+def image(content: bytes, kind: Literal["svg+xml", "png"], caption: str) -> Markup:
+    """Return what a file of a picture holds, inside the page."""
+    data = base64.b64encode(content).decode("ascii")
+    shown = Markup(f'<img alt="{html.escape(caption)}" src="data:image/{kind};base64,{data}">')
+    return element("figure", shown, element("figcaption", caption))
+
+
+def folded(title: str, *content: Markup) -> Markup:
+    """Return content that shows when its title is opened."""
+    return element("details", element("summary", title), *content)
 
 
 def page(title: str, *content: Markup) -> str:

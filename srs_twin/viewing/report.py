@@ -16,7 +16,7 @@ from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.following_plot import following_plot
-from srs_twin.viewing.html import Markup, element, page, picture, table
+from srs_twin.viewing.html import Markup, element, folded, page, picture, table
 from srs_twin.viewing.learning_plot import learning_plot
 from srs_twin.viewing.plan_view import plan_view
 from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
@@ -220,14 +220,10 @@ def _settings(
     robot = [[name, _text(value)] for name, value in _leaves(asdict(spec))]
     used = [[name, str(version)] for name, version in versions.items()]
     return [
-        _folded("Plants and controller", table(["setting", *about], runs)),
-        _folded(f"Robot {spec.name} (SI units)", table(["parameter", "value"], robot)),
-        _folded("Versions", table(["package", "version"], used)),
+        folded("Plants and controller", table(["setting", *about], runs)),
+        folded(f"Robot {spec.name} (SI units)", table(["parameter", "value"], robot)),
+        folded("Versions", table(["package", "version"], used)),
     ]
-
-
-def _folded(title: str, content: Markup) -> Markup:
-    return element("details", element("summary", title), content)
 
 
 def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:

@@ -20,9 +20,10 @@ from matplotlib.lines import Line2D
 
 from srs_twin.errors import InputError
 from srs_twin.files import atomic_write
-from srs_twin.viewing.colors import style_of
+from srs_twin.viewing.colors import PUBLISHED_COLOR, style_of
 from srs_twin.viewing.figures import finish
 from srs_twin.viewing.labels import field_label
+from srs_twin.viewing.sweep_beside import Beside
 from srs_twin.viewing.sweep_contour import draw_contours
 from srs_twin.viewing.sweep_panels import (
     color_bar,
@@ -75,13 +76,16 @@ class PlotRequest:
             raise InputError("by belongs to line and scatter, not to contour")
 
 
-def draw(request: PlotRequest, table: pa.Table | Mapping[str, Iterable[Any]]) -> Figure:
+def draw(
+    request: PlotRequest, table: pa.Table | Mapping[str, Iterable[Any]], beside: Beside | None = None
+) -> Figure:
     """Return the picture.
 
     Args:
         request: what is wanted.
         table: results of a sweep, a row a point: varied fields by their dotted path, `status`, metrics as
             ``<plant>.<metric>`` and ``comparison.<metric>``. The order of the rows changes nothing.
+        beside: published values; a line has those of its metric along x, with a marker of their own.
 
     Raises:
         InputError: there is no such column.
@@ -92,8 +96,10 @@ def draw(request: PlotRequest, table: pa.Table | Mapping[str, Iterable[Any]]) ->
     owners = [owner for owner in owners if owner != COMPARISON] or owners
     if not owners:
         raise InputError(f"{request.metric}: none of {', '.join(request.plants)} has it")
-    kinds = {"contour": _contour, "line": _line, "scatter": _scatter}
-    figure = kinds[request.kind](request, rows, owners)
+    if request.kind == "line":
+        figure = _line(request, rows, owners, beside)
+    else:
+        figure = (_contour if request.kind == "contour" else _scatter)(request, rows, owners)
     figure.suptitle(_title(request, rows, owners), x=0.01, ha="left", fontsize=10)
     return figure
 
@@ -149,8 +155,8 @@ def _contour(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
     return figure
 
 
-def _line(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figure:
-    """Draw a line a value of `by` (its colour) and owner (its dash and marker)."""
+def _line(request: PlotRequest, rows: SweepTable, owners: list[str], beside: Beside | None) -> Figure:
+    """Draw a line a value of `by` (its colour) and owner (its dash and marker), and published values."""
     figure, (axes,) = column_panels(1, key=request.by is not None)
     x = rows.values(request.x, owners[0])
     by = rows.values(request.by, owners[0]) if request.by else Values("", np.zeros(len(rows.failed)))
@@ -168,7 +174,10 @@ def _line(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figure:
                 linewidth=1.3 if few else 0.9, marker=_MARKERS[owner], markersize=3.5 if few else 2.0,
             )  # fmt: skip
     _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
-    legend_above(axes, [_sample(owner, plain=bool(request.by)) for owner in owners])
+    samples = [_sample(owner, plain=bool(request.by)) for owner in owners]
+    if beside is not None and request.x in beside.at and request.metric in beside.metrics:
+        samples.append(_draw_published(axes, beside, request, x, by, colors if few else {}))
+    legend_above(axes, samples)
     if request.by and few:
         handles = [Line2D([], [], color=colors[group], label=by.text(group)) for group in groups]
         axes.legend(
@@ -178,6 +187,29 @@ def _line(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figure:
     elif request.by:
         color_bar(figure, Normalize(*span([by])), "viridis", by)
     return figure
+
+
+def _draw_published(
+    axes: Axes, beside: Beside, request: PlotRequest, x: Values, by: Values, colors: Mapping[float, str]
+) -> Line2D:
+    """Mark the published values of a metric along x, in the colour of their line where it is known.
+
+    Returns:
+        What the legend shows of them.
+    """
+    style: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
+    groups = beside.at.get(request.by, ()) if request.by else ()
+    for i, (place, value) in enumerate(
+        zip(beside.at[request.x], beside.metrics[request.metric], strict=True)
+    ):
+        color = colors.get(by.number(groups[i])) if groups else None
+        if value is not None:
+            axes.plot(
+                x.number(place), value, color=color or PUBLISHED_COLOR, markeredgewidth=0.6, zorder=5, **style
+            )
+    # A dollar would begin a formula.
+    label = f"published, {beside.source}".replace("$", r"\$")
+    return Line2D([], [], color=PUBLISHED_COLOR, label=label, **style)
 
 
 def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figure:

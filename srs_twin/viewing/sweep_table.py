@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
 
 COMPARISON = "comparison"
 OWNERS = ("analytical", "twin", COMPARISON)
+Value = bool | int | float | str
+_EXACT = 1e15  # up to where whole numbers, such as seeds, are written out
+_SAME = 1e-9  # of the greatest value: what two ways of writing a number may differ by
 _ABOUT_ROWS = {"key", "status", "reason", "exit_code", "wall_s"}
 
 
@@ -35,7 +40,23 @@ class Values:
 
     def text(self, number: float) -> str:
         """Return how one of the values is written."""
-        return self.names[int(number)] if self.names else f"{number:.4g}"
+        if self.names:
+            return self.names[int(number)]
+        return f"{number:.0f}" if float(number).is_integer() and abs(number) < _EXACT else f"{number:.4g}"
+
+    def number(self, value: Value) -> float:
+        """Return which of the `numbers` stands for a value of the field; NaN for a text that no row has."""
+        if not self.names:
+            return math.nan if isinstance(value, str) else float(value)
+        # A column of texts and other things has these as JSON.
+        found = [text for text in (str(value), json.dumps(value)) if text in self.names]
+        return float(self.names.index(found[0])) if found else math.nan
+
+    def at(self, value: Value) -> np.ndarray:
+        """Return which rows have a value of the field, shape (rows,)."""
+        number = self.number(value)
+        most = float(np.max(np.abs(self.numbers), initial=abs(number), where=np.isfinite(self.numbers)))
+        return np.asarray(np.abs(self.numbers - number) <= _SAME * most)
 
 
 @dataclass(frozen=True)
@@ -72,11 +93,15 @@ class SweepTable:
         Raises:
             UnknownNameError: nobody's.
         """
-        found = [owner for owner in OWNERS if self._names(owner, metric)]
+        found = self.holders(metric)
         if not found:
             named = (name.partition(".") for name in self.columns)
             raise UnknownNameError("metric", metric, {rest for owner, _, rest in named if owner in OWNERS})
         return found
+
+    def holders(self, metric: str) -> list[str]:
+        """Return whose metric it is, as `owners` does; empty where it is nobody's."""
+        return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> Values:
         """Return an owner's metric; of one that is a list, the mean over it."""
