@@ -129,8 +129,9 @@ def _beside(found: BesideTable) -> Table:
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {escape(found.source)}")
     table.title_justify = "left"
-    for i, heading in enumerate(found.headings[1:]):
-        table.add_column(escape(heading), justify="right" if i else "left")
+    numbers = found.headings.index("published")  # names of fields may be broken, numbers not
+    for i, heading in enumerate(found.headings[1:], start=1):
+        table.add_column(escape(heading), justify="left" if i == 1 else "right", no_wrap=i >= numbers)
     metric = None
     for name, *cells in found.rows:
         if name != metric:

@@ -77,10 +77,11 @@ def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[TextTa
         metrics: as `run_tables` takes them.
     """
     field, failed = rows.values(name, ""), rows.failed
-    texts, group, left_out = _groups(field)
-    counts = np.bincount(group[group >= 0], minlength=len(texts))
-    if len(texts) < 2 or (counts.max() < 2 and len(failed) <= MOST_RUNS):
+    known = field.numbers[np.isfinite(field.numbers)]
+    different = len(np.unique(known))
+    if different < 2 or (different == len(known) and len(failed) <= MOST_RUNS):
         return []
+    texts, group, left_out = _groups(field)
     columns, not_shown = _columns(rows, metrics)
     order = np.argsort(group, kind="stable")
     begins = np.searchsorted(group[order], np.arange(len(texts) + 1))

@@ -10,6 +10,7 @@ import hostile_learning
 import hostile_logs
 import hostile_mjcf
 import hostile_parquet
+import hostile_sweep
 import warm
 from harness import Identity, Malformed, Parser
 from hostile_yaml import STRUCTURE, anything_anywhere, edited, no_numbers
@@ -38,18 +39,6 @@ plants:
   twin: {wheels: rolling}
 expect:
   - {metric: com_speed_m_s, plant: twin, near: 0.214, rel: 0.15, source: Table 10}
-"""
-SWEEP = b"""\
-title: Speed over frequency
-scenario: gen2_straight
-plants: [analytical]
-periods: 8
-fixed: {record_hz: 50}
-vary:
-  controller.frequency_hz: {from: 0.5, to: 3.0, count: 6}
-  supply.pressure_kpa: [20.0, 30.0]
-plots:
-  - {kind: contour, x: controller.frequency_hz, y: supply.pressure_kpa, metric: com_speed_m_s}
 """
 NAMES = st.characters(codec="ascii")
 ROBOT = (shipped_folder("robot") / "gen2.yaml").read_bytes()
@@ -170,11 +159,11 @@ PARSERS: tuple[Parser, ...] = (
     Parser(
         name="sweep",
         suffix=".yaml",
-        good=SWEEP,
+        good=hostile_sweep.GOOD,
         parse=load_sweep,
-        malformed=STRUCTURE + no_numbers(SWEEP, "from", "vary.controller.frequency_hz.from")
-        + robots_elsewhere("scenario", SWEEP),
-        values=anything_anywhere(plain_data(SWEEP), lambda: list(SweepFile.model_fields)),
+        malformed=STRUCTURE + no_numbers(hostile_sweep.GOOD, "from", "vary.controller.frequency_hz.from")
+        + robots_elsewhere("scenario", hostile_sweep.GOOD) + hostile_sweep.MALFORMED,
+        values=anything_anywhere(plain_data(hostile_sweep.GOOD), lambda: list(SweepFile.model_fields)),
         command=("sweep", "{}"),
     ),
     Parser(

@@ -13,10 +13,10 @@ from srs_twin.cli import main
 from srs_twin.files import shipped_names
 from srs_twin.sweep import load_sweep, open_sweep
 from srs_twin.sweep.engines import local
-from srs_twin.sweep.file import PlotFile, SweepFile
+from srs_twin.sweep.file import BesideFile, PlotFile, SweepFile
 
 PAGE = (ROOT / "docs" / "sweeps.md").read_text("utf-8")
-FENCES = dict(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S))
+FENCES = dict(reversed(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S)))  # the first of each kind
 
 
 def test_the_file_that_is_printed_loads(tmp_path):
@@ -49,7 +49,7 @@ def test_every_key_has_words_for_editors(capsys):
     main_exit(["schema", "sweep"])
     schema = json.loads(capsys.readouterr().out)
     assert set(schema["properties"]) == set(SweepFile.model_fields)
-    for model in (SweepFile, PlotFile):
+    for model in (SweepFile, PlotFile, BesideFile):
         assert all(field.description and field.title for field in model.model_fields.values())
 
 

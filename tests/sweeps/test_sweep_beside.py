@@ -1,0 +1,208 @@
+"""Published values beside a sweep's: what they mean, how they are drawn, and what they do not decide."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from conftest import ROOT
+from ruamel.yaml import YAML
+from small import SMALL, here, write
+
+from srs_twin.documents import parse_yaml
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.viewing.sweep_beside import Beside, beside_table
+from srs_twin.viewing.sweep_plots import PlotRequest, draw
+from srs_twin.viewing.sweep_table import SweepTable
+
+P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
+GIVEN = (
+    "beside: {source: Table 10, at: {supply.pressure_kpa: [41, 55]}, metrics: {com_speed_m_s: [0.2, null]}}\n"
+)
+LINE = "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s}]\n"
+TABLE = {
+    "key": list("abcdef"),
+    P: [20.0, 20.0, 30.0, 30.0, 40.0, 40.0],
+    F: [1.0, 2.0, 1.0, 2.0, 1.0, 2.0],
+    "status": ["done", "done", "done", "failed", "done", "done"],
+    f"analytical.{SPEED}": [0.1, 0.3, 0.4, None, -0.1, -0.1],
+    f"twin.{SPEED}": [0.2, 0.2, 0.5, None, None, None],
+}
+
+
+def claims():
+    found = YAML(typ="safe").load((ROOT / "calibration/published/claims.yaml").read_text("utf-8"))
+    return {claim["id"]: claim for claim in found}
+
+
+def test_what_it_means(tmp_path):
+    sweep = load_sweep(write(tmp_path, SMALL + GIVEN))
+    assert sweep.beside.places == [{P: 41}, {P: 55}] and sweep.beside.metrics == {SPEED: [0.2, None]}
+    assert sweep.warnings == ()
+    assert load_sweep(write(tmp_path)).beside is None
+
+
+def test_numbers_that_no_run_has_are_said(tmp_path):
+    sweep = load_sweep(write(tmp_path, SMALL + GIVEN.replace("[41, 55]", "[41.0000000000001, 54]")))
+    assert sweep.warnings == ("beside: no run has supply.pressure_kpa 54",)
+
+
+def test_published_values_decide_no_row(tmp_path):
+    """Added, edited, taken away: the same rows, and nothing runs again."""
+    plain, edited = SMALL + LINE, SMALL + LINE + GIVEN.replace("0.2", "0.3")
+    keys = None
+    for ran, text in ((8, plain), (0, plain + GIVEN), (0, edited), (0, plain)):
+        sweep = load_sweep(write(tmp_path, text))
+        keys = keys or [point.key for point in sweep.points]
+        assert [point.key for point in sweep.points] == keys
+        with open_sweep(sweep, tmp_path / "out") as opened:
+            missing = opened.missing()
+            assert len(missing) == ran
+            opened.run(here, missing)
+            summary = opened.finish()
+        report = (tmp_path / "out" / "report.html").read_text("utf-8")
+        assert (summary.beside is not None) == ("Table 10" in report) == ("beside" in text)
+    assert "<td>0.3</td>" not in report
+
+
+def test_the_table_holds_means_and_differences():
+    found = beside_table(
+        Beside("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), rows()
+    )
+    assert found.headings == (
+        "metric", "supply pressure (kPa)", "published", "analytical", "difference", "twin", "difference",
+        "runs",
+    )  # fmt: skip
+    assert found.rows == (
+        ("CoM speed (m/s)", "20", "0.1", "0.2", "+100.0 %", "0.2", "+100.0 %", "2"),
+        ("CoM speed (m/s)", "30", "0.5", "0.4", "-20.0 %", "0.5", "+0.0 %", "1"),
+        # Another direction is no share of this one.
+        ("CoM speed (m/s)", "40", "0.1", "-0.1", "-0.2", "–", "–", "2"),
+        ("CoM speed (m/s)", "50", "–", "–", "–", "–", "–", "0"),
+    )
+
+
+def test_several_fields_mean_one_place():
+    found = beside_table(Beside("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows())
+    assert [row[1:5] for row in found.rows] == [("2", "20", "0.3", "0.3"), ("1", "40", "-0.1", "-0.1")]
+    assert "runs" not in found.headings
+
+
+def test_texts_and_truth_are_found():
+    given = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
+    given[f"twin.{SPEED}"] = [1.0, 2.0]
+    for field, first in (("a.kind", "y"), ("a.on", False)):
+        found = beside_table(Beside("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.of(given))
+        assert found.rows[0][2:] == ("1", "2", "+100.0 %")
+
+
+def test_a_table_without_runs_has_published_values_only():
+    nothing = {name: [] for name in ("key", P, "status")}
+    found = beside_table(Beside("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.of(nothing))
+    assert [row[1:] for row in found.rows] == [("20", "0.1"), ("30", "–")]
+
+
+def rows():
+    return SweepTable.of(TABLE)
+
+
+def stars(axes):
+    return {
+        (*map(tuple, line.get_xydata()), line.get_color()) for line in axes.lines if line.get_marker() == "*"
+    }
+
+
+def legends(axes):
+    return [
+        text.get_text()
+        for each in axes.findobj(match=lambda a: hasattr(a, "get_texts"))
+        for text in each.get_texts()
+    ]
+
+
+def test_a_line_has_the_published_values_with_a_marker_of_their_own():
+    beside = Beside("Table $8$", {P: [20, 25, 40]}, {SPEED: [0.15, 0.2, None]})
+    (axes,) = draw(PlotRequest("line", P, SPEED), TABLE, beside).axes
+    assert stars(axes) == {((20.0, 0.15), "#000000"), ((25.0, 0.2), "#000000")}
+    others = {line.get_marker() for line in axes.lines} - {"*"}
+    assert {"s", "o"} <= others
+    assert r"published, Table \$8\$" in legends(axes)
+
+
+@pytest.mark.parametrize(
+    ("request_", "at"),
+    [
+        (PlotRequest("line", F, SPEED), {P: [20]}),
+        (PlotRequest("line", P, "yaw_rate_rad_s"), {P: [20]}),
+        (PlotRequest("scatter", P, SPEED), {P: [20]}),
+    ],
+)
+def test_other_pictures_have_none(request_, at):
+    given = TABLE | {"twin.yaw_rate_rad_s": [0.0] * 6}
+    (axes,) = draw(request_, given, Beside("here", at, {SPEED: [0.15]})).axes
+    assert stars(axes) == set() and not any("published" in text for text in legends(axes))
+
+
+def test_published_values_of_a_line_have_its_colour():
+    beside = Beside("here", {P: [20, 20], F: [1, 3]}, {SPEED: [0.1, 0.2]})
+    (axes,) = draw(PlotRequest("line", P, SPEED, by=F), TABLE, beside).axes
+    colors = {place: color for place, color in stars(axes)}
+    lines = [line.get_color() for line in axes.lines if line.get_marker() == "s"]
+    assert colors == {(20.0, 0.1): lines[0], (20.0, 0.2): "#000000"}
+
+
+def test_a_source_with_a_formula_is_drawn():
+    figure = draw(PlotRequest("line", P, SPEED), TABLE, Beside(r"$\frac", {P: [20]}, {SPEED: [0.15]}))
+    figure.canvas.draw()
+
+
+def test_table_8_is_the_published_one_with_our_signs():
+    published = {row["offset"]: row for row in claims()["table8"]["rows"]}
+    sweep = load_sweep("table8")
+    assert len(sweep.points) == 7 and sweep.experiment.plants == ("analytical", "twin")
+    beside = sweep.beside
+    offsets = beside.at["controller.offset"]
+    assert sorted(offsets) == sorted(published)
+    for metric, key in (("path_speed_m_s", "speed"), ("box_left_m", "left"), ("box_right_m", "right")):
+        assert dict(zip(offsets, beside.metrics[metric], strict=True)) == {
+            o: published[o][key] for o in offsets
+        }
+    for offset, radius in zip(offsets, beside.metrics["path_radius_m"], strict=True):
+        assert radius == published[offset]["radius"] * (-1 if offset < 0 else 1)
+    document = sweep.experiment.document(sweep.points[0].changes)
+    assert document["controller"]["frequency_hz"] == 1.5 and document["controller"]["target_rad"] == 0.7
+    assert document["supply"]["pressure_kpa"] == 131 and document["duration_s"] == 16
+
+
+def test_what_learning_md_prints_of_table_8():
+    """Published columns are the file's, and the words about the differences hold for all seven offsets."""
+    page = (ROOT / "docs/learning.md").read_text("utf-8")
+    section = page.partition("## Table 8")[2].partition("\n## ")[0]
+    lines = [
+        re.split(r"\s*\|\s*", line.strip("| "))
+        for line in section.splitlines()
+        if re.match(r"\| (−|0)", line)
+    ]
+    numbers = [[None if "–" == c else float(c.replace("−", "-")) for c in line] for line in lines]
+    beside = load_sweep("table8").beside
+    shown = dict.fromkeys(beside.metrics)
+    for i, metric in enumerate(beside.metrics):
+        assert [line[1 + 3 * i] for line in numbers] == list(beside.metrics[metric]), metric
+        shown[metric] = [
+            value / line[1 + 3 * i] - 1 for line in numbers for value in line[2 + 3 * i : 4 + 3 * i] if value
+        ]
+    for metric, least, most in re.findall(r"`(\w+)`: (−?\d+) to (−?\d+) %", section):
+        low, high = (int(text.replace("−", "-")) / 100 for text in (least, most))
+        assert (min(shown[metric]), max(shown[metric])) == pytest.approx((low, high), abs=0.008)
+        del shown[metric]
+    assert shown == {}
+
+
+def test_the_shipped_file_is_what_sweeps_md_prints():
+    page = (ROOT / "docs/sweeps.md").read_text("utf-8")
+    printed = parse_yaml(re.findall(r"^```yaml\n(beside:.*?)^```$", page, re.M | re.S)[0], "page").data[
+        "beside"
+    ]
+    shipped = dict(load_sweep("fig41").document["beside"])
+    assert printed == {key: value for key, value in shipped.items() if key in printed}
+    assert {"source", "at", "metrics"} <= printed.keys()

@@ -1,0 +1,204 @@
+"""report.html of a sweep: read back by a parser, it holds what the results hold."""
+
+from __future__ import annotations
+
+import base64
+import json
+import statistics
+from html.parser import HTMLParser
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from small import SMALL, diverges, here, write
+
+from srs_twin.errors import DivergedError
+from srs_twin.processes import Done
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.viewing.sweep_summary import MOST_RUNS, means_by, run_tables
+from srs_twin.viewing.sweep_table import SweepTable
+
+PICTURE = (
+    "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s, by: controller.frequency_hz}]\n"
+)
+BESIDE = (
+    "beside: {source: T, note: a <b>, at: {supply.pressure_kpa: [41]}, metrics: {com_speed_m_s: [0.2]}}\n"
+)
+SPEED = "com_speed_m_s"
+
+
+class Page(HTMLParser):
+    """The tables, headings, pictures and references of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tables, self.texts, self.images, self.tags = [], {}, [], set()
+        self._open = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        if tag in ("meta", "img"):
+            self.images += [dict(attrs)["src"]] if tag == "img" else []
+            return
+        self._open.append(tag)
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if self._open and self._open[-1] in ("td", "th"):
+            self.tables[-1][-1][-1] += data
+        elif self._open:
+            self.texts.setdefault(self._open[-1], []).append(data)
+
+
+def left(tmp_path, text, engine=here, points=None):
+    """Run a sweep and return the page that it leaves, its table and the summary."""
+    out = tmp_path / "out"
+    with open_sweep(load_sweep(write(tmp_path, text)), out) as opened:
+        opened.run(engine, opened.missing()[:points])
+        summary = opened.finish()
+    return Page((out / "report.html").read_text("utf-8")), pq.read_table(out / "results.parquet"), summary
+
+
+def test_the_page_holds_the_results(tmp_path):
+    page, results, summary = left(tmp_path, "title: Speed <b> & more\n" + SMALL + PICTURE + BESIDE)
+    assert page.texts["title"] == page.texts["h1"] == ["Speed <b> & more"]
+    assert "8 of 8 runs done, 0 failed" in page.texts["p"] and "a <b>" in page.texts["p"]
+    varied, beside, runs, by_frequency, by_pressure, made_with = page.tables
+    assert ["supply pressure (kPa)", "supply.pressure_kpa", "41, 45.6667, 50.3333, 55"] in varied
+    assert ["simulated time (s)", "duration_s", "2 (fixed)"] in varied
+    columns = results.to_pydict()
+    assert runs[0][:3] == ["gait frequency (Hz)", "supply pressure (kPa)", "CoM speed (m/s), analytical"]
+    places = zip(columns["controller.frequency_hz"], columns["supply.pressure_kpa"], strict=True)
+    speeds = dict(zip(places, columns[f"analytical.{SPEED}"], strict=True))
+    for (f, p), line in zip(sorted(speeds), runs[1:], strict=True):
+        assert [float(cell) for cell in line[:3]] == pytest.approx([f, p, speeds[f, p]], rel=1e-3)
+    at = [speed for (_, p), speed in speeds.items() if p == 41]
+    assert by_pressure[1][:2] == ["41", "2"]
+    assert by_pressure[1][2] == f"{statistics.mean(at):.4g} ± {statistics.stdev(at):.2g}"
+    assert [line[0] for line in by_frequency[1:]] == ["2", "2.5"]
+    mean = statistics.mean(at)
+    assert beside[1:] == [
+        ["CoM speed (m/s)", "41", "0.2", f"{mean:.4g}", f"{100 * (mean / 0.2 - 1):+.1f} %", "2"]
+    ]
+    assert ["results sha256", summary.sha256] in made_with
+    assert any(line[0] == "mujoco" for line in made_with)
+
+
+def test_the_page_needs_nothing_from_outside(tmp_path):
+    page, _, _ = left(tmp_path, SMALL + PICTURE)
+    text = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert page.tags.isdisjoint({"script", "link", "iframe", "object", "a"}) and "http://" not in text
+    (picture,) = (tmp_path / "out" / "plots").iterdir()
+    assert [base64.b64decode(src.removeprefix("data:image/png;base64,")) for src in page.images] == [
+        picture.read_bytes()
+    ]
+    assert "default-src 'none'" in text.replace("&#x27;", "'")
+
+
+def test_failures_and_what_is_missing_are_said(tmp_path):
+    page, _, _ = left(tmp_path, SMALL + PICTURE, diverges, points=6)
+    assert "3 of 8 runs done, 3 failed, 2 not run yet" in page.texts["p"]
+    assert page.tables[0][1:] == [["twin diverged at t = 1 s: boom", "3"]]
+    assert page.tables[2][0][2] == "status" and {line[2] for line in page.tables[2][1:]} == {"done", "failed"}
+
+
+def test_a_sweep_that_only_fails_leaves_its_files(tmp_path):
+    def fails(experiment, points):
+        yield from (Done(i, None, DivergedError("twin", 1.0, "boom")) for i, _ in enumerate(points))
+
+    page, _, summary = left(tmp_path, SMALL + PICTURE + BESIDE, fails)
+    assert (summary.failed, len(page.images)) == (8, 1) and (tmp_path / "out" / "sweep.json").exists()
+    assert "0 of 8 runs done, 8 failed" in page.texts["p"]
+
+
+def test_equal_rows_give_equal_pages(tmp_path):
+    def backwards(experiment, points):
+        yield from reversed(list(here(experiment, points)))
+
+    for name, engine in (("a", here), ("b", backwards)):
+        (tmp_path / name).mkdir()
+        left(tmp_path / name, SMALL + PICTURE, engine)
+    first, second = ((tmp_path / name / "out" / "report.html").read_bytes() for name in "ab")
+    assert first == second
+
+
+def table(x, value, failed=()):
+    status = ["failed" if i in failed else "done" for i in range(len(x))]
+    return SweepTable.of(
+        {"key": list(map(str, range(len(x)))), "seed": x, "status": status, f"twin.{SPEED}": value}
+    )
+
+
+def test_many_runs_are_summed_up():
+    """Of more runs than a page holds: ten equal parts of the range, each with mean, deviation and number."""
+    rng = np.random.default_rng(2)
+    x, value = rng.uniform(0, 100, 500), rng.normal(5, 2, 500)
+    rows = table([0.0, 100.0, *x], [0.0, 0.0, *value], failed=(0, 1))
+    assert [found.rows for found in run_tables(rows, [SPEED])] == [()]
+    ((found),) = means_by("seed", rows, [SPEED])
+    for k, line in enumerate(found.rows):
+        inside = value[(x >= 10 * k) & (x < 10 * k + 10)]
+        assert line[:2] == (f"{10 * k} to {10 * k + 10}", str(len(inside)))
+        assert line[2] == f"{inside.mean():.4g} ± {inside.std(ddof=1):.2g}"
+    assert sum(int(line[1]) for line in found.rows) == 500
+
+
+def test_as_many_runs_as_a_page_holds_are_shown():
+    rows = table(list(range(MOST_RUNS))[::-1], [float(i) for i in range(MOST_RUNS)])
+    (found,) = run_tables(rows, [SPEED])
+    assert [int(line[0]) for line in found.rows] == list(range(MOST_RUNS))
+    assert means_by("seed", rows, [SPEED]) == []  # each value has one run, and that is shown
+
+
+def test_runs_without_the_metric_are_counted():
+    rows = table([1, 1, 1, 2, 2], [1.0, None, 3.0, None, None])
+    (found,) = means_by("seed", rows, [SPEED, "path_radius_m"])
+    assert found.rows == (("1", "3", "2 ± 1.4 (2)"), ("2", "2", "–"))
+
+
+def test_large_whole_numbers_are_written_out():
+    (found,) = run_tables(table([4294967295, 4294967294], [1.0, 2.0]), [SPEED])
+    assert [line[0] for line in found.rows] == ["4294967294", "4294967295"]
+
+
+def test_wide_tables_are_cut_for_the_page():
+    metrics = [SPEED, "path_length_m", "yaw_rate_rad_s", "path_speed_m_s"]
+    given = {"key": ["a"], "seed": [1], "status": ["done"]}
+    given |= {f"{plant}.{metric}": [1.0] for metric in metrics for plant in ("analytical", "twin")}
+    tables = run_tables(SweepTable.of(given), metrics)
+    assert [len(found.headings) for found in tables] == [7, 3]
+    assert sorted(h for found in tables for h in found.headings[1:])[0] == "CoM speed (m/s), analytical"
+
+
+def test_the_command_names_the_page_and_prints_what_is_published(srs_twin, tmp_path):
+    write(tmp_path, SMALL + BESIDE)
+    run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    report = tmp_path / "runs" / "sweeps" / "small" / "report.html"
+    assert f"report {report.relative_to(tmp_path)}\n" in run.stdout
+    page = Page(report.read_text("utf-8"))
+    assert "beside T" in run.stdout
+    for cell in page.tables[1][1][1:]:
+        assert cell in run.stdout
+    about = json.loads((report.parent / "sweep.json").read_text())
+    assert any(about["results_sha256"] in line for line in page.tables[-1])
+
+
+def test_the_command_leaves_long_tables_to_the_page(srs_twin, tmp_path):
+    places, values = ", ".join(str(41 + 0.1 * i) for i in range(31)), ", ".join(["0.2"] * 31)
+    text = BESIDE.replace("[41]", f"[{places}]").replace("[0.2]", f"[{values}]")
+    write(tmp_path, SMALL.replace("count: 4", "count: 2") + text)
+    run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
+    assert run.returncode == 0 and "beside T" not in run.stdout and "no run has supply.pressure" in run.stderr
+    page = Page((tmp_path / "runs" / "sweeps" / "small" / "report.html").read_text("utf-8"))
+    assert len(page.tables[1]) == 32
