@@ -13,8 +13,7 @@ from srs_twin.documents import Document
 from srs_twin.errors import UnknownNameError, did_you_mean
 from srs_twin.sweep.file import BesideFile, RangeFile, SweepFile
 from srs_twin.sweep.points import Sweep
-
-_SAME = 1e-9  # of the greatest value: what two ways of writing a number may differ by
+from srs_twin.viewing.sweep_table import Values
 
 
 def check_beside(document: Document, file: SweepFile, given: BesideFile) -> None:
@@ -75,9 +74,8 @@ def not_run(sweep: Sweep) -> tuple[str, ...]:
     found = []
     for field, values in sweep.beside.at.items() if sweep.beside else ():
         column = [row[sweep.fields.index(field)] for row in sweep.values]
-        there = np.unique([float(value) for value in column if _is_number(value)])
-        most = np.max(np.abs(there), initial=0.0)
-        missing = [v for v in values if _is_number(v) and not (np.abs(there - v) <= _SAME * most).any()]
+        there = Values("", np.unique([float(value) for value in column if _is_number(value)]))
+        missing = [value for value in values if _is_number(value) and not there.at(value).any()]
         if missing:
             named = ", ".join(f"{value:g}" for value in missing[:5])
             more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""

@@ -140,7 +140,7 @@ class OpenSweep:
         found = table(self.sweep, rows)
         write(self.folder / RESULTS, found)
         titles = self._draw(found)
-        shown, beside = SweepTable.of(shown_columns(self.sweep, found)), self.sweep.beside
+        read, beside = SweepTable.of(shown_columns(self.sweep, found)), self.sweep.beside
         for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
             with atomic_write(self.folder / name) as part:
                 part.write_text(dump_yaml(document), "utf-8")
@@ -154,9 +154,9 @@ class OpenSweep:
             sha256=digest(rows),
             spans=spans(found),
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
-            beside=None if beside is None else beside_table(beside, shown),
+            beside=None if beside is None else beside_table(beside, read),
         )
-        self._report(summary, shown, titles)
+        self._report(summary, read, titles)
         with atomic_write(self.folder / SUMMARY) as part:
             part.write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
         return summary
