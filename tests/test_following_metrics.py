@@ -47,9 +47,9 @@ def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), circles=(), poly
 
 def moved(trajectory, dx=0.0, dy=0.0):
     columns = {
-        name: column + (dx if name.startswith(("x_", "com_x")) else dy if name.startswith(("y_", "com_y")) else 0)
+        name: column + dx * name.startswith(("x_", "com_x")) + dy * name.startswith(("y_", "com_y"))
         for name, column in trajectory.columns.items()
-    }  # fmt: skip
+    }
     return replace(trajectory, columns=columns)
 
 

@@ -187,9 +187,9 @@ def _check_following(document: Document, file: ScenarioFile) -> None:
     follows, planner, world = isinstance(file.controller, FollowFile), file.planner, file.world
     if follows and planner is None:
         document.report(("controller",), "kind: follow has nothing to follow; give planner as well")
+    if world.random and world.random.kind == "strewn" and not (world.random.area or world.bounds):
+        document.report(("world", "random"), "where? Give area, or bounds of the world")
     if planner is None:
-        if world.random and world.random.kind == "strewn" and not (world.random.area or world.bounds):
-            document.report(("world", "random"), "where? Give area, or bounds of the world")
         return
     if not follows:
         document.report(("planner",), "nobody follows its plan; set controller.kind: follow", at_key=True)

@@ -9,6 +9,7 @@ from typing import Any
 from srs_twin.documents import Document, load_yaml
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.files import find, results_name
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.robot_file import RobotFile
 from srs_twin.robots import resolve_robot
 from srs_twin.scenario.building import build, sensors, supply
@@ -92,10 +93,12 @@ def _followed(
         return gait
     assert isinstance(gait, GaitSettings | LearningSettings)
     try:
-        planner = planner_settings(file.planner, start_of(file), world)
-    except InputFileError as error:
-        document.report(("planner", "footprint"), error.lines[0])
+        footprint = load_footprint(file.planner.footprint)
+    except InputError as error:
+        document.report(("planner", "footprint"), str(error).splitlines()[0])
         return gait
+    try:
+        planner = planner_settings(file.planner, footprint, start_of(file), world)
     except InputError as error:
         document.report(("planner",), str(error))
         return gait

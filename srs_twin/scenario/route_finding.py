@@ -78,16 +78,21 @@ def _plan(settings: PlannerSettings) -> Plan:
     return replace(found, segments=(first, *found.segments)) if found.found else found
 
 
-def planner_settings(given: PlannerFile, start: Pose, world: World) -> PlannerSettings:
+def planner_settings(given: PlannerFile, footprint: Footprint, start: Pose, world: World) -> PlannerSettings:
     """Return what a file says of planning.
 
+    Args:
+        given: the file's section.
+        footprint: that it names.
+        start: of the snake.
+        world: what is in the way, and the goal.
+
     Raises:
-        InputError: no such footprint, a turn tighter than it has, edges that are too wide, no goal.
+        InputError: a turn tighter than the footprint has, edges that are too wide, no goal.
     """
-    from srs_twin.planning import Problem, load_footprint
+    from srs_twin.planning import Problem
     from srs_twin.planning.footprint import checked
 
-    footprint = load_footprint(given.footprint)
     reduced = checked(footprint.reduced(given.turn_share, given.margin_m))
     pieces: tuple[tuple[float, float], ...] = ()
     if isinstance(given, GivenFile):

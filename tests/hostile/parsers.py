@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import hostile_bench
+import hostile_following
 import hostile_learning
 import hostile_logs
 import hostile_mjcf
@@ -145,6 +146,16 @@ PARSERS: tuple[Parser, ...] = (
         values=anything_anywhere(plain_data(hostile_learning.GOOD), lambda: list(ScenarioFile.model_fields)),
         command=("run", "{}"),
         identity=Identity(hostile_learning.learners(), lambda scenario: yaml_bytes(scenario.document)),
+    ),
+    Parser(
+        name="following",
+        suffix=".yaml",
+        good=hostile_following.GOOD,
+        parse=load_scenario,
+        malformed=hostile_following.MALFORMED,
+        values=anything_anywhere(plain_data(hostile_following.GOOD), lambda: list(ScenarioFile.model_fields)),
+        command=("plan", "{}"),
+        identity=Identity(hostile_following.followers(), lambda scenario: yaml_bytes(scenario.document)),
     ),
     Parser(
         name="robot",

@@ -1,0 +1,285 @@
+"""Scenarios that plan and follow: their files, what they build, the command line, reports, sweeps."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from srs_twin import InputError, Trajectory, load_scenario
+from srs_twin.comparison.following import FOLLOWING_UNITS, PLAN_UNITS
+from srs_twin.control.following import Follower
+from srs_twin.errors import InputFileError
+from srs_twin.planning.fields import fig54_world
+from srs_twin.running import prepare
+from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.following import FollowSettings
+from srs_twin.sweep.points import Experiment, Point
+from srs_twin.sweep.task import run_point
+from srs_twin.viewing.following_plot import following_plot
+
+FILE = """\
+title: A short way round a circle and a square
+robot: gen2
+duration_s: 10
+record_hz: 50
+start: {x_m: 0, y_m: 0}
+world:
+  goal: {x_m: 0.8, y_m: 0.1, radius_m: 0.05}
+  obstacles: [{x_m: 0.4, y_m: 0.0, radius_m: 0.03}]
+  polygons: [{corners_m: [[0.3, -0.4], [0.5, -0.4], [0.5, -0.3], [0.3, -0.3]]}]
+planner: {kind: best_first, footprint: gen2_section52, margin_m: 0.05}
+controller: {kind: follow, gait: {kind: gait, frequency_hz: 2.0}, settle_m: 0.035}
+plants: {analytical: {}}
+expect:
+  - {metric: plan_found, plant: analytical, near: 1, abs: 0}
+  - {metric: goal_reached, plant: analytical, near: 1, abs: 0}
+  - {metric: clearance_m, plant: analytical, above: 0}
+"""
+
+
+def data(**changes: Any) -> dict[str, Any]:
+    return {
+        "robot": "gen2",
+        "duration_s": 10,
+        "world": {"goal": {"x_m": 0.6, "y_m": 0.1}},
+        "planner": {"kind": "best_first", "footprint": "gen2_section52"},
+        "controller": {"kind": "follow", "gait": {"kind": "gait", "frequency_hz": 2.0}},
+        "plants": {"analytical": {}},
+    } | changes
+
+
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "way.yaml").write_text(FILE, "utf-8")
+    return tmp_path
+
+
+def test_plan_writes_data_and_a_picture_and_moves_nothing(file, srs_twin):
+    done = srs_twin("plan", "way.yaml", "--check", "--out", "out", cwd=file)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("way: found: ") and "nodes" in done.stdout and "length" in done.stdout
+    assert "met    plan_found = 1" in done.stdout and "goal_reached" not in done.stdout
+    assert {path.name for path in (file / "out").iterdir()} == {"plan.json", "plan.png"}
+    told = json.loads((file / "out/plan.json").read_text("utf-8"))
+    assert told["outcome"] == "found" and told["metrics"].keys() == PLAN_UNITS.keys()
+    last = told["segments"][-1]
+    assert told["metrics"]["plan_length_m"] == pytest.approx(sum(s["length"] for s in told["segments"]))
+    assert math.hypot(last["start"]["x"] - 0.8, last["start"]["y"] - 0.1) <= last["length"] + 0.05
+    assert (file / "out/plan.png").read_bytes().startswith(b"\x89PNG")
+
+
+WALL = "[[0.3, -2], [0.5, -2], [0.5, 2], [0.3, 2]]"
+
+
+def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
+    text = FILE.replace("[[0.3, -0.4], [0.5, -0.4], [0.5, -0.3], [0.3, -0.3]]", WALL)
+    text = text.replace("  goal:", "  bounds: {x_m: [-0.5, 1.5], y_m: [-1, 1]}\n  goal:")
+    (file / "walled.yaml").write_text(text, "utf-8")
+    plain = srs_twin("plan", "walled.yaml", cwd=file)
+    assert plain.returncode == 0 and "unreachable" in plain.stdout
+    checked = srs_twin("plan", "walled.yaml", "--check", cwd=file)
+    assert checked.returncode == 1 and "MISSED plan_found = 0, allowed 1 to 1" in checked.stdout
+    (file / "unjudged.yaml").write_text(text.partition("expect:")[0], "utf-8")
+    assert srs_twin("plan", "unjudged.yaml", "--check", "-q", cwd=file).returncode == 1
+    run = srs_twin("run", "walled.yaml", "--check", "--out", "run", cwd=file)
+    assert run.returncode == 1, run.stderr
+    metrics = json.loads((file / "run/metrics.json").read_text("utf-8"))["plants"]["analytical"]
+    assert (metrics["plan_found"], metrics["goal_reached"], metrics["plan_length_m"]) == (0, 0, None)
+    way = Trajectory.from_parquet(file / "run/analytical.parquet")
+    assert way.metadata["control"]["following"]["ending"] == "no_plan"
+    assert [event.kind for event in way.events] == ["no_plan"]
+
+
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) lies inside"),
+        ("bounds: {x_m: [-1, 0.5], y_m: [-1, 1]}\n  goal: {x_m: 0.8, y_m: 0.1}", "goal (0.8, 0.1) lies outside of"),
+    ],
+)  # fmt: skip
+def test_ends_that_cannot_be_are_bad_input(where, says, file, srs_twin):
+    text = FILE.replace("goal: {x_m: 0.8, y_m: 0.1, radius_m: 0.05}", where)
+    (file / "bad.yaml").write_text(text, "utf-8")
+    for verb in ("plan", "run"):
+        done = srs_twin(verb, "bad.yaml", "--out", "bad", cwd=file)
+        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+    assert not (file / "bad/metrics.json").exists()
+
+
+def test_plan_refuses_what_does_not_plan(tmp_path, srs_twin):
+    done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
+    assert (
+        done.returncode == 2 and "it has no planner; add planner, and controller.kind: follow" in done.stderr
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_run_follows_and_leaves_everything(file, srs_twin):
+    done = srs_twin("run", "way.yaml", "--check", "--out", "out", cwd=file)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "cross-track, RMS" in done.stdout and "new plans" in done.stdout
+    metrics = json.loads((file / "out/metrics.json").read_text("utf-8"))["plants"]["analytical"]
+    assert metrics.keys() >= FOLLOWING_UNITS.keys()
+    assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9
+    report = (file / "out/report.html").read_text("utf-8")
+    assert "the floor planned for the body" in report and "Cross-track is" in report
+    from rerun.chunk import RrdReader
+
+    entities = {chunk.entity_path for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()}
+    obstacles = {f"/world/plan/obstacles/{kind}" for kind in ("round", "straight")}
+    assert {"/world/plan/path", "/world/plan/edges", "/world/plan/goal"} | obstacles <= entities
+    way = Trajectory.from_parquet(file / "out/analytical.parquet")
+    for name in ("offset", "offset_commanded", "cross_track", "heading_error", "node", "estimate_x"):
+        assert way.has(name), name
+    assert (way.unit("cross_track"), way.unit("heading_error")) == ("m", "rad")
+    assert way.events[-1].kind == "goal_reached" and way.metadata["ended_by"] == "controller"
+    again = load_scenario(file / "out/scenario.resolved.yaml")
+    assert again.controller == load_scenario(file / "way.yaml").controller
+    assert again.world == load_scenario(file / "way.yaml").world
+
+
+def test_both_plants_follow_one_plan_and_are_drawn_together(tmp_path):
+    scenario = parse_scenario(data(plants={"analytical": {}, "twin": {}}), name="both")
+    result = prepare(scenario, tmp_path).execute()
+    assert result.metrics["comparison"]["path_rms_m"] < 0.2
+    ways = result.trajectories
+    first = [way.metadata["control"]["following"]["plans"][0] for way in ways.values()]
+    assert first[0] == first[1]
+    figure = following_plot(ways, scenario.robot)
+    assert figure is not None
+    labels = {text.get_text() for text in figure.axes[0].get_legend().get_texts()}
+    assert "plan" in labels and len(labels) == 3
+    assert all(each["goal_reached"] == 1 for each in result.metrics["plants"].values())
+
+
+def test_the_twin_feels_what_it_runs_into_on_purpose(tmp_path):
+    """A path that is given goes through a circle: contact, no divergence, an end with a name."""
+    scenario = parse_scenario(
+        data(
+            world={"obstacles": [{"x_m": 0.45, "y_m": 0.0, "radius_m": 0.1}]},
+            planner={"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0, 0, 0, 0], "step_m": 0.2},
+            plants={"twin": {}}, duration_s=8,
+        )
+    )  # fmt: skip
+    metrics = prepare(scenario, tmp_path).execute().metrics["plants"]["twin"]
+    assert metrics["contacts"] >= 1 and metrics["contact_time_s"] > 0.1
+    assert -0.005 < metrics["clearance_m"] < 0.005
+
+
+def test_defaults_stand_in_the_file_and_gait_and_follower_are_those():
+    scenario = parse_scenario(data())
+    assert isinstance(scenario.controller, FollowSettings)
+    controller = scenario.build_controller()
+    assert isinstance(controller, Follower) and controller.frequency == 2.0
+    document = scenario.document["controller"]
+    assert (document["follower"], document["delay_s"], document["replans"]) == ("path", 0.1, 3)
+    assert document["camera"] == {"rate_hz": 120.0, "position_noise_m": 0.0, "heading_noise_rad": 0.0}
+    assert scenario.warnings == ()
+
+
+def test_a_learning_gait_underneath_ticks_every_5_ms():
+    gait = {"kind": "ilc", "frequency_hz": 1.5, "target_rad": 0.7}
+    scenario = parse_scenario(
+        data(
+            robot="gen4", supply={"pressure_kpa": 131}, controller={"kind": "follow", "gait": gait},
+            planner={"kind": "best_first", "footprint": "gen4_table9"}, plants={"twin": {}},
+        )
+    )  # fmt: skip
+    assert scenario.build_plant("twin").tick == 0.005 == scenario.build_plant("analytical").tick
+
+
+def test_a_field_is_drawn_by_the_seed():
+    world = {"random": {"kind": "fig54", "count": 6}, "goal": {"x_m": 2, "y_m": 1}}
+    drawn = [parse_scenario(data(world=world, seed=seed)).world.obstacles for seed in (0, 1, 0)]
+    assert drawn[0] == drawn[2] == fig54_world(6, 0).obstacles != drawn[1]
+    strewn = {
+        "random": {"count": 8, "radius_m": [0.03, 0.05], "gap_m": 0.1, "clear_m": 0.2, "seed": 5},
+        "bounds": {"x_m": [-0.5, 2.5], "y_m": [-1, 1]}, "goal": {"x_m": 2, "y_m": 0},
+    }  # fmt: skip
+    one, other = (parse_scenario(data(world=strewn, seed=seed)).world for seed in (0, 1))
+    assert one == other and len(one.obstacles) == 8
+    for circle in one.obstacles:
+        assert math.hypot(circle.x, circle.y) >= circle.radius + 0.2
+        assert math.hypot(circle.x - 2, circle.y) >= circle.radius + 0.2
+        assert 0.03 <= circle.radius <= 0.05
+
+
+def test_a_footprint_is_reduced_for_planning_and_whole_for_steering():
+    settings = parse_scenario(
+        data(planner={"kind": "best_first", "footprint": "gen2_section52", "turn_share": 0.5, "margin_m": 0.02})
+    ).controller  # fmt: skip
+    planner = settings.planner
+    assert planner.footprint.tightest == pytest.approx((5.23599, 5.23599))
+    assert planner.problem.footprint.tightest == pytest.approx((2.617995, 2.617995))
+    assert planner.problem.footprint.at(0.0).left == pytest.approx(0.045)
+    half = planner.footprint.at(2.617995)
+    edge = planner.problem.footprint.at(2.617995)
+    assert (edge.offset, edge.left, edge.right) == pytest.approx(
+        (half.offset, half.left + 0.02, half.right + 0.02)
+    )
+    assert max(abs(s.curvature) for s in planner.plan().segments) <= 2.618
+
+
+def test_a_run_up_goes_straight_first_and_must_be_free():
+    planner = {"kind": "best_first", "footprint": "gen2_section52", "run_up_m": 0.25}
+    first = parse_scenario(data(planner=planner)).controller.planner.plan().segments[0]
+    assert first.curvature == 0 and first.length == pytest.approx(0.25)
+    world = {"goal": {"x_m": 0.6, "y_m": 0.3}, "obstacles": [{"x_m": 0.3, "y_m": 0, "radius_m": 0.06}]}
+    with pytest.raises(InputError, match=r"straight beginning of 0\.25 m touches .*; run_up_m sets it"):
+        parse_scenario(data(planner=planner, world=world)).build_controller()
+
+
+def test_a_path_that_is_given_ends_where_it_ends():
+    planner = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0.5, -0.5], "step_m": 0.2}
+    settings = parse_scenario(data(planner=planner, world={})).controller
+    plan, goal = settings.planner.plan(), settings.planner.problem.goal
+    assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
+    assert (goal.x, goal.y, goal.heading) == pytest.approx((plan.end.x, plan.end.y, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"planner": None}, "controller: kind: follow has nothing to follow; give planner as well"),
+        ({"controller": {"kind": "gait", "frequency_hz": 2}}, "planner: nobody follows its plan"),
+        ({"world": {}}, "planner: kind: best_first needs world.goal"),
+        (
+            {"planner": {"kind": "given", "footprint": "gen2_section52", "turns_rad": [1.2], "step_m": 0.2}},
+            "planner: curvature 6 1/m is not in the footprint's -5.23599 to 5.23599 1/m",
+        ),
+        ({"planner": {"kind": "best_first", "footprint": "gen9"}}, "planner.footprint: unknown footprint 'gen9'"),
+        (
+            {"planner": {"kind": "best_first", "footprint": "gen2_section52", "margin_m": 0.3}},
+            "reaches the centre of the tightest turn",
+        ),
+        (
+            {"world": {"goal": {"x_m": 1, "y_m": 0}, "random": {"count": 3}}},
+            "world.random: where? Give area, or bounds of the world",
+        ),
+        (
+            {"world": {
+                "goal": {"x_m": 1, "y_m": 0}, "bounds": {"x_m": [0, 1], "y_m": [0, 1]},
+                "random": {"count": 99, "gap_m": 1.0},
+            }},
+            "world.random: 99 circles do not fit",
+        ),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_together_is_said(changes, says):
+    given = {name: value for name, value in data(**changes).items() if value is not None}
+    with pytest.raises(InputFileError) as caught:
+        parse_scenario(given)
+    assert says in str(caught.value)
+
+
+def test_metrics_of_following_are_columns_of_a_sweep():
+    base = parse_scenario(data()).document
+    experiment = Experiment(base, ("analytical",))
+    rows = [run_point(experiment, Point("0", {"controller.delay_s": delay})) for delay in (0.0, 0.3)]
+    for row in rows:
+        assert row.status == "done", row.reason
+        assert row.values["analytical.goal_reached"] == 1 and row.values["analytical.plan_found"] == 1
+    assert rows[0].values["analytical.cross_track_rms_m"] != rows[1].values["analytical.cross_track_rms_m"]
