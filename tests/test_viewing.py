@@ -18,6 +18,7 @@ from matplotlib.image import imread
 from synthetic import Snake, sampled, with_columns
 from viewing_runs import pair, robot, run
 
+from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
@@ -30,7 +31,7 @@ from srs_twin.viewing.report import write_report
 from srs_twin.viewing.rerun_log import thinned, write_recording
 from srs_twin.viewing.screenshot import screenshots
 from srs_twin.viewing.signals import forward_speed, period_speed, pressure_difference
-from srs_twin.viewing.tubes import body_line, centre_lines, wheel_centres
+from srs_twin.viewing.tubes import body_line, wheel_centres
 from srs_twin.viewing.viewer import open_recording, verify_recording
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ LEAST_PERIODS = 3
 _LEAST_SAMPLES_A_PERIOD = 4
 # Instants a period at which signals are looked at: no fewer than this, and four to each sample period.
 _LEAST_INSTANTS = 64
+_ROUNDING = 1e-6  # of a period
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,14 @@ class GaitWindow:
         warm_up = min(WARM_UP_PERIODS, whole - 2)
         instants = max(_LEAST_INSTANTS, int(np.ceil(4 * samples)))
         return cls(float(time[0]) + warm_up / frequency, 1.0 / frequency, whole - warm_up, instants)
+
+    @classmethod
+    def last(cls, trajectory: Trajectory, period: float, end: float, periods: int) -> GaitWindow | None:
+        """Return so many periods (s each) up to a time (s), None where the run does not have them."""
+        start, step = end - periods * period, float(np.median(np.diff(trajectory.time)))
+        if start < trajectory.time[0] - _ROUNDING * period:
+            return None
+        return cls(start, period, periods, max(_LEAST_INSTANTS, math.ceil(4 * period / step)))
 
     @property
     def end(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from srs_twin.comparison.chamber_periods import ChamberPeriods
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.lateral import PathFit, box_edges
+from srs_twin.comparison.period_path import LEAST_WAY, carried
 from srs_twin.comparison.sampling import body_length, positive_number
 from srs_twin.comparison.turning import path_curvature, turning_radius
 from srs_twin.trajectory import Trajectory
@@ -47,8 +48,6 @@ LAST_PERIODS = 5
 """Over how many periods at the end the path is measured."""
 
 _ROUNDING = 1e-6  # of a period
-# A snake that gets less far than this in a period has no path, body lengths.
-_LEAST_WAY = 1e-3
 _LEAST_CURVATURE = 1e-3
 """Of a path that is not straight beforehand, 1/m."""
 
@@ -138,16 +137,16 @@ def _growth(by_period: ChamberPeriods) -> float | None:
 
 
 def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
-    window = _window(trajectory, period, float(trajectory.time[-1]), LAST_PERIODS)
+    window = GaitWindow.last(trajectory, period, float(trajectory.time[-1]), LAST_PERIODS)
     if window is None:
         return {}
-    chords, turns = _carried(trajectory, window)
+    chords, turns = carried(trajectory, window)
     found: dict[str, float | None] = {
         "heading_drift_rad": float(turns.mean()),
         "path_speed_m_s": float(chords.mean()) / period,
     }
     length = body_length(trajectory)
-    path = PathFit.of(trajectory, window) if abs(chords.mean()) >= _LEAST_WAY * length else None
+    path = PathFit.of(trajectory, window) if abs(chords.mean()) >= LEAST_WAY * length else None
     if path is None:
         return found
     found["path_curvature_per_m"] = path_curvature(float(chords.mean()), float(turns.mean()))
@@ -170,11 +169,11 @@ def _before(trajectory: Trajectory, period: float) -> float | None:
     duty = np.concatenate([trajectory.stack("duty_plus"), trajectory.stack("duty_minus")], axis=-1)
     changed = np.flatnonzero((duty != duty[0]).any(axis=1))
     end = float(trajectory.time[changed[0] - 1] if len(changed) else trajectory.time[-1])
-    window = _window(trajectory, period, end, 2)
+    window = GaitWindow.last(trajectory, period, end, 2)
     if window is None or window.start - float(trajectory.time[0]) < 0.5 * period * (1 - _ROUNDING):
         return None
-    chords, turns = _carried(trajectory, window)
-    if not abs(chords.mean()) >= _LEAST_WAY * body_length(trajectory):
+    chords, turns = carried(trajectory, window)
+    if not abs(chords.mean()) >= LEAST_WAY * body_length(trajectory):
         return None
     return path_curvature(float(chords.mean()), float(turns.mean()))
 
@@ -193,28 +192,6 @@ def _turns(trajectory: Trajectory, period: float) -> np.ndarray:
         trajectory.time[0] + period * np.arange(whole + 1), trajectory.time, trajectory["heading"]
     )
     return np.diff(heading)
-
-
-def _window(trajectory: Trajectory, period: float, end: float, periods: int) -> GaitWindow | None:
-    """Return so many periods up to a time (s), None where the run does not have them."""
-    start, step = end - periods * period, float(np.median(np.diff(trajectory.time)))
-    if start < trajectory.time[0] - _ROUNDING * period:
-        return None
-    return GaitWindow(start, period, periods, max(64, math.ceil(4 * period / step)))
-
-
-def _carried(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much a period carries the centre of mass (m, backward negative) and turns it (rad).
-
-    Both are means over all periods that begin within one: at one phase alone, what the body sways to the side
-    would be taken for a part of the radius. K periods give K − 1 numbers of each.
-    """
-    heading, turning = window.running(trajectory, trajectory["heading"])
-    _, velocity = window.running(trajectory, trajectory.com)
-    along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    apart = np.copysign(window.period, along.mean()) * np.hypot(velocity[:, 0], velocity[:, 1])
-    each = (window.periods - 1, window.instants)
-    return apart.reshape(each).mean(axis=1), window.period * turning.reshape(each).mean(axis=1)
 
 
 def _listed(values: np.ndarray) -> list[Any]:

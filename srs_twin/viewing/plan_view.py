@@ -12,12 +12,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from shapely import LineString
 
+from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB, Style, pressure_colors, style_of
 from srs_twin.viewing.figures import finish, panels
 from srs_twin.viewing.signals import pressure_difference
-from srs_twin.viewing.tubes import body_line, centre_lines, wheel_centres
+from srs_twin.viewing.tubes import body_line, wheel_centres
 
 _MOST_SHOWN = 6
 # Bodies closer together than this many body lengths hide each other.

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
+from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.spec import Geometry
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.blueprint import TIMELINE
 from srs_twin.viewing.colors import Style, pressure_colors
 from srs_twin.viewing.signals import pressure_difference
-from srs_twin.viewing.tubes import body_line, centre_lines, wheel_centres
+from srs_twin.viewing.tubes import body_line, wheel_centres
 
 PIECES = 6
 """Capsules an arc; at 90° each stands for 15°, where the rounded ends still hide the corners."""

@@ -1,0 +1,64 @@
+"""Where the body is between its connectors: its centre line and its two sides.
+
+Recorded are the connectors only (`x_i`, `y_i`, `theta_i`); between two of them a segment is half its rigid
+gap straight along the front connector's heading, an arc of constant curvature, and half the gap along the
+rear connector's heading (Fig. 35).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from srs_twin.shape import chord
+from srs_twin.spec import Geometry
+from srs_twin.trajectory import Trajectory
+
+
+def centre_lines(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np.ndarray:
+    """Return the centre line of every segment, shape (samples, segments, pieces + 3, 2), m, front first.
+
+    The points are: front connector, both ends of the arc with `pieces` equal parts between them, rear
+    connector. The twin bends in a few hinges, not in an exact arc; what is left between the end of the
+    arc and the recorded rear connector is spread evenly along the segment, so that both ends are where
+    they were recorded.
+
+    Args:
+        trajectory: with `x_1…`, `y_1…`, `theta_1…`.
+        geometry: of the robot that was recorded.
+        pieces: straight parts that stand in for an arc, 1 or more.
+    """
+    theta = trajectory.stack("theta")
+    front, rear = trajectory.position[:, :-1], trajectory.position[:, 1:]
+    bend = (theta[:, :-1] - theta[:, 1:])[..., None]
+    part = np.linspace(0.0, 1.0, pieces + 1)
+    ahead = theta[:, :-1, None]
+    reach = part * chord(bend * part, geometry.segment_length, 0.0)
+    arc = reach[..., None] * _unit(ahead - bend * part / 2)
+    stub = geometry.rigid_gap / 2
+    start = front[:, :, None] - stub * _unit(ahead)
+    bent = start - arc
+    end = bent[:, :, -1:] - stub * _unit(theta[:, 1:, None])
+    line = np.concatenate([front[:, :, None], bent, end], axis=2)
+    share = np.linspace(0.0, 1.0, pieces + 3)[:, None]
+    return line + share * (rear[:, :, None] - end)
+
+
+def body_sides(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np.ndarray:
+    """Return points on both sides of the body, shape (samples, points, 2), m: half its width off the line.
+
+    Args:
+        trajectory: with `x_1…`, `y_1…`, `theta_1…`.
+        geometry: of the robot that was recorded.
+        pieces: of each segment's arc, 1 or more.
+    """
+    theta = trajectory.stack("theta")
+    front, rear = theta[:, :-1, None], theta[:, 1:, None]
+    arc = front - (front - rear) * np.linspace(0.0, 1.0, pieces + 1)
+    headings = np.concatenate([front, arc, rear], axis=2)
+    lines = centre_lines(trajectory, geometry, pieces)
+    across = geometry.width / 2 * np.stack([-np.sin(headings), np.cos(headings)], axis=-1)
+    return np.concatenate([lines + across, lines - across], axis=2).reshape(len(lines), -1, 2)
+
+
+def _unit(angle: np.ndarray) -> np.ndarray:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
