@@ -154,13 +154,18 @@ def parse_yaml(text: str, name: str) -> Document:
     return builder.document
 
 
-def dump_yaml(data: Any) -> str:
-    """Return plain data as YAML text that `parse_yaml` reads back as equal data."""
+def dump_yaml(data: Any, *, compact: bool = False) -> str:
+    """Return plain data as YAML text that `parse_yaml` reads back as equal data.
+
+    Args:
+        data: dicts, lists, text, numbers, true, false, None.
+        compact: write lists and dicts that hold numbers alone in one line, as people do.
+    """
     yaml = YAML(typ="safe", pure=True)
-    yaml.Representer = _Representer
+    yaml.Representer = _CompactRepresenter if compact else _Representer
     yaml.default_flow_style = False
     yaml.allow_unicode = True
-    yaml.width = 110
+    yaml.width = 150 if compact else 110  # a row stays a row
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     stream = io.StringIO()
     yaml.dump(data, stream)
@@ -309,6 +314,24 @@ def _text(representer: SafeRepresenter, text: str) -> Any:
 
 
 _Representer.add_representer(str, _text)
+
+
+class _CompactRepresenter(_Representer):
+    """Writes rows of numbers as rows."""
+
+
+def _row(representer: SafeRepresenter, values: list[Any]) -> Any:
+    row = bool(values) and all(isinstance(value, int | float) for value in values)
+    return representer.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=row)
+
+
+def _entry(representer: SafeRepresenter, entry: dict[str, Any]) -> Any:
+    row = bool(entry) and all(isinstance(value, int | float) for value in entry.values())
+    return representer.represent_mapping("tag:yaml.org,2002:map", entry, flow_style=row)
+
+
+_CompactRepresenter.add_representer(list, _row)
+_CompactRepresenter.add_representer(dict, _entry)
 
 
 def _plain(text: str) -> Any:

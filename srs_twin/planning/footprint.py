@@ -51,6 +51,11 @@ class Transient:
         left: how much wider the left edge has to be, m.
         right: how much wider the right edge has to be, m.
         length: path after the change over which that holds, m.
+        dx: how far ahead the path is, m, once it is settled: as if at the change the snake had jumped by
+            (dx, dy), in the direction of its path and to the left of it, turned by dheading, and followed the
+            new arc from there.
+        dy: … to the left, m.
+        dheading: … turned to the left, rad.
     """
 
     before: float
@@ -58,6 +63,9 @@ class Transient:
     left: float
     right: float
     length: float
+    dx: float = 0.0
+    dy: float = 0.0
+    dheading: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -160,17 +168,22 @@ class Footprint:
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
         """Return (left, right, length), m, of a change of offset, linear in how large the change is.
 
-        Changes larger than any measured one in that direction count as the largest.
+        Changes larger than any measured one in that direction count as the largest; of changes that are
+        equally large the widest counts.
         """
         change = after - before
         same = [t for t in self.transients if (t.after - t.before) * change > 0]
         if not same:
             return 0.0, 0.0, 0.0
-        same.sort(key=lambda t: abs(t.after - t.before))
-        sizes = [0.0, *(abs(t.after - t.before) for t in same)]
+        widest: dict[float, tuple[float, float]] = {0.0: (0.0, 0.0)}
+        for t in same:
+            # Rounded, for 0.2 − 0.1 is not 0.1.
+            size = round(abs(t.after - t.before), 9)
+            old = widest.get(size, (0.0, 0.0))
+            widest[size] = max(old[0], t.left), max(old[1], t.right)
+        sizes = sorted(widest)
         left, right = (
-            float(np.interp(abs(change), sizes, [0.0, *column]))
-            for column in ([t.left for t in same], [t.right for t in same])
+            float(np.interp(abs(change), sizes, [widest[size][side] for size in sizes])) for side in (0, 1)
         )
         return left, right, max(t.length for t in same)
 
@@ -191,17 +204,23 @@ def problems(footprint: Footprint) -> list[tuple[str, str]]:
     low, high = footprint.curvatures[0], footprint.curvatures[-1]
     if not low < 0 < high:
         found.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
-    extra = [max((getattr(t, side) for t in footprint.transients), default=0.0) for side in ("left", "right")]
-    for name, inner, curvature, more in (
-        ("left", max(footprint.left), high, extra[0]),
-        ("right", max(footprint.right), -low, extra[1]),
-    ):
-        if (inner + more) * curvature >= 1:
-            message = (
-                f"{inner + more:g} m reaches the centre of the tightest turn, radius {1 / curvature:g} m"
+    for side, name in enumerate(("left", "right")):
+        turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
+        edges = [edge + _extra(footprint, row, side) for row, edge in enumerate(getattr(footprint, name))]
+        row = int(np.argmax(turn * edges))
+        if turn[row] * edges[row] >= 1:
+            which = (
+                "tightest turn" if turn[row] == turn.max() else f"turn of offset {footprint.offsets[row]:g}"
             )
-            found.append((name, message))
+            radius = f"radius {1 / turn[row]:g} m"
+            found.append((name, f"{edges[row]:g} m reaches the centre of the {which}, {radius}"))
     return found
+
+
+def _extra(footprint: Footprint, row: int, side: int) -> float:
+    """Return by how much the left (side 0) or right edge of a row is wider after any change to its offset."""
+    after = footprint.offsets[row]
+    return max((footprint.transient(before, after)[side] for before in footprint.offsets), default=0.0)
 
 
 def checked(footprint: Footprint) -> Footprint:

@@ -6,6 +6,7 @@ The published ones are in calibration/footprints; `srs-twin calibrate footprint`
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -25,6 +26,8 @@ Reach = Record[Annotated[float, between(0.0, 10.0)], Literal["m"]]
 
 Offset = Annotated[float, between(-1.0, 1.0)]
 Metres = Annotated[float, between(0.0, 10.0)]
+Shift = Annotated[float, between(-10.0, 10.0)]
+Spreads = Annotated[list[Annotated[float, between(0.0, 100.0)]], Rows]
 
 
 class TransientFile(Strict):
@@ -35,6 +38,18 @@ class TransientFile(Strict):
     left_m: Metres = Field(description="How much wider the left edge has to be, m, 0 to 10.")
     right_m: Metres = Field(description="How much wider the right edge has to be, m, 0 to 10.")
     length_m: Metres = Field(description="Path over which that holds, m, 0 to 10.")
+    dx_m: Shift = Field(0.0, description="Jump of the path along itself, m, -10 to 10 (default 0).")
+    dy_m: Shift = Field(0.0, description="Jump of the path to its left, m, -10 to 10 (default 0).")
+    dheading_rad: Annotated[float, between(-3.15, 3.15)] = Field(
+        0.0, description="Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."
+    )
+
+    def transient(self) -> Transient:
+        """Return it as the planner takes it."""
+        return Transient(
+            self.from_offset, self.to_offset, self.left_m, self.right_m, self.length_m,
+            self.dx_m, self.dy_m, self.dheading_rad,
+        )  # fmt: skip
 
 
 class TransientsFile(Strict):
@@ -45,6 +60,16 @@ class TransientsFile(Strict):
     changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)] = Field(
         description="One change of offset each."
     )
+
+
+class SpreadFile(Strict):
+    """By how much repeated measurements of the columns differ, one number an offset."""
+
+    source: str = Field(min_length=1, max_length=1000, description="What was repeated, and what is given.")
+    curvature_per_m: Spreads = Field(description="Of the curvature, 1/m, 0 to 100.")
+    speed_m_s: Spreads = Field(description="Of the speed, m/s, 0 to 100.")
+    left_m: Spreads = Field(description="Of the left edge, m, 0 to 100.")
+    right_m: Spreads = Field(description="Of the right edge, m, 0 to 100.")
 
 
 class FootprintFile(Strict):
@@ -60,6 +85,7 @@ class FootprintFile(Strict):
     right_m: Edges = Field(description="Distance of the right edge from the path, m, 0.001 to 10.")
     ahead_m: Reach = Field(description="From the centre of mass to the head along the path, m, 0 to 10.")
     behind_m: Reach = Field(description="From the centre of mass to the tail along the path, m, 0 to 10.")
+    spread: SpreadFile | None = Field(None, description="Repeatability, where measured.")
     transients: TransientsFile | None = Field(None, description="Changes of offset, where measured.")
 
     def footprint(self) -> Footprint:
@@ -69,7 +95,7 @@ class FootprintFile(Strict):
             self.name, self.title, tuple(self.offset.value), tuple(self.curvature_per_m.value),
             tuple(self.speed_m_s.value), tuple(self.left_m.value), tuple(self.right_m.value),
             self.ahead_m.value, self.behind_m.value,
-            tuple(Transient(c.from_offset, c.to_offset, c.left_m, c.right_m, c.length_m) for c in changes),
+            tuple(change.transient() for change in changes),
         )  # fmt: skip
 
 
@@ -108,8 +134,13 @@ def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
     return load_footprint_file(name_or_path).footprint()
 
 
-def save_footprint(file: FootprintFile, path: str | os.PathLike[str]) -> None:
+def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header: Sequence[str] = ()) -> None:
     """Write a footprint file whole or not at all.
+
+    Args:
+        file: what to write.
+        path: where.
+        header: lines of a comment at its top.
 
     Raises:
         InputFileError: the table cannot be a footprint.
@@ -119,9 +150,15 @@ def save_footprint(file: FootprintFile, path: str | os.PathLike[str]) -> None:
     _report(file, document)
     document.finish()
     with atomic_write(path) as part:
-        part.write_text(dump_yaml(file.model_dump(mode="json", exclude_none=True)), "utf-8")
+        comment = "".join(f"# {line}\n" for line in header)
+        text = dump_yaml(file.model_dump(mode="json", exclude_none=True), compact=True)
+        part.write_text(comment + text, "utf-8")
 
 
 def _report(file: FootprintFile, document: Document) -> None:
+    for name in ("curvature_per_m", "speed_m_s", "left_m", "right_m") if file.spread else ():
+        values = getattr(file.spread, name)
+        if len(values) != len(file.offset.value):
+            document.report(("spread", name), f"{len(values)} values for {len(file.offset.value)} offsets")
     for name, message in problems(file.footprint()):
         document.report((_KEYS[name], "value"), message)

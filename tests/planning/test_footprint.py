@@ -89,6 +89,34 @@ def test_transients_grow_with_the_change_and_know_its_direction():
     assert body.transient(0.1, 0.1) == (0, 0, 0)
 
 
+def test_of_changes_that_are_equally_large_the_widest_counts():
+    body = replace(
+        BOX,
+        transients=(
+            Transient(-0.3, 0.0, 0.01, 0.02, 0.1), Transient(0.0, 0.3, 0.02, 0.01, 0.2),
+            Transient(-0.2, 0.1, 0.0, 0.03, 0.05),
+        ),
+    )  # fmt: skip
+    for before, after in ((-0.3, 0.0), (0.0, 0.3), (-0.1, 0.2)):
+        assert body.transient(before, after) == pytest.approx((0.02, 0.03, 0.2))
+    assert body.transient(0.0, 0.15) == pytest.approx((0.01, 0.015, 0.2))
+
+
+def test_the_edge_of_each_row_may_reach_to_the_centre_of_its_own_turn():
+    """A long snake that turns tightly: its outer edge is farther away than the centre on the other side."""
+    body = replace(BOX, curvatures=(-13.0, 0.0, 13.0), left=(0.085, 0.05, 0.047), right=(0.047, 0.05, 0.085))
+    assert checked(body) is body
+    with pytest.raises(
+        InputError, match=r"left: 0.08 m reaches the centre of the tightest turn, radius 0.0769"
+    ):
+        checked(replace(body, left=(0.085, 0.05, 0.08)))
+    # A change to the left that pushes the right edge out does not narrow the inside of a left turn.
+    out = Transient(-0.3, 0.3, 0.0, 0.06, 0.1)
+    assert checked(replace(body, transients=(out,)))
+    with pytest.raises(InputError, match=r"left: 0.107 m reaches"):
+        checked(replace(body, transients=(replace(out, left=0.06),)))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
