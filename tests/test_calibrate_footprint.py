@@ -1,0 +1,200 @@
+"""`srs-twin calibrate footprint` from outside, its files, and whether the shipped ones are current."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from srs_twin import DivergedError, InputError, load_robot, rollout
+from srs_twin.cli import main
+from srs_twin.documents import dump_yaml, parse_yaml
+from srs_twin.files import shipped_folder
+from srs_twin.identification import study as study_module
+from srs_twin.identification.drive import RECORD_HZ, Drive
+from srs_twin.identification.footprint import study
+from srs_twin.identification.footprint_record import footprint_file, header, robot_hash
+from srs_twin.identification.study import Study, steady_path
+from srs_twin.planning import Problem, load_footprint, plan
+from srs_twin.planning.footprint import checked
+from srs_twin.planning.footprint_file import load_footprint_file, save_footprint
+from srs_twin.world import Circle, Goal, Pose, World
+
+SHORT = (
+    "calibrate", "footprint", "gen2", "--plant", "analytical", "--offsets=0.2,-0.2,0", "--no-transients",
+    "--phases", "1", "--periods", "3",
+)  # fmt: skip
+FILE = Path("calibration/footprints/gen2_gait.yaml")
+
+
+def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypatch):
+    done = srs_twin(*SHORT, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "curvature 1/m" in done.stdout and f"footprint in {FILE}" in done.stderr
+    body = load_footprint(tmp_path / FILE)
+    assert body.offsets == (-0.2, 0.0, 0.2) and not body.transients
+    for curvature, speed, left in zip(body.curvatures, body.speeds, body.left, strict=True):
+        assert all(f"{value:.4f}" in done.stdout for value in (curvature or 0.0, speed, left))
+    file = load_footprint_file(tmp_path / FILE)
+    assert (
+        file.speed_m_s.status == "calibrated" and "analytical model compliant" in file.curvature_per_m.source
+    )
+    lines = (tmp_path / FILE).read_text("utf-8").splitlines()
+    assert lines[0] == (
+        "# measured by: srs-twin calibrate footprint gen2 --name gen2_gait --controller gait --frequency 2 "
+        "--pressure 48.3 --plant analytical --offsets=-0.2,0,0.2 --no-transients --periods 3 --phases 1"
+    )
+    assert lines[1].endswith(robot_hash(load_robot("gen2"))) and "mujoco 3." in lines[2]
+
+    # The same again takes its place, something else does not.
+    before = (tmp_path / FILE).read_bytes()
+    words = lines[0].removeprefix("# measured by: srs-twin ").split()
+    again = srs_twin(*words, "--quiet", "--threads", "1", cwd=tmp_path)
+    assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
+    assert (tmp_path / FILE).read_bytes() == before
+    other = srs_twin(*SHORT, "--periods", "4", cwd=tmp_path)
+    assert other.returncode == 2 and other.stderr == (
+        f"{FILE}: another footprint stands there; --overwrite replaces it, --name and --out lead elsewhere\n"
+    )
+    assert (tmp_path / FILE).read_bytes() == before
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main([*SHORT, "--periods", "4", "--overwrite", "-q"])
+    assert end.value.code == 0
+    assert (tmp_path / FILE).read_bytes() != before
+    assert sorted(path.name for path in (tmp_path / FILE).parent.iterdir()) == [FILE.name]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["gen9"], "unknown robot 'gen9'; did you mean gen"),
+        (["gen2", "--controller", "gate"], "unknown controller 'gate'; did you mean gait?"),
+        (["gen2", "--plant", "real"], "unknown plant 'real'"),
+        (["gen2", "--offsets=a,b"], "--offsets: 'a,b' is no list of numbers such as -0.3,0,0.3"),
+        (["gen2", "--offsets="], "--offsets: '' is no list of numbers"),
+        (["gen2", "--offsets=nan,0,0.3"], "offset nan is not allowed"),
+        (["gen2", "--offsets=0,0.3"], "on both sides of 0"),
+        (["gen2", "--pressure", "1e9"], "is above the"),
+        (["gen2", "--pressure", "nan"], "pressure nan kPa is not allowed"),
+        (["gen2", "--frequency", "-1"], "frequency -1 Hz is not allowed"),
+        (["gen4", "--controller", "ilc", "--target", "0"], "ilc target 0.0 is not allowed"),
+        (["gen2", "--periods", "-3"], "periods -3 is not allowed"),
+        (["gen2", "--phases", "1000000"], "phases 1000000 is not allowed; it must be from 1 to 64"),
+        (["gen2", "--name", "../x"], "--name: '../x' is not allowed; lower-case letters"),
+        (["gen2", "--out", "/dev/null/x"], "cannot write there"),
+        (["gen4_module"], "one segment"),
+    ],
+)
+def test_bad_options_end_with_a_message_before_anything_runs(words, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(study_module, "run_many", lambda *_, **__: pytest.fail("something ran"))
+    with pytest.raises(SystemExit) as end:
+        main(["calibrate", "footprint", *words])
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and message in said and "Traceback" not in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupt_leaves_nothing_and_says_so(tmp_path, monkeypatch, capsys):
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(study_module, "run_many", interrupted)
+    with pytest.raises(SystemExit) as end:
+        main(list(SHORT))
+    assert end.value.code == 130 and capsys.readouterr().err == "interrupted; nothing was written\n"
+    assert not list(tmp_path.rglob("*.yaml"))
+
+
+def test_a_run_that_diverges_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runs = [object(), DivergedError("twin", 1.5, "its state held nan"), object()]
+    monkeypatch.setattr(study_module, "run_many", lambda *_, **__: runs)
+    with pytest.raises(SystemExit) as end:
+        main(list(SHORT))
+    assert end.value.code == 3
+    assert "offset 0: twin diverged at t = 1.5 s: its state held nan" in capsys.readouterr().err
+
+
+def test_help_of_the_sub_command(srs_twin, tmp_path):
+    done = srs_twin("calibrate", "--help", cwd=tmp_path)
+    assert done.returncode == 0 and "footprint" in done.stdout
+    assert "--no-transients" in srs_twin("calibrate", "footprint", "--help", cwd=tmp_path).stdout
+
+
+def test_rows_of_numbers_are_written_as_rows_and_read_back():
+    data = {"a": [1.0, -2.5, 3], "b": [{"x": 1.0, "y": -0.25}, {"x": 2.0, "y": 0.5}], "c": ["x", []], "d": {}}
+    text = dump_yaml(data, compact=True)
+    assert text.splitlines()[:3] == ["a: [1.0, -2.5, 3]", "b:", "- {x: 1.0, y: -0.25}"]
+    assert parse_yaml(text, "text").data == data == parse_yaml(dump_yaml(data), "text").data
+
+
+def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
+    drive = Drive(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
+    planned = study(drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1)
+    measured = planned.measure()
+    path = tmp_path / "x.yaml"
+    save_footprint(
+        footprint_file(measured, "x"), path, header=header(planned, "gen2", "x", {"srs_twin": "1"})
+    )
+    body, whole = load_footprint(path), measured.footprint()
+    for column in ("curvatures", "speeds", "left", "right", "ahead", "behind"):
+        assert getattr(body, column) == pytest.approx(getattr(whole, column), abs=6e-5)
+    (found,), (wanted,) = body.transients, whole.transients
+    for key in ("before", "after", "left", "right", "length", "dx", "dy", "dheading"):
+        assert getattr(found, key) == pytest.approx(getattr(wanted, key), abs=6e-5)
+    text = path.read_text("utf-8")
+    with pytest.raises(InputError, match="spread.left_m: 4 values for 3 offsets"):
+        longer = re.sub(r"(spread:(?:.|\n)*left_m: \[[^]]*)\]", r"\1, 0.0]", text)
+        assert longer != text
+        path.write_text(longer, "utf-8")
+        load_footprint(path)
+
+
+SHIPPED = {
+    "gen2_gait": ("gen2", "gait", 2.0, 48.3e3, 0.2),
+    "gen4_ilc": ("gen4", "ilc", 1.5, 131e3, 0.3),
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_measurements_are_current(name):
+    """One offset is run again at one phase of the gait; the file's row is the mean over several."""
+    robot, controller, frequency, supply, offset = SHIPPED[name]
+    spec = load_robot(robot)
+    first, second = (shipped_folder("footprint") / f"{name}.yaml").read_text("utf-8").splitlines()[:2]
+    assert first.startswith(f"# measured by: srs-twin calibrate footprint {robot} --name {name} ")
+    assert f"--pressure {supply / 1000:g} " in first and " --no-transients" not in first
+    assert second.endswith(robot_hash(spec)), "the robot has changed; measure it again with the command above"
+
+    drive = Drive(spec, frequency, supply, controller)
+    job = drive.steady_job(drive.plant_maker(), offset, 0.0, Study.periods)
+    again = steady_path(
+        drive, rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ), Study.periods
+    )
+    file = load_footprint_file(name)
+    row = file.offset.value.index(offset)
+    columns = {"curvature": "curvature_per_m", "speed": "speed_m_s", "left": "left_m", "right": "right_m"}
+    for key, column in columns.items():
+        value, spread = getattr(file, column).value[row], getattr(file.spread, column)[row]
+        assert getattr(again, key) == pytest.approx(value, abs=2 * spread + 2e-3 * abs(value)), key
+    assert again.ahead <= file.ahead_m.value * 1.01 and again.behind <= file.behind_m.value * 1.01
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_measurements_are_mirror_images_and_plan(name):
+    """The robots' modules are alike, so what turns left turns right."""
+    body = checked(load_footprint(name))
+    assert body.curvatures == pytest.approx([-k for k in body.curvatures[::-1]], abs=0.02)
+    assert body.left == pytest.approx(body.right[::-1], abs=1e-3)
+    assert body.speeds == pytest.approx(body.speeds[::-1], rel=0.01)
+    changes = {(t.before, t.after): t for t in body.transients}
+    for (before, after), each in changes.items():
+        other = changes[-before, -after]
+        assert each.dheading == pytest.approx(-other.dheading, abs=0.03)
+        assert each.dheading * (after - before) < 0, "a turn that comes late is missing"
+    answer = plan(Problem(Pose(0, 0, 0), Goal(3.0, 0.0, 0.0, 0.02), World((Circle(1.5, 0.0, 0.1),)), body))
+    assert answer.outcome == "found"
