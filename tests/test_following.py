@@ -239,13 +239,25 @@ def test_straying_gets_new_plans_as_often_as_allowed():
     assert times == sorted(times) and len(times) == 3
 
 
-def test_a_new_plan_that_cannot_be_ends_it_and_says_why():
-    def refuse(pose):
-        raise InputError("start (1, 2): the straight body's footprint touches obstacle 1")
+def refuse(pose):
+    raise InputError("start (1, 2): the straight body's footprint touches obstacle 1")
 
-    follower, _, _ = follow(a_plan(), curvature_at=blind, stray=0.1, replan=refuse)
+
+def test_without_a_new_plan_it_goes_on_along_the_old_one_for_as_often_as_allowed():
+    follower, _, way = follow(a_plan(), curvature_at=blind, stray=0.1, replan=refuse, replans=2)
     assert follower.ending == "strayed" and len(follower.plans) == 1
-    assert follower.events()[-1].text.endswith("touches obstacle 1")
+    events = follower.events()
+    assert [event.kind for event in events] == ["no_new_plan", "no_new_plan", "strayed"]
+    assert events[0].text.endswith("touches obstacle 1")
+    assert events[1].time >= events[0].time + 1.0
+    # One that finds back in the meantime arrives.
+    follower, _, _ = follow(a_plan(), start=(0.0, 0.2, 0.4), stray=0.15, replan=refuse)
+    assert follower.ending == "goal_reached" and follower.events()[0].kind == "no_new_plan"
+
+
+def test_a_missed_goal_without_a_new_plan_ends_it_and_says_why():
+    follower, _, _ = follow(a_plan(), goal=Goal(3.0, 0.4, None, 0.05), replan=refuse)
+    assert follower.ending == "goal_missed" and follower.events()[-1].text.endswith("touches obstacle 1")
 
 
 def test_a_new_plan_leads_to_the_goal():

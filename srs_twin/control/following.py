@@ -45,6 +45,8 @@ ENDINGS = {
 STUCK_SHARE = 0.1
 """Of the footprint's speed: whatever is slower for `STUCK_PERIODS` is stuck."""
 STUCK_PERIODS = 6
+PATIENCE_PERIODS = 2
+"""After a new plan was asked for in vain, before the next one is."""
 _SENT = 1e-3
 """Offsets that differ by less are not sent."""
 _WINDOW = 0.3
@@ -64,7 +66,7 @@ class Conditions:
         delay: of commands, s.
         settle: ℓ, path over which a new offset takes hold, m.
         stray: distance from the path at which a new plan is made, m; None: never.
-        replans: how many new plans at most.
+        replans: how often a new plan is asked for at most.
     """
 
     camera: Camera
@@ -139,6 +141,7 @@ class Follower(Controller):
         self._orders: deque[tuple[float, float]] = deque()
         self._commanded = 0.0
         self._here = _NOWHERE
+        self._tries, self._not_before = 0, 0.0
         self._events: list[Event] = []
         self.finished, self.ending, self.plans = False, None, []
         self._take(0.0, self._first)
@@ -229,21 +232,23 @@ class Follower(Controller):
             self._again(time, here, "strayed")
 
     def _again(self, time: float, pose: Pose, why: str) -> None:
-        """Plan anew from a pose, or end."""
-        if self._replan is None or len(self.plans) > self._conditions.replans:
+        """Plan anew from a pose. Without a new plan a snake that strayed goes on along the old one for now."""
+        if time < self._not_before and why == "strayed":
+            return
+        if self._replan is None or self._tries >= self._conditions.replans:
             self._end(time, why)
             return
-        try:
-            plan = self._replan(pose)
-        except InputError as error:
-            self._end(time, why, f"{ENDINGS[why]}; no new plan: {error}")
-            return
-        if not plan.found or not plan.segments:
-            self._end(time, why, f"{ENDINGS[why]}; no new plan: {plan.reason}")
-            return
-        number = len(self.plans)
-        self._events.append(Event(time, "replanned", f"new plan {number}, {plan.length:.3g} m ({why})"))
-        self._take(time, plan)
+        self._tries += 1
+        plan, reason = _asked(self._replan, pose)
+        if plan is not None:
+            text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why})"
+            self._events.append(Event(time, "replanned", text))
+            self._take(time, plan)
+        elif why == "strayed":
+            self._not_before = time + PATIENCE_PERIODS * self._period
+            self._events.append(Event(time, "no_new_plan", f"going on along the old one: {reason}"))
+        else:
+            self._end(time, why, f"{ENDINGS[why]}; no new plan: {reason}")
 
     def _take(self, time: float, plan: Plan) -> None:
         self.plans.append((time, plan))
@@ -264,6 +269,15 @@ class Follower(Controller):
 
     def _steer(self, offset: float) -> None:
         self._gait.offset = offset
+
+
+def _asked(replan: Replan, pose: Pose) -> tuple[Plan | None, str]:
+    """Return a plan from a pose, or None and why there is none."""
+    try:
+        plan = replan(pose)
+    except InputError as error:
+        return None, str(error)
+    return (plan, "") if plan.segments else (None, plan.reason)
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, Any]:

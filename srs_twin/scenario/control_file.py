@@ -192,7 +192,7 @@ class FollowFile(Strict):
     replan_beyond_m: float | None = quantity(
         "Distance from the path that calls for a new plan (default: none is made)", "m", 0.001, 100.0, None
     )
-    replans: int = quantity("New plans at most", "", 0, 1000, 3)
+    replans: int = quantity("How often a new plan is asked for at most", "", 0, 1000, 3)
 
     @model_validator(mode="after")
     def _what_belongs_together(self) -> FollowFile:
