@@ -232,7 +232,7 @@ class Follower(Controller):
             self._again(time, here, "strayed")
 
     def _again(self, time: float, pose: Pose, why: str) -> None:
-        """Plan anew from a pose. Without a new plan a snake that strayed goes on along the old one for now."""
+        """Plan anew from a pose; without a new plan, a snake that strayed goes on along the old one."""
         if time < self._not_before and why == "strayed":
             return
         if self._replan is None or self._tries >= self._conditions.replans:

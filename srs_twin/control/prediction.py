@@ -13,7 +13,8 @@ counted as a disturbance, which takes up what the footprint has wrong.
 from __future__ import annotations
 
 import math
-from collections import deque
+from bisect import bisect_right
+from operator import itemgetter
 
 import numpy as np
 
@@ -29,7 +30,10 @@ _DISTURBANCE_SHARE = 0.5
 _LEARNING_PERIODS = 2.0
 """Over which the disturbance follows what is measured."""
 
+_KEPT_PERIODS = 2.5
+
 _Moment = tuple[float, float, float, float]  # time, x, y, heading
+_time = itemgetter(0)
 
 
 class Predictor:
@@ -58,8 +62,8 @@ class Predictor:
         self.disturbance = self.curvature = 0.0
         self.moved: float | None = None
         self._learnt = 0.0
-        self._model: deque[_Moment] = deque([(0.0, 0.0, 0.0, 0.0)])
-        self._means: deque[_Moment] = deque()
+        self._model: list[_Moment] = [(0.0, 0.0, 0.0, 0.0)]
+        self._means: list[_Moment] = []
 
     @property
     def turning(self) -> float:
@@ -80,8 +84,7 @@ class Predictor:
         turn = way * ((mean + self.curvature) / 2 + self.disturbance)
         middle = heading + turn / 2
         self._model.append((time, x + way * math.cos(middle), y + way * math.sin(middle), heading + turn))
-        while len(self._model) > 2 and self._model[1][0] < time - 2.5 * self._period - self._delay:
-            self._model.popleft()
+        _forget(self._model, time - _KEPT_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
         """Take the mean pose that belongs to `middle` (s); with whole periods learn speed and disturbance."""
@@ -91,11 +94,11 @@ class Predictor:
             self._learnt = time
             return
         since = middle - self._period
-        while len(means) > 2 and means[1][0] <= since:
-            means.popleft()
-        begin, x, y, heading = means[0]
-        if begin > since + 1e-9 or middle - begin <= 0:
+        k = bisect_right(means, since, key=_time) - 1
+        if k < 0:
             return
+        begin, x, y, heading = means[k]
+        _forget(means, since)
         self.moved = math.hypot(mean.x - x, mean.y - y)
         span = middle - begin
         low, high = (share * self._nominal for share in _SPEED_SHARE)
@@ -121,16 +124,17 @@ class Predictor:
         """Return the model at a time of the snake: its command came a delay earlier."""
         time -= self._delay
         model = self._model
-        last = model[-1]
-        for k in range(len(model) - 1, 0, -1):
-            before = model[k - 1]
-            if before[0] <= time:
-                part = min(1.0, (time - before[0]) / (last[0] - before[0]))
-                return (
-                    time,
-                    before[1] + part * (last[1] - before[1]),
-                    before[2] + part * (last[2] - before[2]),
-                    before[3] + part * (last[3] - before[3]),
-                )
-            last = before
-        return model[0]
+        k = bisect_right(model, time, key=_time)
+        if k in (0, len(model)):
+            return model[0 if k == 0 else -1]
+        begin, x0, y0, heading0 = model[k - 1]
+        end, x, y, heading = model[k]
+        part = (time - begin) / (end - begin)
+        return time, x0 + part * (x - x0), y0 + part * (y - y0), heading0 + part * (heading - heading0)
+
+
+def _forget(moments: list[_Moment], before: float) -> None:
+    """Drop what is older than a time (s), but for the last such moment, now and then."""
+    old = bisect_right(moments, before, key=_time) - 1
+    if 2 * old > len(moments):
+        del moments[:old]
