@@ -30,7 +30,7 @@ PLANTS = ("analytical", "twin")
 FOLLOWERS = ("bearing", "path")
 OF_PATH = ("lookahead_m", "settle_m")
 BEARING = {"gain_per_rad": 0.6, "node_m": 0.4, "near_m": 0.3}
-"""Of the text's follower, which states none: the best of 18 tried on follow_gen4_c (docs/following.md)."""
+"""Of the text's follower, which states none: one of the two best of 18 tried (docs/following.md)."""
 LONGEST_S = 60
 Order = tuple[str, str, str, int]
 

@@ -97,7 +97,10 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
     ("where", "says"),
     [
         ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) lies inside"),
-        ("bounds: {x_m: [-1, 0.5], y_m: [-1, 1]}\n  goal: {x_m: 0.8, y_m: 0.1}", "goal (0.8, 0.1) lies outside of"),
+        (
+            "bounds: {x_m: [-1, 0.5], y_m: [-1, 1]}\n  goal: {x_m: 0.8, y_m: 0.1}",
+            "goal (0.8, 0.1) lies outside of",
+        ),
     ],
 )  # fmt: skip
 def test_ends_that_cannot_be_are_bad_input(where, says, file, srs_twin):
@@ -160,7 +163,7 @@ def test_the_twin_feels_what_it_runs_into_on_purpose(tmp_path):
     scenario = parse_scenario(
         data(
             world={"obstacles": [{"x_m": 0.45, "y_m": 0.0, "radius_m": 0.1}]},
-            planner={"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0, 0, 0, 0], "step_m": 0.2},
+            planner={"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5},
             plants={"twin": {}}, duration_s=8,
         )
     )  # fmt: skip
@@ -208,10 +211,8 @@ def test_a_field_is_drawn_by_the_seed():
 
 
 def test_a_footprint_is_reduced_for_planning_and_whole_for_steering():
-    settings = parse_scenario(
-        data(planner={"kind": "best_first", "footprint": "gen2_section52", "turn_share": 0.5, "margin_m": 0.02})
-    ).controller  # fmt: skip
-    planner = settings.planner
+    file = data()["planner"] | {"turn_share": 0.5, "margin_m": 0.02}
+    planner = parse_scenario(data(planner=file)).controller.planner
     assert planner.footprint.tightest == pytest.approx((5.23599, 5.23599))
     assert planner.problem.footprint.tightest == pytest.approx((2.617995, 2.617995))
     assert planner.problem.footprint.at(0.0).left == pytest.approx(0.045)
@@ -250,7 +251,10 @@ def test_a_path_that_is_given_ends_where_it_ends():
             {"planner": {"kind": "given", "footprint": "gen2_section52", "turns_rad": [1.2], "step_m": 0.2}},
             "planner: curvature 6 1/m is not in the footprint's -5.23599 to 5.23599 1/m",
         ),
-        ({"planner": {"kind": "best_first", "footprint": "gen9"}}, "planner.footprint: unknown footprint 'gen9'"),
+        (
+            {"planner": {"kind": "best_first", "footprint": "gen9"}},
+            "planner.footprint: unknown footprint 'gen9'",
+        ),
         (
             {"planner": {"kind": "best_first", "footprint": "gen2_section52", "margin_m": 0.3}},
             "reaches the centre of the tightest turn",

@@ -1,5 +1,6 @@
 """Scenario files of planning and following: a good one, malformed ones, and any."""
 
+# ruff: noqa: E501 - one malformed file a line, as a table
 from __future__ import annotations
 
 from typing import Any
