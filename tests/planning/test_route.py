@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from srs_twin.planning import Footprint
 from srs_twin.planning.problem import path_of
-from srs_twin.planning.route import Route
+from srs_twin.planning.route import BEYOND, Route
 from srs_twin.world import Pose
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
@@ -28,12 +28,12 @@ def route(pieces, start=ORIGIN):
 def test_no_sampled_point_is_nearer(pieces, x, y, heading):
     way = route(pieces, Pose(0.3, -0.2, heading))
     place = way.nearest(x, y)
-    samples = [way.pose(s) for s in np.linspace(-1.9, way.length + 1.9, 3000)]
+    samples = [way.pose(s) for s in np.linspace(-BEYOND, way.length + BEYOND, 3000)]
     least = min(math.hypot(p.x - x, p.y - y) for p in samples)
     foot = way.pose(place.s)
     found = math.hypot(foot.x - x, foot.y - y)
     assert found <= least + 1e-9 and found >= least - 2e-3
-    if -1.9 < place.s < way.length + 1.9:
+    if -BEYOND < place.s < way.length + BEYOND:
         assert abs(place.n) == pytest.approx(found, abs=1e-6)
 
 
