@@ -71,4 +71,6 @@ def _stretch(twin: TwinSnake, states: np.ndarray, sensed: np.ndarray) -> Stretch
         physics._at_feet(sensed, physics._force_columns),
         physics._at_feet(sensed, physics._foot_columns),
         sensed[:, physics._energy_column],
+        np.zeros((len(sensed), twin.spec.geometry.connectors, 3)),
+        np.zeros(len(sensed)),
     )

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
+from srs_twin.comparison.following import FOLLOWING_UNITS
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, METRIC_UNITS, plant_metrics
@@ -203,7 +204,8 @@ def test_three_whole_periods_are_enough_and_fewer_are_not():
 def test_gait_metrics_are_null_where_no_gait_can_be_seen(snake):
     found = plant_metrics(snake.trajectory(), wall_s=2.0)
     learning = LEARNING_UNITS.keys() | LEARNING_LIST_UNITS.keys()
-    others = TRACKING_UNITS.keys() | READING_UNITS.keys() | learning | {"final_bend_rad"}
+    others = TRACKING_UNITS.keys() | READING_UNITS.keys() | FOLLOWING_UNITS.keys()
+    others |= learning | {"final_bend_rad"}
     assert {name for name, value in found.items() if value is None} == GAIT_METRICS | others
     assert found["path_length_m"] >= 0
 

@@ -14,7 +14,10 @@ from srs_twin.doctor.children import Answer
 DISTRIBUTION = "srs-twin"
 TOPIC, EXTRAS = "installation", "extras"
 
-PURPOSES = {"ray": "sweeps on several machines (`srs-twin sweep --engine ray`)"}
+PURPOSES = {
+    "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
+    "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
+}
 """What each extra of pyproject.toml is for."""
 
 _DECIDING = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")

@@ -91,7 +91,8 @@ def swept_polygon(
     outer = abs(1 / curvature) + (right if curvature > 0 else left) if curvature else 0.0
     # A polygon about a circle stands off by R (1/cos(φ/2) - 1), its chords by R (1 - cos(φ/2)).
     most = 4 * math.atan(math.sqrt(excess / (2 * outer + excess)))
-    pieces = max(1, math.ceil(abs(curvature) * whole / most))
+    # An arc so flat that its radius is no number is a line.
+    pieces = max(1, math.ceil(abs(curvature) * whole / most)) if most > 0 else 1
     half = abs(curvature) * whole / pieces / 2
     stretch = 2 * math.sin(half / 2) ** 2 / math.cos(half)
     edges: list[list[tuple[float, float]]] = [[], []]

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import Loc
+from srs_twin.robot_file import units_of
 
 if TYPE_CHECKING:
     from srs_twin.sweep.file import PlotFile
@@ -66,8 +67,14 @@ class Experiment:
 
     def with_change(self, document: Any, name: str, value: Value) -> Any:
         """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
-        whole = self.robots.get(str(value), value) if name == "robot" else value
-        return changed(document, parts(name), whole)
+        whole: Any = self.robots.get(str(value), value) if name == "robot" else value
+        where = parts(name)
+        if len(where) == 3 and where[0] == "robot" and not isinstance(whole, Mapping):
+            # A number that the robot does not have yet has no record either.
+            unit = units_of(str(where[1])).get(str(where[2]))
+            if unit is not None:
+                whole = {"value": value, "unit": unit, "status": "estimated", "source": "varied by a sweep"}
+        return changed(document, where, whole)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ MALFORMED = edited(GOOD, {
     "a budget of nothing": ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
     "a budget without end": ("nodes: 5000", "seconds: .inf", "planner.seconds: "),
     "edges beyond the centre of the turn": (
-        "margin_m: 0.02", "margin_m: 0.5", "planner: footprint gen2_section52: left: 0.533 m reaches the centre"),
+        "margin_m: 0.02", "margin_m: 0.5", "planner: footprint gen2_section52: left: 0.517 m reaches the centre"),
     "more than all turns": ("turn_share: 0.8", "turn_share: 1.1", "planner.turn_share: must be a number from 0.05"),
     "a camera that sees nothing": ("rate_hz: 60", "rate_hz: 0", "controller.camera.rate_hz: must be a number from 5"),
     "noise below nothing": (

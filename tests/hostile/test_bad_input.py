@@ -65,7 +65,7 @@ def test_a_frequency_that_is_none(refused, written, given):
         (
             "world: {}",
             "world: []",
-            "6:8: world: must be a block of keys (obstacles, bounds, goal), not a list",
+            "6:8: world: must be a block of keys (obstacles, polygons, random, bounds, goal), not a list",
         ),
         ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin has nothing after it; write 'twin: {}' for"),
         ("kind: gait", "kind: smc", "5:20: controller.kind: must be one of gait, ilc, direct_smc, "),
