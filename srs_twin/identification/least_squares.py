@@ -139,9 +139,16 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
     freedom = max(independent - len(unknowns), 1.0)
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))
-    bound = (z - search.low < _AT_BOUND) | (search.high - z < _AT_BOUND)
+    jacobian = search.jacobian(z)
+    error = search.jacobian(z, 2 * search.step) - jacobian
+    # What does not act does not want to be anywhere, least of all at a bound.
+    acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
+    bound = acts & ((z - search.low < _AT_BOUND) | (search.high - z < _AT_BOUND))
     inside = np.flatnonzero(~bound)
-    known = _knowledge(search, z, inside, noise)
+    known = None
+    if inside.size:
+        widths = (search.high - search.low)[inside]
+        known = knowledge(jacobian[:, inside], error[:, inside], noise, widths)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     reach = _rivals(best, ends, variance * samples / independent, stats.chi2.ppf(LEVEL, len(unknowns)))
     found, kept = [], []
@@ -163,14 +170,6 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
         _cancels(unknowns, inside, known), samples, float(independent), float(np.sqrt(variance)), dict(held),
         best.converged,
     )  # fmt: skip
-
-
-def _knowledge(search: _Search, z: np.ndarray, inside: np.ndarray, noise: float) -> Knowledge | None:
-    if not inside.size:
-        return None
-    jacobian = search.jacobian(z)[:, inside]
-    error = search.jacobian(z, 2 * search.step)[:, inside] - jacobian
-    return knowledge(jacobian, error, noise, (search.high - search.low)[inside])
 
 
 def _numbers(

@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.modules import Modules
-from srs_twin.spec import RobotSpec
+from srs_twin.spec import WHEEL_SHARE, RobotSpec
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,7 @@ class _Field:
     put: Callable[[RobotSpec, float, int], RobotSpec]
     scale: float | None = None
     numbered: str | None = None
+    least: Callable[[RobotSpec], float] = lambda spec: -math.inf
 
 
 def unknowns(
@@ -97,11 +98,10 @@ def unknowns(
         if any(name == each.name for each in found):
             raise InputError(f"{name}: given twice")
         field, k = _field(spec, name)
+        low = max(field.low, field.least(spec))
         given = (starts or {}).get(name)
-        start = field.get(spec, k) if given is None else given
-        if given is None:
-            start = min(max(start, field.low), field.high)
-        found.append(Unknown(name, field.unit, start, field.low, field.high, field.scale))
+        start = min(max(field.get(spec, k), low), field.high) if given is None else given
+        found.append(Unknown(name, field.unit, start, low, field.high, field.scale))
     return tuple(found)
 
 
@@ -190,8 +190,7 @@ def _module(attribute: str, side: int | None, unit: str, low: float, high: float
 
     def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
         modules = spec.modules
-        names = Modules.__dataclass_fields__
-        arrays = {name: modules.array(name) for name in names}
+        arrays = {each.name: modules.array(each.name) for each in fields(Modules)}
         arrays[attribute][k if side is None else (k, side)] = value
         return replace(spec, variation=Modules.of(**arrays))
 
@@ -214,6 +213,11 @@ def _put_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     return replace(spec, mass=replace(spec.mass, connectors=tuple(masses)))
 
 
+def _lightest(spec: RobotSpec) -> float:
+    """Return the mass of a connector that is hardly more than its wheels, kg."""
+    return 2.01 * spec.mass.wheel / WHEEL_SHARE
+
+
 def _put_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     return replace(spec, actuator=replace(spec.actuator, gain=value / spec.supply.nominal))
 
@@ -225,7 +229,8 @@ _FIELDS: dict[str, _Field] = {
     "geometry.half_track_m": _of("geometry", "half_track", "m", 1e-3, 0.2),
     "mass.connectors_kg": _Field("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
     "mass.connectors_kg_each": _Field(
-        "kg", 1e-3, 50.0, lambda spec, k: spec.mass.connectors[k], _put_mass, numbered="connector"
+        "kg", 1e-3, 50.0, lambda spec, k: spec.mass.connectors[k], _put_mass, numbered="connector",
+        least=_lightest,
     ),
     "friction.mu_t": _of("friction", "mu_t", "1", 1e-3, 5.0),
     "friction.mu_n": _of("friction", "mu_n", "1", 1e-3, 5.0),

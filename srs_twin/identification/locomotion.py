@@ -1,0 +1,216 @@
+"""Locomotion: what is left to find when friction and actuators are known, from runs of the crawling robot.
+
+Either plant is driven as the robot was and held against what was measured: by period-averaged speed and yaw
+rate (`averages`), by path, heading and bends over time (`shapes`), or by both. Of the masses only their ratios
+act, and stiffness and damping only over them; with bends as given (`complete`) stiffness does not act at all. The
+verdicts say so, whatever is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.control.base import Controller
+from srs_twin.errors import DivergedError, InputError, UnknownNameError
+from srs_twin.identification.data_set import DataSet, keep_apart, trajectory_hash
+from srs_twin.identification.estimate import Estimate, Residual, Role
+from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.unknowns import unknowns, with_values
+from srs_twin.plants.base import Plant
+from srs_twin.rollout import rollout
+from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
+
+PLANTS = ("analytical", "twin")
+AGAINST = ("averages", "shapes", "both")
+
+# What a measured value may be off by, and units.
+NOISE = {
+    "speed": (2e-3, "m/s"), "yaw_rate": (1e-2, "rad/s"), "path": (2e-3, "m"), "heading": (2e-2, "rad"),
+    "bend": (2e-2, "rad"),
+}  # fmt: skip
+# Neither plant is smooth to the last digit: steps that end on events, contacts.
+_STEPS = {"analytical": 1e-2, "twin": 3e-2}
+_DIVERGED = 1e3
+_RATE = 50.0  # Hz: at which shapes are compared at most
+
+
+@dataclass(frozen=True)
+class GaitRun:
+    """One measured run of the crawling robot.
+
+    Attributes:
+        trajectory: what was measured, from rest, with the gait's frequency in its metadata.
+        controller: what commanded the valves.
+        supply_pa: Pa, gauge.
+        name: of the data.
+    """
+
+    trajectory: Trajectory
+    controller: Controller
+    supply_pa: float
+    name: str
+
+    def data_set(self, role: Role) -> DataSet:
+        """Return what a fit says of these data."""
+        return DataSet(self.name, trajectory_hash(self.trajectory), role, len(self.trajectory))
+
+
+@dataclass(frozen=True)
+class PlantModel:
+    """Which plant stands for the robot.
+
+    Attributes:
+        plant: "analytical" or "twin".
+        settings: as the plant takes them, such as model="compliant", friction="wheel".
+    """
+
+    plant: str = "analytical"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.plant not in PLANTS:
+            raise UnknownNameError("plant", self.plant, PLANTS)
+
+    def build(self, spec: RobotSpec, supply_pa: float) -> Plant:
+        """Return the plant of a robot."""
+        if self.plant == "twin":
+            from srs_twin.plants.twin import TwinSnake
+
+            return TwinSnake(spec, supply_pa=supply_pa, **self.settings)
+        from srs_twin.plants.analytical import AnalyticalSnake
+
+        return AnalyticalSnake(spec, supply_pa=supply_pa, **self.settings)
+
+    def follow(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
+        """Return what the plant does when it is driven as the robot was.
+
+        Raises:
+            DivergedError: it diverges.
+        """
+        plant = self.build(spec, run.supply_pa)
+        span = float(run.trajectory.time[-1] - run.trajectory.time[0])
+        duration = math.ceil(span / plant.tick - 1e-9) * plant.tick
+        return rollout(plant, run.controller, duration, record_hz=1 / plant.tick)
+
+
+def fit_locomotion(
+    runs: Sequence[GaitRun],
+    spec: RobotSpec,
+    names: Iterable[str],
+    *,
+    model: PlantModel | None = None,
+    against: str = "averages",
+    validation: Sequence[GaitRun] = (),
+    starts: int = 1,
+    starting: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+) -> Estimate:
+    """Return what gait runs tell of a robot.
+
+    Args:
+        runs: what was measured.
+        spec: the robot that the search starts from; what is not asked for is held at its values.
+        names: what is unknown, see `unknowns`.
+        model: the plant that stands for the robot; default the analytical one.
+        against: "averages", "shapes" or "both".
+        validation: runs to hold the estimate against.
+        starts: how many searches.
+        starting: other values to start from, by name.
+        noise: other values for `NOISE`, by name.
+
+    Raises:
+        InputError: no run, too few for so many unknowns, a run without a whole gait period, or one to
+            validate with that is also fitted.
+    """
+    if against not in AGAINST:
+        raise UnknownNameError("residual", against, AGAINST)
+    if not runs:
+        raise InputError("gait runs are wanted; none was given")
+    model = model or PlantModel()
+    scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
+    everything: list[tuple[GaitRun, Role]] = [
+        *((run, "fit") for run in runs), *((run, "validation") for run in validation)
+    ]  # fmt: skip
+    keep_apart(run.data_set(role) for run, role in everything)
+    measured = [signals(run.trajectory, None, against, run.name) for run, _ in everything]
+
+    def residuals(values: Mapping[str, float]) -> list[Residual]:
+        robot = with_values(spec, values)
+        found: list[Residual] = []
+        for (run, role), seen in zip(everything, measured, strict=True):
+            try:
+                told = signals(model.follow(run, robot), run.trajectory, against, run.name)
+                off = {name: seen[name] - told[name] for name in seen}
+            except DivergedError:
+                off = {name: np.full_like(each, _DIVERGED) for name, each in seen.items()}
+            found += [_residual(run, name, each, scales, role) for name, each in off.items()]
+        return found
+
+    wanted = unknowns(spec, names, starts=starting)
+    return least_squares(residuals, wanted, step=_STEPS[model.plant], starts=starts)
+
+
+def signals(
+    trajectory: Trajectory, like: Trajectory | None, against: str, name: str
+) -> dict[str, np.ndarray]:
+    """Return what runs are compared by, name → shape (samples,).
+
+    Args:
+        trajectory: a run.
+        like: a measured run on whose times and place to put it; None: its own.
+        against: one of `AGAINST`.
+        name: of the run, for messages.
+
+    Raises:
+        InputError: averages are wanted of a run that has no whole gait period.
+    """
+    found: dict[str, np.ndarray] = {}
+    if against != "shapes":
+        metrics = plant_metrics(trajectory)
+        if metrics["com_speed_m_s"] is None:
+            raise InputError(
+                f"{name}: no average over gait periods; three whole periods and gait_frequency_hz in the "
+                "metadata are wanted"
+            )
+        found["speed"] = np.array([metrics["com_speed_m_s"]])
+        found["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])
+    if against != "averages":
+        found |= _shapes(trajectory, like or trajectory, moved=like is not None)
+    return found
+
+
+def _shapes(trajectory: Trajectory, like: Trajectory, *, moved: bool) -> dict[str, np.ndarray]:
+    """Return path, heading and bends at some of the times of another run, laid upon it as well as can be."""
+    span = like.time[-1] - like.time[0]
+    count = min(len(like), int(span * _RATE) + 1)
+    clock = np.linspace(0.0, span, count)
+
+    def at(run: Trajectory, values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(len(run), -1).T
+        return np.stack([np.interp(clock, run.time - run.time[0], each) for each in flat], axis=1)
+
+    path, heading = at(trajectory, trajectory.com), at(trajectory, trajectory["heading"])[:, 0]
+    if moved:
+        other, aim = at(like, like.com), at(like, like["heading"])[:, 0]
+        turn = float((aim - heading).mean())
+        c, s = math.cos(turn), math.sin(turn)
+        path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + other.mean(axis=0)
+        heading = heading + turn
+    bends = at(trajectory, trajectory.stack("bend"))
+    return {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading} | {
+        f"bend_{j}": bend for j, bend in enumerate(bends.T, start=1)
+    }
+
+
+def _residual(
+    run: GaitRun, name: str, values: np.ndarray, scales: Mapping[str, float], role: Role
+) -> Residual:
+    kind = name if name in NOISE else name.rpartition("_")[0]
+    return Residual(f"{run.name} {name}", NOISE[kind][1], values, scales[kind], role)
