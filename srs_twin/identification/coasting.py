@@ -2,13 +2,13 @@ r"""Friction from coasting: the robot is thrown across the floor, straight and w
 
 Along its wheels it loses μ_t g/(1 + s), across them μ_n g; thrown at an angle, what the friction law says
 (`plants.sliding`, which also tells what s is). Where each run began and how fast it was thrown is found along
-with μ_t and μ_n.
+with μ_t and μ_n; a direction in which it went no further than noise is taken as not thrown at all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,8 @@ _MOST_TURN = 0.2  # rad: beyond it the body is no longer a point
 _LEAST_SAMPLES = 8
 _LEAST_SPEED = 0.02  # m/s
 _NOISE = 1e-3  # m
+_SEEN = 3.0  # times the noise: what it must go in a direction to have been thrown that way
+_WAYS = ("along", "across")
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ def fit_coasting(
     share = spin_share(spec) if wheel_inertia else 0.0
 
     def predicted(run: Coasting, k: int, values: Mapping[str, float]) -> np.ndarray:
-        thrown = values[f"along_{k}"], values[f"across_{k}"]
+        thrown = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         way = slide(
             thrown, run.time, law=law, mu_t=values["friction.mu_t"], mu_n=values["friction.mu_n"], share=share
         )
@@ -132,7 +134,7 @@ def fit_coasting(
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         return _residuals([predicted(run, k, values) for k, run in enumerate(runs)], runs, noise, "fit")
 
-    thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k)]
+    thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k, noise)]
     found = least_squares(
         residuals, [*unknowns(spec, _NAMES), *thrown], step=1e-4, held={"spin_share": share}
     )  # fmt: skip
@@ -145,11 +147,14 @@ def _data(runs: Sequence[Coasting], validation: Sequence[Coasting]) -> list[Data
     return [*(each.data_set("fit") for each in runs), *(each.data_set("validation") for each in validation)]
 
 
-def _throw(run: Coasting, k: int) -> list[Unknown]:
+def _throw(run: Coasting, k: int, noise: float) -> list[Unknown]:
+    """Return the velocities that can be seen of a throw, as unknowns."""
+    few = len(run.time) // 4
+    went = np.abs(run.place[-few:].mean(axis=0) - run.place[: max(1, few // 4)].mean(axis=0))
     return [
         Unknown(f"{way}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
-        for way, guess in zip(("along", "across"), run.velocity, strict=True)
-    ]
+        for way, guess, far in zip(_WAYS, run.velocity, went, strict=True) if far > _SEEN * noise
+    ]  # fmt: skip
 
 
 def _residuals(
@@ -159,7 +164,7 @@ def _residuals(
     return [
         Residual(f"{run.name} {way}", "m", values[:, i] - values[:, i].mean(), noise, role)
         for run, values in zip(runs, differences, strict=True)
-        for i, way in enumerate(("along", "across"))
+        for i, way in enumerate(_WAYS)
     ]
 
 
@@ -167,17 +172,16 @@ def _validated(
     found: Estimate, validation: Sequence[Coasting], law: str, share: float, noise: float
 ) -> Estimate:
     """Return the estimate with residuals of throws that it has not seen, each thrown as suits it best."""
-    from dataclasses import replace
-
     mu_t, mu_n = (found.values[name] for name in _NAMES)
     added: list[Residual] = []
     for run in validation:
 
         def residuals(values: Mapping[str, float], run: Coasting = run) -> list[Residual]:
-            thrown = values["along_0"], values["across_0"]
+            thrown = values.get("along_0", 0.0), values.get("across_0", 0.0)
             way = slide(thrown, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
             return _residuals([run.place - way], [run], noise, "fit")
 
-        own = least_squares(residuals, _throw(run, 0))
-        added += [replace(each, role="validation") for each in own.residuals]
+        thrown = _throw(run, 0, noise)
+        seen = least_squares(residuals, thrown).residuals if thrown else residuals({})
+        added += [replace(each, role="validation") for each in seen]
     return replace(found, residuals=(*found.residuals, *added))
