@@ -30,7 +30,8 @@ Residuals = Callable[[Values], Sequence[Residual]]
 LEVEL = 0.95
 """Of the confidence intervals."""
 
-_SPREAD = 1.0  # z: how far other starts lie from the first
+_SPREAD = 1.5  # z: how far other starts lie from the first
+_DRAWN = 12  # candidates for each start besides the first
 _AT_BOUND = 1e-3  # z: closer to a bound, the data want it beyond
 
 
@@ -50,7 +51,8 @@ def least_squares(
             Those whose role is not "fit" are only looked at in the end.
         unknowns: what is looked for.
         step: of the differences, in z; larger for models that are not smooth.
-        starts: how many searches; the first from the unknowns' starts, others drawn about it.
+        starts: how many searches; the first from the unknowns' starts, others from the best of many
+            points drawn about it.
         seed: of these draws.
         held: what the values refer to, for the estimate.
 
@@ -58,7 +60,7 @@ def least_squares(
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
     """
     search = _Search(residuals, tuple(unknowns), step)
-    ends = [search.run(start) for start in _starts(search.unknowns, starts, seed)]
+    ends = [search.run(start) for start in _starts(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
     return _estimate(search, best, ends, held or {})
 
@@ -119,13 +121,14 @@ class _Search:
         return _End(found.x, float(found.cost), found.status > 0)
 
 
-def _starts(unknowns: tuple[Unknown, ...], count: int, seed: int) -> list[np.ndarray]:
-    first = np.array([each.coordinate(each.start) for each in unknowns])
-    low = np.array([each.coordinate(each.low) for each in unknowns])
-    high = np.array([each.coordinate(each.high) for each in unknowns])
+def _starts(search: _Search, count: int, seed: int) -> list[np.ndarray]:
+    """Return the first start and, of many drawn about it, those that fit best."""
+    first = np.array([each.coordinate(each.start) for each in search.unknowns])
     draw = np.random.default_rng(seed)
-    others = [first + draw.uniform(-_SPREAD, _SPREAD, len(first)) for _ in range(count - 1)]
-    return [first, *(np.clip(each, low, high) for each in others)]
+    shifts = draw.uniform(-_SPREAD, _SPREAD, (_DRAWN * (count - 1), len(first)))
+    drawn = [np.clip(first + shift, search.low, search.high) for shift in shifts]
+    drawn.sort(key=lambda z: float(np.sum(search.weighted(z) ** 2)))
+    return [first, *drawn[: count - 1]]
 
 
 def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -> Estimate:

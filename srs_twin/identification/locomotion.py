@@ -35,8 +35,8 @@ NOISE = {
     "speed": (2e-3, "m/s"), "yaw_rate": (1e-2, "rad/s"), "path": (2e-3, "m"), "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }  # fmt: skip
-# Neither plant is smooth to the last digit: steps that end on events, contacts.
-_STEPS = {"analytical": 1e-2, "twin": 3e-2}
+# Of differences, in z. `compliant` is smooth; steps that adapt to friction are less so, contacts least.
+_STEPS = {"compliant": 1e-4, "analytical": 1e-3, "twin": 1e-2}
 _DIVERGED = 1e3
 _RATE = 50.0  # Hz: at which shapes are compared at most
 
@@ -77,6 +77,12 @@ class PlantModel:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise UnknownNameError("plant", self.plant, PLANTS)
+
+    @property
+    def step(self) -> float:
+        """Step of differences that suits the plant, in the coordinates of `unknowns`."""
+        compliant = self.plant == "analytical" and self.settings.get("model") == "compliant"
+        return _STEPS["compliant" if compliant else self.plant]
 
     def build(self, spec: RobotSpec, supply_pa: float) -> Plant:
         """Return the plant of a robot."""
@@ -154,7 +160,7 @@ def fit_locomotion(
         return found
 
     wanted = unknowns(spec, names, starts=starting)
-    return least_squares(residuals, wanted, step=_STEPS[model.plant], starts=starts)
+    return least_squares(residuals, wanted, step=model.step, starts=starts)
 
 
 def signals(

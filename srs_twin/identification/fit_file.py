@@ -1,0 +1,264 @@
+"""Fit files: what a fit found, from which data, by which command and versions; calibration/fits/*.yaml.
+
+Which data made the fit and which were kept for validation stands beside each hash; a file in which the same data
+are both is refused. What is not identifiable has no number in it.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from srs_twin.documents import Document, Loc, dump_yaml, load_yaml
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.files import atomic_write, existing
+from srs_twin.identification.data_set import DataSet, keep_apart
+from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
+from srs_twin.identification.unknowns import known, unit_of
+from srs_twin.sourced import between
+from srs_twin.validation import Strict, validate
+
+Number = Annotated[float, between(-1e12, 1e12)]
+Count = Annotated[int, between(0, 10**9)]
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+Long = Annotated[str, Field(max_length=1000)]
+Share = Annotated[float, between(-1.0, 1.0)]
+Method = Literal["pulls", "coasting", "actuator", "static", "locomotion"]
+
+_DIGITS = 9
+_NUMBERS = ("value", "standard_error", "low", "high")
+
+
+class DataEntry(Strict):
+    """One set of data and what it was used for."""
+
+    name: Text = Field(description="File, or what the data are called.")
+    sha256: str = Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64, description="Of the data.")
+    role: Role = Field(description="fit: the values come from it; validation: the fit has not seen it.")
+    samples: Count = Field(description="How many, 0 to 1e9.")
+    from_s: Number | None = Field(None, description="Where the part that was used begins, s (default: all).")
+    to_s: Number | None = Field(None, description="Where it ends, s (default: all).")
+
+    def data_set(self) -> DataSet:
+        """Return the entry as the fits have it."""
+        return DataSet(self.name, self.sha256, self.role, self.samples, self.from_s, self.to_s)
+
+
+class ParameterEntry(Strict):
+    """One number that was looked for."""
+
+    name: Text = Field(description="As in robot files, section.key, with a number behind it for lists.")
+    unit: Annotated[str, Field(min_length=1, max_length=20)] = Field(description="Of all numbers here.")
+    verdict: Verdict = Field(description="What these data say of it.")
+    value: Number | None = Field(None, description="The estimate; none where it is not identifiable.")
+    standard_error: Annotated[float, between(0.0, 1e12)] | None = Field(None, description="Of the estimate.")
+    low: Number | None = Field(None, description="Lower end of the 95 % confidence interval.")
+    high: Number | None = Field(None, description="Upper end.")
+    why: Long = Field("", description="What the verdict rests on.")
+
+
+class QualityFile(Strict):
+    """How well the data were met."""
+
+    samples: Count = Field(description="Samples that were fitted.")
+    independent_samples: Annotated[float, between(0.0, 1e9)] = Field(description="What they are worth.")
+    rms: Annotated[float, between(0.0, 1e12)] | None = Field(
+        None, description="Weighted residuals of the fit; 1 where they are as large as expected."
+    )
+    validation_rms: Annotated[float, between(0.0, 1e12)] | None = Field(None, description="Of the validation.")
+    converged: bool = Field(description="Whether the search came to an end.")
+
+
+class FitFile(Strict):
+    """What a fit found."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60, description="Short name.")
+    title: Text = Field(description="One line for people.")
+    robot: Text = Field(description="Robot that the fit started from, a name or a path.")
+    method: Method = Field(description="What was fitted.")
+    command: Annotated[str, Field(min_length=1, max_length=2000)] = Field(description="How it was made.")
+    versions: Annotated[dict[str, Text], Field(max_length=30)] = Field(description="Package: version.")
+    data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)] = Field(description="All data.")
+    held: Annotated[dict[str, Number], Field(max_length=100)] = Field(
+        description="What was taken as known and the values refer to."
+    )
+    parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)] = Field(
+        description="What was looked for."
+    )
+    correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)] = Field(
+        description="Of what has a number, in the order of the parameters."
+    )
+    cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)] = Field(
+        description="Directions in which nothing changes: name and share."
+    )
+    quality: QualityFile = Field(description="How well the data were met.")
+
+    def estimate(self) -> Estimate:
+        """Return the estimate, without residuals."""
+        parameters = tuple(Parameter(**each.model_dump()) for each in self.parameters)
+        rows = [k for k, each in enumerate(parameters) if each.value is not None]
+        correlation = np.full((len(parameters), len(parameters)), np.nan)
+        if rows:
+            correlation[np.ix_(rows, rows)] = self.correlation
+        return Estimate(
+            parameters, correlation, (), tuple(self.cancels), self.quality.samples,
+            self.quality.independent_samples, self.quality.rms or 0.0, dict(self.held), self.quality.converged,
+        )  # fmt: skip
+
+    def contradictions(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of what does not fit together."""
+        yield from _apart(self.data)
+        for k, each in enumerate(self.parameters):
+            yield from (((("parameters", k, *loc)), said) for loc, said in _doubts(each))
+        for name, count in Counter(each.name for each in self.parameters).items():
+            if count > 1:
+                yield ("parameters",), f"{name} stands here {count} times"
+        yield from _square(self.correlation, sum(each.value is not None for each in self.parameters))
+
+
+def fit_file(
+    estimate: Estimate,
+    *,
+    name: str,
+    title: str,
+    robot: str,
+    method: Method,
+    command: str,
+    versions: Mapping[str, str],
+    data: Sequence[DataSet],
+) -> FitFile:
+    """Return what is written of an estimate.
+
+    Args:
+        estimate: what was found.
+        name: short name, lower case.
+        title: one line for people.
+        robot: name or path of the robot that the fit started from.
+        method: what was fitted.
+        command: how it was made, to be typed again.
+        versions: package → version.
+        data: all data with their roles.
+
+    Raises:
+        InputError: data that are of both roles.
+    """
+    keep_apart(data)
+    rows = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
+    matrix = estimate.correlation[np.ix_(rows, rows)]
+    return FitFile(
+        name=name, title=title, robot=robot, method=method, command=command, versions=dict(versions),
+        data=[
+            DataEntry(
+                name=each.name, sha256=each.sha256, role=each.role, samples=each.samples,
+                from_s=each.start, to_s=each.end,
+            )
+            for each in data
+        ],
+        held={key: _rounded(value) for key, value in estimate.held.items()},
+        parameters=[_entry(each) for each in estimate.parameters],
+        correlation=[[round(float(v), 6) for v in row] for row in matrix],
+        cancels=[dict(each) for each in estimate.cancels],
+        quality=QualityFile(
+            samples=estimate.samples, independent_samples=_rounded(estimate.independent),
+            rms=_maybe(estimate.rms("fit")), validation_rms=_maybe(estimate.rms("validation")),
+            converged=estimate.converged,
+        ),
+    )  # fmt: skip
+
+
+def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
+    """Write a fit file, whole or not at all.
+
+    Raises:
+        InputError: the place cannot be written.
+    """
+    target = Path(path)
+    data = file.model_dump(mode="json", exclude_none=True)
+    with atomic_write(target) as part:
+        part.write_text(dump_yaml(data), encoding="utf-8")
+    return target
+
+
+def load_fit(path: str | os.PathLike[str]) -> FitFile:
+    """Load and check a fit file.
+
+    Raises:
+        InputError: not found or not readable.
+        InputFileError: everything that is wrong with it.
+    """
+    document = load_yaml(existing(Path(path)))
+    file = _checked(document)
+    document.finish()
+    assert file is not None, "a fit without a problem was checked"
+    return file
+
+
+def _checked(document: Document) -> FitFile | None:
+    file = validate(FitFile, document, document.data)
+    for loc, message in file.contradictions() if file else ():
+        document.report(loc, message)
+    return file
+
+
+def _apart(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
+    for k, each in enumerate(data):
+        if (each.from_s is None) != (each.to_s is None):
+            yield ("data", k), "from_s and to_s stand together"
+        elif each.from_s is not None and each.to_s is not None and each.from_s > each.to_s:
+            yield ("data", k, "to_s"), f"must be {each.from_s:g} or more"
+    if not any(each.role == "fit" for each in data):
+        yield ("data",), "none of role fit; a fit is made from data"
+    try:
+        keep_apart(each.data_set() for each in data)
+    except InputError as error:
+        yield ("data",), str(error)
+
+
+def _doubts(each: ParameterEntry) -> Iterator[tuple[Loc, str]]:
+    given = [name for name in _NUMBERS if getattr(each, name) is not None]
+    if each.verdict == "not identifiable" and given:
+        yield (given[0],), "what is not identifiable has no number"
+    elif each.verdict != "not identifiable" and len(given) < len(_NUMBERS):
+        missing = next(name for name in _NUMBERS if name not in given)
+        yield ("verdict",), f"{each.verdict}, but {missing} is missing"
+    elif given and not each.low <= each.value <= each.high:  # type: ignore[operator]
+        yield ("value",), f"must lie between low and high, {each.low:g} and {each.high:g}"
+    if not known(each.name):
+        try:
+            unit_of(each.name)
+        except UnknownNameError as error:
+            yield ("name",), str(error)
+    elif each.unit != unit_of(each.name):
+        yield ("unit",), f"must be {unit_of(each.name)}, not {each.unit}"
+
+
+def _square(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc, str]]:
+    if len(matrix) != count or any(len(row) != count for row in matrix):
+        yield ("correlation",), f"must have {count} rows of {count}, one for each parameter with a number"
+        return
+    for i, row in enumerate(matrix):
+        for j, entry in enumerate(row):
+            if i == j and entry != 1.0:
+                yield ("correlation", i, j), "must be 1 on the diagonal"
+            elif j < i and entry != matrix[j][i]:
+                yield ("correlation", i, j), f"must be {matrix[j][i]:g}, as across the diagonal"
+
+
+def _entry(each: Parameter) -> ParameterEntry:
+    numbers: dict[str, Any] = {name: _maybe(getattr(each, name)) for name in _NUMBERS}
+    return ParameterEntry(name=each.name, unit=each.unit, verdict=each.verdict, why=each.why[:1000], **numbers)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else 0.0
+
+
+def _maybe(value: float | None) -> float | None:
+    return None if value is None else _rounded(value)
