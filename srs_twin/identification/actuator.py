@@ -58,7 +58,9 @@ class Response:
     clock_known: bool = True
 
     @classmethod
-    def of_rollout(cls, trajectory: Trajectory, name: str, supply_pa: float, *, pressures: bool = False) -> Response:
+    def of_rollout(
+        cls, trajectory: Trajectory, name: str, supply_pa: float, *, pressures: bool = False
+    ) -> Response:
         """Return the response of a plant: edges are taken to fall on samples.
 
         Args:
@@ -138,7 +140,9 @@ def fit_actuator(
     keep_apart(each.data_set(role) for each, role in everything)
     for each, _ in everything:
         if each.bend.shape[1] != spec.segments:
-            raise InputError(f"{each.name}: {each.bend.shape[1]} bends; {spec.name} has {spec.segments} segments")
+            raise InputError(
+                f"{each.name}: {each.bend.shape[1]} bends; {spec.name} has {spec.segments} segments"
+            )
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
@@ -160,7 +164,9 @@ def fit_actuator(
     return least_squares(residuals, [*wanted, *clocks], starts=starts, held=held)
 
 
-def predicted(response: Response, spec: RobotSpec, clock: float = 0.0) -> tuple[np.ndarray, np.ndarray | None]:
+def predicted(
+    response: Response, spec: RobotSpec, clock: float = 0.0
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the bends (samples, segments), rad, and pressures (samples, segments, 2), Pa, of free segments.
 
     Args:

@@ -65,11 +65,15 @@ class Coasting:
             InputError: too short, too slow, or the robot turns.
         """
         time, com = trajectory.time, trajectory.com
+        if len(time) < _LEAST_SAMPLES:
+            raise InputError(f"{name}: {len(time)} samples; {_LEAST_SAMPLES} or more are wanted")
         speed = np.hypot(*moving_slope(time, com).T)
         first = int(np.argmax(speed)) if start is None else int(np.searchsorted(time, start))
         time, com = time[first:], com[first:]
         if len(time) < _LEAST_SAMPLES:
-            raise InputError(f"{name}: {len(time)} samples after the throw; {_LEAST_SAMPLES} or more are wanted")
+            raise InputError(
+                f"{name}: {len(time)} samples after the throw; {_LEAST_SAMPLES} or more are wanted"
+            )
         if speed[first] < _LEAST_SPEED:
             raise InputError(
                 f"{name}: it moves at {speed[first]:.2g} m/s at most; a throw of {_LEAST_SPEED:g} m/s or more "

@@ -6,11 +6,11 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Role
 from srs_twin.trajectory import Trajectory
-
-import numpy as np
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,9 @@ class Parameter:
         numbers = (self.value, self.standard_error, self.low, self.high)
         none = self.verdict == "not identifiable"
         if any((number is None) != none for number in numbers):
-            raise InputError(f"{self.name}: {self.verdict}, so it must have {'no numbers' if none else 'all'}")
+            raise InputError(
+                f"{self.name}: {self.verdict}, so it must have {'no numbers' if none else 'all'}"
+            )
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,9 @@ class QualityFile(Strict):
     rms: Annotated[float, between(0.0, 1e12)] | None = Field(
         None, description="Weighted residuals of the fit; 1 where they are as large as expected."
     )
-    validation_rms: Annotated[float, between(0.0, 1e12)] | None = Field(None, description="Of the validation.")
+    validation_rms: Annotated[float, between(0.0, 1e12)] | None = Field(
+        None, description="Of the validation."
+    )
     converged: bool = Field(description="Whether the search came to an end.")
 
 
@@ -92,11 +94,11 @@ class FitFile(Strict):
     parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)] = Field(
         description="What was looked for."
     )
-    correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)] = Field(
-        description="Of what has a number, in the order of the parameters."
+    correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)] = (
+        Field(description="Of what has a number, in the order of the parameters.")
     )
-    cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)] = Field(
-        description="Directions in which nothing changes: name and share."
+    cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)] = (
+        Field(description="Directions in which nothing changes: name and share.")
     )
     quality: QualityFile = Field(description="How well the data were met.")
 
@@ -253,7 +255,9 @@ def _square(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc
 
 def _entry(each: Parameter) -> ParameterEntry:
     numbers: dict[str, Any] = {name: _maybe(getattr(each, name)) for name in _NUMBERS}
-    return ParameterEntry(name=each.name, unit=each.unit, verdict=each.verdict, why=each.why[:1000], **numbers)
+    return ParameterEntry(
+        name=each.name, unit=each.unit, verdict=each.verdict, why=each.why[:1000], **numbers
+    )
 
 
 def _rounded(value: float) -> float:

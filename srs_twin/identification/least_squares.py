@@ -31,7 +31,10 @@ LEVEL = 0.95
 """Of the confidence intervals."""
 
 _SPREAD = 1.5  # z: how far other starts lie from the first
+_APART = 0.7  # z: between starts
 _DRAWN = 12  # candidates for each start besides the first
+_ATTEMPTS = 4
+_BETTER = 0.99  # share of the sum of squares below which another attempt is worth it
 _AT_BOUND = 1e-3  # z: closer to a bound, the data want it beyond
 
 
@@ -40,6 +43,7 @@ def least_squares(
     unknowns: Sequence[Unknown],
     *,
     step: float = 1e-4,
+    coarse: float | None = None,
     starts: int = 1,
     seed: int = 0,
     held: Values | None = None,
@@ -51,6 +55,7 @@ def least_squares(
             Those whose role is not "fit" are only looked at in the end.
         unknowns: what is looked for.
         step: of the differences, in z; larger for models that are not smooth.
+        coarse: a larger step with which a search that has ended is tried anew, for models with kinks.
         starts: how many searches; the first from the unknowns' starts, others from the best of many
             points drawn about it.
         seed: of these draws.
@@ -59,7 +64,7 @@ def least_squares(
     Raises:
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
     """
-    search = _Search(residuals, tuple(unknowns), step)
+    search = _Search(residuals, tuple(unknowns), step, coarse)
     ends = [search.run(start) for start in _starts(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
     return _estimate(search, best, ends, held or {})
@@ -77,15 +82,19 @@ class _End:
 class _Search:
     """Weighted residuals as a function of z, and their derivatives."""
 
-    def __init__(self, residuals: Residuals, unknowns: tuple[Unknown, ...], step: float) -> None:
-        self.unknowns, self.step, self._residuals = unknowns, step, residuals
+    def __init__(
+        self, residuals: Residuals, unknowns: tuple[Unknown, ...], step: float, coarse: float | None
+    ) -> None:
+        self.unknowns, self.step, self._coarse, self._residuals = unknowns, step, coarse, residuals
         if not unknowns:
             raise InputError("a fit needs at least one unknown")
         self.low = np.array([each.coordinate(each.low) for each in unknowns])
         self.high = np.array([each.coordinate(each.high) for each in unknowns])
         first = self.weighted(np.array([each.coordinate(each.start) for each in unknowns]))
         if len(first) <= len(unknowns):
-            raise InputError(f"{len(first)} samples cannot tell {len(unknowns)} unknowns; more data are needed")
+            raise InputError(
+                f"{len(first)} samples cannot tell {len(unknowns)} unknowns; more data are needed"
+            )
         if not np.isfinite(first).all():
             raise InputError("residuals are not finite where the search starts; check the data")
 
@@ -110,12 +119,23 @@ class _Search:
         return np.stack(columns, axis=1)
 
     def run(self, start: np.ndarray) -> _End:
+        """Search from a start; where a kink may have held it up, again with the coarse step, and so on."""
+        end = self._once(start, self.step)
+        for _ in range(_ATTEMPTS if self._coarse else 0):
+            before = end
+            coarse = self._once(end.z, self._coarse)
+            end = self._once(coarse.z, self.step) if coarse.cost < before.cost else before
+            if not end.cost < _BETTER * before.cost:
+                break
+        return end
+
+    def _once(self, start: np.ndarray, step: float | None) -> _End:
         # Half a second to import: only for who fits.
         from scipy import optimize
 
         tolerance = max(1e-12, 1e-3 * self.step**2)
         found = optimize.least_squares(
-            self.weighted, start, self.jacobian, (self.low, self.high), "trf",
+            self.weighted, start, lambda z: self.jacobian(z, step), (self.low, self.high), "trf",
             ftol=tolerance, xtol=tolerance, gtol=1e-15, max_nfev=100,
         )  # fmt: skip
         return _End(found.x, float(found.cost), found.status > 0)
@@ -128,7 +148,12 @@ def _starts(search: _Search, count: int, seed: int) -> list[np.ndarray]:
     shifts = draw.uniform(-_SPREAD, _SPREAD, (_DRAWN * (count - 1), len(first)))
     drawn = [np.clip(first + shift, search.low, search.high) for shift in shifts]
     drawn.sort(key=lambda z: float(np.sum(search.weighted(z) ** 2)))
-    return [first, *drawn[: count - 1]]
+    chosen = [first]
+    for z in drawn:
+        # Two that lie close together end alike.
+        if len(chosen) < count and all(np.linalg.norm(z - other) > _APART for other in chosen):
+            chosen.append(z)
+    return chosen
 
 
 def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -> Estimate:
@@ -160,7 +185,9 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
             continue
         place = int(np.searchsorted(inside, i))
         if bound[i]:
-            found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=_at_bound(unknown, z[i])))
+            found.append(
+                Parameter(unknown.name, unknown.unit, "not identifiable", why=_at_bound(unknown, z[i]))
+            )
         elif known is None or known.hidden(place):
             why = _hidden_because(unknowns, inside, known, place)
             found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
@@ -209,7 +236,12 @@ def _hidden_because(
         return "nothing can be told"
     rows = [row for row in known.blind if abs(row[place]) > 0.05]
     others = sorted(
-        {unknowns[inside[k]].name for row in rows for k in range(len(row)) if k != place and abs(row[k]) > 0.05}
+        {
+            unknowns[inside[k]].name
+            for row in rows
+            for k in range(len(row))
+            if k != place and abs(row[k]) > 0.05
+        }
     )
     if not rows:
         return f"its standard error is {known.errors[place]:.2g} in units that matter, 1 or more"
@@ -227,7 +259,9 @@ def _cancels(
     rows = []
     for row in known.blind:
         signed = row * np.sign(row[np.argmax(np.abs(row))])
-        rows.append({name: round(float(v), 3) for name, v in zip(names, signed, strict=True) if abs(v) > 0.05})
+        rows.append(
+            {name: round(float(v), 3) for name, v in zip(names, signed, strict=True) if abs(v) > 0.05}
+        )
     return tuple(rows)
 
 
@@ -240,7 +274,7 @@ def _correlation(
     if known is not None and rows:
         places = np.searchsorted(inside, [kept[k] for k in rows])
         # Without noise nothing has an error, and nothing a correlation.
-        errors = np.maximum(known.errors[places], np.finfo(float).tiny)
+        errors = np.maximum(known.errors[places], 1e-150)
         matrix[np.ix_(rows, rows)] = np.clip(
             known.covariance[np.ix_(places, places)] / np.outer(errors, errors), -1.0, 1.0
         )

@@ -30,7 +30,9 @@ def robot_override(fit: FitFile, *, weak: bool = True) -> dict[str, Any]:
         InputError: the base robot is not found or wrong, draws at random what was fitted, or nothing was found.
     """
     file = load_robot_file(fit.robot)
-    taken = [each for each in fit.parameters if each.verdict == "identified" or (weak and each.value is not None)]
+    taken = [
+        each for each in fit.parameters if each.verdict == "identified" or (weak and each.value is not None)
+    ]
     if not taken:
         raise InputError(f"{fit.name}: nothing in it is identified, so there is nothing to change a robot by")
     values = {each.name: each.value for each in taken if each.value is not None}
@@ -67,7 +69,9 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
         masses = list(spec.mass.connectors)
         alike = len(set(masses)) == 1
         found = {"connectors_kg": {"value": masses[0] if alike else masses, "unit": "kg"}}
-        return found | ({"wheel_kg": {"value": spec.mass.wheel, "unit": "kg"}} if key == "connectors_kg" else {})
+        return found | (
+            {"wheel_kg": {"value": spec.mass.wheel, "unit": "kg"}} if key == "connectors_kg" else {}
+        )
     if key == "bend_rad":
         nominal = spec.supply.nominal
         return {

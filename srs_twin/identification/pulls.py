@@ -62,7 +62,9 @@ class Pulls:
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
                 raise InputError(f"{self.name}: pulls {way} must be a list of lengths in m, 0 or more")
             if len(pulls) == 1:
-                raise InputError(f"{self.name}: one pull {way} does not show its scatter; give 2 or more, or none")
+                raise InputError(
+                    f"{self.name}: one pull {way} does not show its scatter; give 2 or more, or none"
+                )
 
     @property
     def factor(self) -> float:
@@ -103,9 +105,7 @@ def fit_pulls(pulls: Pulls) -> Estimate:
     )
     samples = sum(len(each) for each in values)
     held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
-    return Estimate(
-        tuple(found), correlation, residuals, (), samples, float(samples), 1.0, held
-    )
+    return Estimate(tuple(found), correlation, residuals, (), samples, float(samples), 1.0, held)
 
 
 def _parameter(k: int, values: np.ndarray, mean: float, own: float, error: float) -> Parameter:

@@ -67,9 +67,13 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     found = {(each.name, each.number): each for each in columns}
     for each in columns:
         if not 1 <= each.number <= spec.segments or each.which:
-            raise source.error(f"{each.text}: {spec.name} has segments 1 to {spec.segments}", 1, each.place + 1)
+            raise source.error(
+                f"{each.text}: {spec.name} has segments 1 to {spec.segments}", 1, each.place + 1
+            )
     if not any(name == "bend" for name, _ in found):
-        raise source.error("no column 'bend_1'; a static table has pressure_plus_1,pressure_minus_1,bend_1,…", 1)
+        raise source.error(
+            "no column 'bend_1'; a static table has pressure_plus_1,pressure_minus_1,bend_1,…", 1
+        )
     order = sorted(columns, key=lambda each: each.place)
     rows = read_rows(source, 1, [each.place for each in order], width)
     place = {(each.name, each.number): k for k, each in enumerate(order)}
@@ -85,7 +89,9 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     )
     bend = np.stack([column("bend", j, math.nan) for j in numbers], axis=1)
     if not (np.abs(pressure) <= _MOST_PRESSURE).all():
-        raise source.error(f"pressures from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa are wanted, in every row")
+        raise source.error(
+            f"pressures from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa are wanted, in every row"
+        )
     if not np.isfinite(bend).any() or (np.abs(bend) > _MOST_BEND).any():
         raise source.error(f"bends up to {_MOST_BEND:.3g} rad are wanted; is the unit right (bend_1_deg)?")
     return StaticTable(source.name, source.sha256, pressure, bend)
@@ -118,7 +124,9 @@ def fit_static(
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
         fitted = [each for table in tables for each in _compared(table, robot, noise, "fit")]
-        return fitted + [each for table in validation for each in _compared(table, robot, noise, "validation")]
+        return fitted + [
+            each for table in validation for each in _compared(table, robot, noise, "validation")
+        ]
 
     modules = per_segment(spec, "modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
     wanted = [*modules, _LIMIT] if names is None else list(names)

@@ -229,7 +229,12 @@ _FIELDS: dict[str, _Field] = {
     "geometry.half_track_m": _of("geometry", "half_track", "m", 1e-3, 0.2),
     "mass.connectors_kg": _Field("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
     "mass.connectors_kg_each": _Field(
-        "kg", 1e-3, 50.0, lambda spec, k: spec.mass.connectors[k], _put_mass, numbered="connector",
+        "kg",
+        1e-3,
+        50.0,
+        lambda spec, k: spec.mass.connectors[k],
+        _put_mass,
+        numbered="connector",
         least=_lightest,
     ),
     "friction.mu_t": _of("friction", "mu_t", "1", 1e-3, 5.0),

@@ -5,9 +5,7 @@ with directions v_k, and E the difference between two Jacobians from steps h and
 is to be trusted. A direction is *blind* where moving along it does nothing that could be told from the
 error of the derivatives,
 
-$$ s_k \le \min(2\,\lVert E v_k \rVert, 0.03\,s_1) \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
-
-(A direction with a strong effect may bend sharply, as where Coulomb friction changes its sign; it is not blind.)
+$$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
 The others have the standard error σ/s_k. A parameter with a share of more than a tenth in the blind
 directions is not identifiable. So is one whose standard error is 1 or more in z, a factor e either way,
@@ -31,7 +29,6 @@ BLIND_SHARE = 0.1
 """Share in blind directions from which on a parameter is not identifiable."""
 
 _TRUSTED = 2.0
-_WEAK = 0.03
 _LEAST = 1e-6
 
 
@@ -70,7 +67,7 @@ def knowledge(jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.
     """
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
     doubt = np.linalg.norm(error @ directions.T, axis=0)
-    is_blind = (singular <= np.minimum(_TRUSTED * doubt, _WEAK * singular[0])) | (singular <= _LEAST * singular[0])
+    is_blind = (singular <= _TRUSTED * doubt) | (singular <= _LEAST * singular[0])
     seen, blind = directions[~is_blind], directions[is_blind]
     covariance = (seen.T * (noise / singular[~is_blind]) ** 2) @ seen
     # Uniform between the bounds: the variance of what nobody knows.

@@ -29,7 +29,13 @@ def spin_share(spec: RobotSpec) -> float:
 
 
 def slide(
-    velocity: tuple[float, float], times: np.ndarray, *, law: str, mu_t: float, mu_n: float, share: float = 0.0
+    velocity: tuple[float, float],
+    times: np.ndarray,
+    *,
+    law: str,
+    mu_t: float,
+    mu_n: float,
+    share: float = 0.0,
 ) -> np.ndarray:
     """Return where a thrown body is, in the frame of its heading, from where it was thrown.
 

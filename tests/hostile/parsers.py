@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import hostile_bench
+import hostile_fits
 import hostile_following
 import hostile_learning
 import hostile_logs
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 
 from srs_twin.documents import dump_yaml, parse_yaml
 from srs_twin.files import shipped_folder
+from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.mjcf_check import check_mjcf
 from srs_twin.robot_file import RobotFile
 from srs_twin.robots import load_robot_file
@@ -227,6 +229,28 @@ PARSERS: tuple[Parser, ...] = (
         malformed=hostile_logs.VALVE_MALFORMED,
         values=hostile_logs.values(hostile_logs.VALVES),
         same=hostile_logs.same_valves,
+    ),
+    Parser(
+        name="static table",
+        suffix=".csv",
+        good=hostile_fits.TABLE,
+        parse=hostile_fits.table,
+        function="srs_twin.identification.source:read_source",
+        malformed=hostile_fits.TABLE_MALFORMED,
+        values=hostile_logs.values(hostile_fits.TABLE),
+        same=hostile_fits.same_tables,
+    ),
+    Parser(
+        name="fit",
+        suffix=".yaml",
+        good=hostile_fits.FIT,
+        parse=load_fit,
+        function="srs_twin.identification.fit_file:load_fit",
+        malformed=STRUCTURE + no_numbers(hostile_fits.FIT, "rms", "quality.rms") + hostile_fits.FIT_MALFORMED,
+        values=anything_anywhere(plain_data(hostile_fits.FIT), lambda: list(FitFile.model_fields)),
+        identity=Identity(
+            hostile_fits.fits(), lambda fit: yaml_bytes(fit.model_dump(mode="json", exclude_none=True))
+        ),
     ),
 )  # fmt: skip
 

@@ -1,0 +1,271 @@
+"""Actuators from responses and static tables: known modules come back; what such data cannot tell has no number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded import RATE, SPEC, motion, recorded, valve_csv
+from scipy import stats
+
+from srs_twin import AnalyticalSnake, Controller, load_robot, rollout
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.identification import join, read_valves
+from srs_twin.identification.actuator import Response, actuator_unknowns, fit_actuator
+from srs_twin.identification.data_set import fingerprint
+from srs_twin.identification.static_bends import StaticTable, fit_static, read_static
+from srs_twin.identification.synthetic import Take
+from srs_twin.identification.unknowns import names_of_fields, unknowns, with_values
+from srs_twin.identification.valve_log import ValveLog
+from srs_twin.pneumatics import LagPneumatics, Schedule
+from srs_twin.spec import RobotSpec
+
+MODULE = load_robot("gen4_module")
+TRUTH = {
+    "actuator.tau_fill_s": 0.15, "actuator.tau_vent_s": 0.09, "actuator.tau_mode_s": 0.01,
+    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
+}  # fmt: skip
+SUPPLY = 48e3
+STEPS = Schedule(
+    3.0,
+    np.array([0.0, 0.5, 1.5, 2.0]),
+    np.array([[[1, -1]], [[-1, -1]], [[-1, 1]], [[-1, -1]]], dtype=np.int8),
+)
+
+
+def free_bends(
+    spec: RobotSpec, time: np.ndarray, schedule: Schedule = STEPS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return bends and pressures of free segments."""
+    trace = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out").advance(schedule, time)
+    return trace.bend, trace.pressure
+
+
+def response(truth=TRUTH, *, noise=0.0, seed=0, name="step") -> Response:
+    """Return what a camera at 100 Hz sees of a module whose valves are switched."""
+    time = np.arange(0.0, 3.0, 0.01)
+    bend, _ = free_bends(with_values(MODULE, truth), time)
+    bend = bend + noise * np.random.default_rng(seed).normal(size=bend.shape)
+    return Response(name, fingerprint(bend), STEPS, SUPPLY, time, bend)
+
+
+@given(
+    st.tuples(
+        st.floats(0.05, 0.4), st.floats(0.05, 0.4), st.floats(0.004, 0.02), st.floats(0.6, 1.6),
+        st.floats(0.6, 1.6), st.floats(-0.2, 0.2),
+    )
+)  # fmt: skip
+@settings(max_examples=8)
+def test_any_module_comes_back(numbers):
+    truth = dict(zip(TRUTH, numbers, strict=True))
+    found = fit_actuator([response(truth)], MODULE)
+    for name, value in truth.items():
+        assert found[name].value == pytest.approx(value, rel=1e-4, abs=1e-6), name
+        assert found[name].verdict == "identified"
+    assert found.held["actuator.bend_rad"] == pytest.approx(MODULE.actuator.gain * MODULE.supply.nominal)
+
+
+def test_responses_cover_the_truth():
+    """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
+    hits = dict.fromkeys(TRUTH, 0)
+    for seed in range(25):
+        found = fit_actuator([response(noise=0.005, seed=seed)], MODULE)
+        for name, truth in TRUTH.items():
+            hits[name] += found[name].low <= truth <= found[name].high
+    assert stats.binom.cdf(18, 25, 0.95) < 1e-3
+    assert min(hits.values()) >= 19, hits
+
+
+def test_all_gains_and_the_nominal_one_cancel():
+    found = fit_actuator([response()], MODULE, names=[*actuator_unknowns(MODULE), "actuator.bend_rad"])
+    for name in ("modules.gain_plus_1", "modules.gain_minus_1", "actuator.bend_rad"):
+        assert found[name].verdict == "not identifiable" and "cancels" in found[name].why
+    for name in ("actuator.tau_fill_s", "actuator.tau_mode_s", "modules.bias_rad_1"):
+        assert found[name].value == pytest.approx(TRUTH[name], rel=1e-4)
+
+
+def test_a_chamber_that_was_never_filled_is_not_known():
+    one_sided = Schedule(3.0, np.array([0.0, 1.5]), np.array([[[1, -1]], [[-1, -1]]], dtype=np.int8))
+    time = np.arange(0.0, 3.0, 0.01)
+    bend, _ = free_bends(with_values(MODULE, TRUTH), time, one_sided)
+    found = fit_actuator([Response("x", fingerprint(bend), one_sided, SUPPLY, time, bend)], MODULE)
+    assert found["modules.gain_minus_1"].why == "the residuals do not depend on it"
+    assert found["modules.gain_plus_1"].value == pytest.approx(1.2, rel=1e-4)
+
+
+def test_a_mode_faster_than_the_camera_is_not_identified():
+    found = fit_actuator([response(TRUTH | {"actuator.tau_mode_s": 0.001}, noise=0.05)], MODULE)
+    assert found["actuator.tau_mode_s"].verdict == "not identifiable"
+    assert found["actuator.tau_vent_s"].verdict == "identified"
+
+
+def test_measured_pressures_tell_the_mode_from_the_filling():
+    """Of bends alone the two lags may change places where filling and venting take alike."""
+    time = np.arange(0.0, 3.0, 0.01)
+    truth = TRUTH | {"actuator.tau_fill_s": 0.04, "actuator.tau_vent_s": 0.04, "actuator.tau_mode_s": 0.06}
+    bend, pressure = free_bends(with_values(MODULE, truth), time)
+    seen = Response("x", fingerprint(bend), STEPS, SUPPLY, time, bend, pressure)
+    found = fit_actuator([seen], MODULE)
+    for name, value in truth.items():
+        assert found[name].value == pytest.approx(value, rel=1e-3), name
+
+
+def test_a_log_of_pressures_tells_gains_and_biases():
+    time = np.arange(0.0, 3.0, 0.01)
+    bend, pressure = free_bends(with_values(MODULE, TRUTH | {"actuator.tau_mode_s": 0.004}), time)
+    log = ValveLog("pressure", time, pressure, "p.csv", "0" * 64, ())
+    found = fit_actuator([Response("x", fingerprint(bend), log, SUPPLY, time, bend)], MODULE)
+    for name in ("modules.gain_plus_1", "modules.gain_minus_1", "modules.bias_rad_1"):
+        assert found[name].value == pytest.approx(TRUTH[name], rel=0.01, abs=5e-4)
+    assert found["actuator.tau_fill_s"].value is None and found["actuator.tau_vent_s"].value is None
+
+
+class Steps(Controller):
+    """Fills the + chamber, then the −."""
+
+    kind = "steps"
+
+    def reset(self, spec, tick, *, seed=0):
+        self.shape = (spec.segments, 2)
+
+    def step(self, state):
+        valves = np.full(self.shape, -1, dtype=np.int8)
+        if state.time < 1.999:
+            valves[:, 0 if state.time < 0.999 else 1] = 1
+        return valves
+
+
+def test_a_plant_on_the_bench_gives_back_its_actuator():
+    spec = with_values(MODULE, TRUTH)
+    plant = AnalyticalSnake(spec, supply_pa=SUPPLY, base="clamped", tick=0.01)
+    run = rollout(plant, Steps(), 3.0, record_hz=100)
+    found = fit_actuator([Response.of_rollout(run, "bench", SUPPLY)], MODULE)
+    for name, value in TRUTH.items():
+        assert found[name].value == pytest.approx(value, rel=1e-3), name
+
+
+def test_a_recording_with_a_clock_of_its_own(tmp_path: Path):
+    """Gaits of `complete` bend freely: camera noise, an estimated offset, and time constants still come back."""
+    truth = motion(3.0)
+    log = tmp_path / "valves.csv"
+    log.write_text(valve_csv(truth, 0.0, 3.0, 0.37))
+    recording = recorded(tmp_path, Take(layout="pair", noise=1e-4, seed=2), truth)
+    joined = join(recording, read_valves(log, SPEC), SPEC)
+    data = Response.of_recording(joined, "take", 48e3)
+    assert not data.clock_known
+    # A valve column tells what led to its sample, a log what holds from then on: one sample between them.
+    names = ("actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.bend_rad")
+    found = fit_actuator([data], SPEC, names=names)
+    for name in names:
+        expected = unknowns(SPEC, [name])[0].start
+        assert found[name].value == pytest.approx(expected, rel=0.05), (name, 1 / RATE)
+    with pytest.raises(InputError, match="no log of valves or pressures"):
+        Response.of_recording(recording, "take", 48e3)
+
+
+def table(limit: float, noise: float = 0.0, seed: int = 0, most: float = 90e3) -> StaticTable:
+    """Return held pressures and where a module with TRUTH's gains came to rest: its own formula."""
+    pressure = np.zeros((14, 1, 2))
+    pressure[:7, 0, 0] = pressure[7:, 0, 1] = np.linspace(0, most, 7)
+    x = MODULE.actuator.gain * (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1])
+    bend = 0.05 + x * (1 + (x / limit) ** 4) ** -0.25
+    bend = bend + noise * np.random.default_rng(seed).normal(size=bend.shape)
+    return StaticTable("table", fingerprint(bend), pressure, bend)
+
+
+STATIC = {
+    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
+    "actuator.bend_limit_rad": 1.4,
+}  # fmt: skip
+
+
+def test_static_tables_give_gains_bias_and_limit():
+    found = fit_static([table(1.4)], MODULE)
+    for name, value in STATIC.items():
+        assert found[name].value == pytest.approx(value, rel=1e-5), name
+    rough = fit_static([table(1.4, noise=0.01)], MODULE)
+    assert len(rough.residuals[0].values) == 14 and rough.residuals[0].unit == "rad"
+    assert rough.rms("fit") == pytest.approx(1.0, abs=0.4)
+
+
+def test_static_tables_cover_the_truth():
+    """30 repetitions with 95 %: fewer than 24 hits have a probability of 2 in 1,000."""
+    hits = dict.fromkeys(STATIC, 0)
+    for seed in range(30):
+        found = fit_static([table(1.4, 0.01, seed)], MODULE)
+        for name, truth in STATIC.items():
+            hits[name] += found[name].low <= truth <= found[name].high
+    assert stats.binom.cdf(23, 30, 0.95) < 2e-3
+    assert min(hits.values()) >= 24, hits
+
+
+def test_a_limit_that_was_never_felt_has_no_number():
+    found = fit_static([table(1e9, noise=0.01, most=40e3)], MODULE)
+    assert found["actuator.bend_limit_rad"].value is None
+    assert found["modules.gain_plus_1"].value == pytest.approx(1.2, rel=0.05)
+
+
+def test_a_static_test_knows_no_mass_and_no_time():
+    names = [
+        "modules.gain_plus_1",
+        "mass.connectors_kg_2",
+        "actuator.tau_fill_s",
+        "bending.stiffness_nm_per_rad",
+    ]
+    found = fit_static([table(1e9)], MODULE, names=names)
+    for name in names[1:]:
+        assert found[name].verdict == "not identifiable" and found[name].value is None
+        assert found[name].why == "the residuals do not depend on it"
+
+
+def test_data_are_kept_apart():
+    with pytest.raises(InputError, match="the same data as step, which the fit is made from"):
+        fit_actuator([response()], MODULE, validation=[response(name="again")])
+    with pytest.raises(InputError, match="must be new to it"):
+        fit_static([table(1.4)], MODULE, validation=[table(1.4)])
+    found = fit_actuator([response()], MODULE, validation=[response(noise=0.01, seed=1)])
+    assert found.rms("validation") == pytest.approx(1.0, abs=0.1) and found.rms("fit") < 1e-6
+
+
+def test_what_cannot_be_fitted_is_refused():
+    with pytest.raises(UnknownNameError, match=r"actuator.tau_fil_s.*did you mean actuator.tau_fill_s"):
+        fit_actuator([response()], MODULE, names=["actuator.tau_fil_s"])
+    with pytest.raises(InputError, match="modules.bias_rad_2: gen4_module has 1 segments"):
+        fit_actuator([response()], MODULE, names=["modules.bias_rad_2"])
+    with pytest.raises(InputError, match="given twice"):
+        unknowns(MODULE, ["friction.mu_t", "friction.mu_t"])
+    with pytest.raises(InputError, match="1 bends; gen2 has 4 segments"):
+        fit_actuator([response()], SPEC)
+    with pytest.raises(InputError, match="none was given"):
+        fit_actuator([], MODULE)
+
+
+@pytest.mark.parametrize("name", names_of_fields())
+def test_every_field_is_put_where_it_is_read(name):
+    """What is put is read again, and nothing else of the robot's unknowns changes."""
+    spec = replace(SPEC, actuator=replace(SPEC.actuator, bend_limit=2.0))
+    name = name.replace("_N", "_2").replace("kg_each", "kg")
+    everything = [each.replace("_N", "_2").replace("kg_each", "kg") for each in names_of_fields()]
+    (before,) = unknowns(spec, [name])
+    changed = with_values(spec, {name: before.start * 1.25 if before.scale is None else before.start + 0.01})
+    (after,) = unknowns(changed, [name])
+    assert after.start == pytest.approx(before.start * 1.25 if before.scale is None else before.start + 0.01)
+    for other in everything:
+        if other != name and not (other.startswith("mass.") and name.startswith("mass.")):
+            assert unknowns(changed, [other])[0].start == unknowns(spec, [other])[0].start
+
+
+def test_a_table_from_a_file(tmp_path: Path):
+    path = tmp_path / "table.csv"
+    path.write_text("pressure_plus_1_kpa,bend_1_deg,note\n0,0\n10,9\n20,\n")
+    with pytest.raises(InputError, match=r"table.csv:2: 2 cells where the header has 3"):
+        read_static(path, MODULE)
+    path.write_text("pressure_plus_1_kpa,bend_1_deg\n0,0\n10,9\n20,\n")
+    found = read_static(path, MODULE)
+    assert found.pressure[:, 0].tolist() == [[0, 0], [10e3, 0], [20e3, 0]]
+    assert found.bend[:2, 0] == pytest.approx([0, np.pi / 20]) and np.isnan(found.bend[2, 0])
+    assert found.data_set("fit").samples == 2

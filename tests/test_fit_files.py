@@ -1,0 +1,128 @@
+"""Fit files: what is written is read back, data keep their roles, and a fit becomes a robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_actuator_fits import MODULE, TRUTH, response
+
+from srs_twin import load_robot, load_scenario
+from srs_twin.documents import dump_yaml
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.identification.actuator import actuator_unknowns, fit_actuator
+from srs_twin.identification.data_set import DataSet
+from srs_twin.identification.estimate import Estimate, Parameter
+from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
+from srs_twin.identification.overrides import robot_override
+from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns, with_values
+
+ABOUT = {
+    "name": "bench", "title": "One module", "robot": "gen4_module", "method": "actuator",
+    "command": "srs-twin calibrate actuator step.csv", "versions": {"srs_twin": "0.1.0"},
+}  # fmt: skip
+DATA = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("b.csv", "b" * 64, "validation", 300, 0.0, 3.0)]
+
+
+def bench() -> FitFile:
+    names = [*actuator_unknowns(MODULE), "mass.connectors_kg_1"]
+    found = fit_actuator(
+        [response(noise=0.005)], MODULE, names=names, validation=[response(noise=0.005, seed=7)]
+    )
+    return fit_file(found, **ABOUT, data=DATA)
+
+
+def test_what_is_written_is_read_back(tmp_path: Path):
+    fit = bench()
+    path = write_fit(fit, tmp_path / "fits" / "bench.yaml")
+    assert load_fit(path) == fit
+    estimate = load_fit(path).estimate()
+    assert estimate["actuator.tau_fill_s"].value == fit.parameters[0].value
+    assert estimate["mass.connectors_kg_1"].value is None
+    assert np.isnan(estimate.correlation[-1]).all() and (np.diag(estimate.correlation)[:-1] == 1).all()
+    assert "value" not in dump_yaml(fit.model_dump(mode="json", exclude_none=True)["parameters"][-1])
+    assert [p.name for p in (tmp_path / "fits").iterdir()] == ["bench.yaml"]
+
+
+def test_the_same_fit_gives_the_same_bytes(tmp_path: Path):
+    one, other = (write_fit(bench(), tmp_path / f"{k}.yaml").read_bytes() for k in range(2))
+    assert one == other
+
+
+def test_a_fit_becomes_the_robot_of_a_scenario(tmp_path: Path):
+    fit = bench()
+    scenario = tmp_path / "s.yaml"
+    text = {
+        "title": "x", "robot": robot_override(fit), "duration_s": 1, "bench": True, "plants": {"analytical": {}},
+        "controller": {"kind": "hold_valves", "valves": [["fill", "vent"]]},
+    }  # fmt: skip
+    text["controller"] = {"kind": "gait", "frequency_hz": 1.0}
+    del text["bench"]
+    scenario.write_text(dump_yaml(text))
+    robot = load_scenario(scenario).robot.spec()
+    for each in fit.parameters:
+        if each.value is not None:
+            assert unknowns(robot, [each.name])[0].start == pytest.approx(each.value, rel=1e-8), each.name
+    assert robot.mass == MODULE.mass
+    assert robot.actuator.gain == pytest.approx(MODULE.actuator.gain)
+
+
+@pytest.mark.parametrize("name", names_of_fields())
+def test_every_parameter_reaches_the_robot(name, tmp_path: Path):
+    """Through the file and the override: the number, its unit, its status and its source."""
+    spec = load_robot("gen2")
+    name = name.replace("_each", "").replace("_N", "_2")
+    start = unknowns(replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name])[0]
+    value = start.start * 1.1 if start.scale is None else start.start + 0.01
+    found = Parameter(name, unit_of(name), "identified", value, 0.001, value - 0.002, value + 0.002)
+    fit = fit_file(Estimate((found,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    block = robot_override(fit)
+    scenario = tmp_path / "s.yaml"
+    scenario.write_text(
+        dump_yaml(
+            {
+                "title": "x", "robot": block, "duration_s": 1, "plants": {"analytical": {}},
+                "controller": {"kind": "gait", "frequency_hz": 1.0},
+            }
+        )
+    )  # fmt: skip
+    file = load_scenario(scenario).robot
+    assert unknowns(file.spec(), [name])[0].start == pytest.approx(value, rel=1e-8)
+    changed = [r for path, r in file.records().items() if "fit bench" in r.source]
+    assert changed and all(record.status == "calibrated" for record in changed)
+    expected = with_values(spec, {name: value})
+    assert file.spec().mass.connectors == pytest.approx(expected.mass.connectors)
+
+
+def test_weak_numbers_may_be_left_out():
+    weak = Parameter("friction.mu_t", "1", "weakly identified", 0.05, 0.01, 0.03, 0.08)
+    fit = fit_file(Estimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    assert robot_override(fit)["friction"]["mu_t"]["value"] == pytest.approx(0.05)
+    with pytest.raises(InputError, match="nothing in it is identified"):
+        robot_override(fit, weak=False)
+
+
+def test_a_robot_that_draws_its_gains_is_no_base(tmp_path: Path):
+    text = (Path(__file__).parents[1] / "calibration/robots/gen4_module.yaml").read_text()
+    spread = '{gain_spread: {value: 0.1, unit: "1", status: estimated, source: x}}'
+    (tmp_path / "drawn.yaml").write_text(text + f"\nmodules: {spread}\n")
+    found = Parameter("modules.gain_plus_1", "1", "identified", 1.1, 0.001, 1.0, 1.2)
+    about = ABOUT | {"robot": str(tmp_path / "drawn.yaml")}
+    with pytest.raises(InputError, match="draws modules.gain at random"):
+        robot_override(fit_file(Estimate((found,), np.eye(1)), **about, data=DATA))
+
+
+def test_the_format_keeps_data_apart(tmp_path: Path):
+    fit = bench()
+    same = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("again.csv", "a" * 64, "validation", 300)]
+    with pytest.raises(InputError, match="again.csv: the same data as a.csv"):
+        fit_file(fit.estimate(), **ABOUT, data=same)
+    path = tmp_path / "x.yaml"
+    path.write_text(write_fit(fit, tmp_path / "y.yaml").read_text().replace("b" * 64, "a" * 64))
+    with pytest.raises(InputFileError, match=r"x.yaml:\d+:\d+: data: b.csv: the same data as a.csv"):
+        load_fit(path)
+    halves = [replace(each, start=k, end=k + 1.0) for k, each in enumerate(same)]
+    assert len(fit_file(fit.estimate(), **ABOUT, data=halves).data) == 2
+    assert TRUTH  # the module that `response` is of

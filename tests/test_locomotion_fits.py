@@ -1,0 +1,125 @@
+"""Gait runs: what they tell of a robot, against either plant, and what cancels in them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from srs_twin import Gait, Trajectory, load_robot
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.unknowns import with_values
+
+SPEC = load_robot("gen2")
+COMPLETE = PlantModel(settings={"friction": "wheel"})
+COMPLIANT = PlantModel(settings={"model": "compliant", "friction": "wheel"})
+TWIN = PlantModel("twin")
+
+
+def runs(model, truth, gaits, *, seconds=3.0, noise=0.0) -> list[GaitRun]:
+    """Return runs of a plant with hidden parameters."""
+    hidden = with_values(SPEC, truth)
+    found = []
+    for k, (frequency, offset) in enumerate(gaits):
+        gait = Gait(frequency, offset)
+        trajectory = model.follow(_blank(gait, seconds), hidden)
+        columns = dict(trajectory.columns)
+        rng = np.random.default_rng(k)
+        for name in ("com_x", "com_y", "heading", *(f"bend_{j}" for j in range(1, 5))):
+            scale = noise * (1e-3 if name.startswith("com") else 1e-2)
+            columns[name] = columns[name] + scale * rng.normal(size=len(trajectory))
+        found.append(GaitRun(Trajectory(columns, metadata=trajectory.metadata), gait, 48e3, f"run_{k}"))
+    return found
+
+
+def _blank(gait, seconds):
+    return GaitRun(Trajectory({"time": np.array([0.0, seconds])}), gait, 48e3, "blank")
+
+
+@cache
+def straight_and_curved() -> list[GaitRun]:
+    truth = {"friction.mu_t": 0.055, "friction.mu_n": 0.48, "geometry.rigid_gap_m": 0.022}
+    return runs(COMPLETE, truth, [(2.0, 0.0), (1.5, 0.2), (1.0, -0.2)], seconds=3.0)
+
+
+@pytest.mark.parametrize("against", ["averages", "shapes"])
+def test_friction_and_gap_come_back_within_a_percent(against):
+    found = fit_locomotion(
+        straight_and_curved(), SPEC, ["friction.mu_t", "friction.mu_n", "geometry.rigid_gap_m"],
+        model=COMPLETE, against=against,
+    )  # fmt: skip
+    assert found["friction.mu_t"].value == pytest.approx(0.055, rel=0.01)
+    assert found["friction.mu_n"].value == pytest.approx(0.48, rel=0.01)
+    assert found["geometry.rigid_gap_m"].value == pytest.approx(0.022, rel=0.01)
+    assert all(each.verdict == "identified" for each in found.parameters)
+
+
+def test_with_given_bends_no_run_knows_mass_stiffness_or_damping():
+    names = [
+        "friction.mu_t", "mass.connectors_kg", "bending.stiffness_nm_per_rad", "bending.damping_time_s",
+    ]  # fmt: skip
+    found = fit_locomotion(straight_and_curved()[:2], SPEC, names, model=COMPLETE, against="shapes")
+    for name in names[1:]:
+        assert found[name].verdict == "not identifiable" and found[name].value is None, name
+    assert found["friction.mu_t"].value is not None
+
+
+def test_a_heavier_tail_is_told_where_the_others_are_known():
+    """Only the common scale of the masses cancels."""
+    data = runs(COMPLETE, {"mass.connectors_kg_5": 0.06}, [(2.0, 0.0), (1.5, 0.2)])
+    found = fit_locomotion(data, SPEC, ["mass.connectors_kg_5"], model=COMPLETE, against="shapes")
+    assert found["mass.connectors_kg_5"].value == pytest.approx(0.06, rel=0.01)
+    everything = [f"mass.connectors_kg_{i}" for i in range(1, 6)]
+    found = fit_locomotion(data[:1], SPEC, everything, model=COMPLETE, against="shapes")
+    assert all(each.verdict == "not identifiable" for each in found.parameters)
+    assert any(np.ptp([row.get(name, 0.0) for name in everything]) < 0.3 for row in found.cancels)
+
+
+def test_of_a_yielding_body_the_common_scale_cancels():
+    truth = {"bending.stiffness_nm_per_rad": 0.41, "bending.damping_time_s": 0.0025}
+    data = runs(COMPLIANT, truth, [(2.0, 0.1)], seconds=1.0)
+    found = fit_locomotion(data, SPEC, [*truth, "mass.connectors_kg"], model=COMPLIANT, against="shapes")
+    for name in ("bending.stiffness_nm_per_rad", "mass.connectors_kg"):
+        assert found[name].verdict == "not identifiable" and "cancels" in found[name].why
+    assert found["bending.damping_time_s"].value == pytest.approx(0.0025, rel=0.01)
+    (row,) = found.cancels
+    assert row["mass.connectors_kg"] == pytest.approx(row["bending.stiffness_nm_per_rad"], abs=0.01)
+    known_mass = fit_locomotion(data, SPEC, list(truth), model=COMPLIANT, against="shapes")
+    for name, value in truth.items():
+        assert known_mass[name].value == pytest.approx(value, rel=0.01)
+        assert known_mass[name].verdict == "identified"
+
+
+def test_the_twin_as_the_plant():
+    truth = {"friction.mu_t": 0.05, "bending.stiffness_nm_per_rad": 0.38}
+    data = runs(TWIN, truth, [(2.0, 0.1)], seconds=0.6)
+    found = fit_locomotion(data, SPEC, list(truth), model=TWIN, against="shapes")
+    assert found["friction.mu_t"].value == pytest.approx(0.05, rel=0.01)
+    assert found["bending.stiffness_nm_per_rad"].value == pytest.approx(0.38, rel=0.01)
+
+
+def test_validation_runs_are_only_looked_at():
+    fitted, kept = straight_and_curved()[:2], straight_and_curved()[2:]
+    names = ["friction.mu_t", "geometry.rigid_gap_m"]
+    start = with_values(SPEC, {"friction.mu_n": 0.48})
+    alone = fit_locomotion(fitted, start, names, model=COMPLETE)
+    beside = fit_locomotion(fitted, start, names, model=COMPLETE, validation=kept)
+    assert beside.parameters == alone.parameters
+    assert 0 < beside.rms("validation") < 0.5
+    with pytest.raises(InputError, match="the same data as run_0"):
+        fit_locomotion(fitted, SPEC, names, model=COMPLETE, validation=fitted[:1])
+
+
+def test_what_cannot_be_fitted_is_refused():
+    data = straight_and_curved()[:1]
+    with pytest.raises(InputError, match="2 samples cannot tell 2 unknowns"):
+        fit_locomotion(data, SPEC, ["friction.mu_t", "friction.mu_n"], model=COMPLETE)
+    with pytest.raises(UnknownNameError, match="plant 'analytic'"):
+        PlantModel("analytic")
+    with pytest.raises(UnknownNameError, match="residual 'shape'.*did you mean shapes"):
+        fit_locomotion(data, SPEC, ["friction.mu_t"], against="shape")
+    short = GaitRun(runs(COMPLETE, {}, [(2.0, 0.0)], seconds=1.0)[0].trajectory, Gait(2.0), 48e3, "short")
+    with pytest.raises(InputError, match="short: no average over gait periods"):
+        fit_locomotion([short], SPEC, ["friction.mu_t"], model=COMPLETE)
