@@ -1,4 +1,4 @@
-"""Actuators from responses and static tables: known modules come back; what such data cannot tell has no number."""
+"""Actuators from responses and static tables: known modules come back, the rest has no number."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_a_plant_on_the_bench_gives_back_its_actuator():
 
 
 def test_a_recording_with_a_clock_of_its_own(tmp_path: Path):
-    """Gaits of `complete` bend freely: camera noise, an estimated offset, and time constants still come back."""
+    """Gaits of `complete` bend freely: with noise and an estimated offset they still come back."""
     truth = motion(3.0)
     log = tmp_path / "valves.csv"
     log.write_text(valve_csv(truth, 0.0, 3.0, 0.37))

@@ -1,4 +1,4 @@
-"""Least squares: known numbers come back, intervals are those of the linear theory, verdicts follow the data."""
+"""Least squares: known numbers come back, intervals are those of theory, verdicts follow the data."""
 
 from __future__ import annotations
 

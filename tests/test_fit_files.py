@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_actuator_fits import MODULE, TRUTH, response
+from test_actuator_fits import MODULE, response
 
-from srs_twin import load_robot, load_scenario
-from srs_twin.documents import dump_yaml
+from srs_twin import load_robot
+from srs_twin.documents import dump_yaml, parse_yaml
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import actuator_unknowns, fit_actuator
 from srs_twin.identification.data_set import DataSet
@@ -18,6 +18,8 @@ from srs_twin.identification.estimate import Estimate, Parameter
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
 from srs_twin.identification.overrides import robot_override
 from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns, with_values
+from srs_twin.robot_file import RobotFile
+from srs_twin.robots import resolve_robot
 
 ABOUT = {
     "name": "bench", "title": "One module", "robot": "gen4_module", "method": "actuator",
@@ -51,17 +53,18 @@ def test_the_same_fit_gives_the_same_bytes(tmp_path: Path):
     assert one == other
 
 
-def test_a_fit_becomes_the_robot_of_a_scenario(tmp_path: Path):
+def resolved(block) -> RobotFile:
+    """Return the robot that a scenario with such a block gets."""
+    document = parse_yaml(dump_yaml({"robot": block}), "scenario.yaml")
+    file = resolve_robot(document, document.data["robot"], prefix=("robot",))
+    document.finish()
+    assert file is not None
+    return file
+
+
+def test_a_fit_becomes_the_robot_of_a_scenario():
     fit = bench()
-    scenario = tmp_path / "s.yaml"
-    text = {
-        "title": "x", "robot": robot_override(fit), "duration_s": 1, "bench": True, "plants": {"analytical": {}},
-        "controller": {"kind": "hold_valves", "valves": [["fill", "vent"]]},
-    }  # fmt: skip
-    text["controller"] = {"kind": "gait", "frequency_hz": 1.0}
-    del text["bench"]
-    scenario.write_text(dump_yaml(text))
-    robot = load_scenario(scenario).robot.spec()
+    robot = resolved(robot_override(fit)).spec()
     for each in fit.parameters:
         if each.value is not None:
             assert unknowns(robot, [each.name])[0].start == pytest.approx(each.value, rel=1e-8), each.name
@@ -70,7 +73,7 @@ def test_a_fit_becomes_the_robot_of_a_scenario(tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", names_of_fields())
-def test_every_parameter_reaches_the_robot(name, tmp_path: Path):
+def test_every_parameter_reaches_the_robot(name):
     """Through the file and the override: the number, its unit, its status and its source."""
     spec = load_robot("gen2")
     name = name.replace("_each", "").replace("_N", "_2")
@@ -78,17 +81,7 @@ def test_every_parameter_reaches_the_robot(name, tmp_path: Path):
     value = start.start * 1.1 if start.scale is None else start.start + 0.01
     found = Parameter(name, unit_of(name), "identified", value, 0.001, value - 0.002, value + 0.002)
     fit = fit_file(Estimate((found,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
-    block = robot_override(fit)
-    scenario = tmp_path / "s.yaml"
-    scenario.write_text(
-        dump_yaml(
-            {
-                "title": "x", "robot": block, "duration_s": 1, "plants": {"analytical": {}},
-                "controller": {"kind": "gait", "frequency_hz": 1.0},
-            }
-        )
-    )  # fmt: skip
-    file = load_scenario(scenario).robot
+    file = resolved(robot_override(fit))
     assert unknowns(file.spec(), [name])[0].start == pytest.approx(value, rel=1e-8)
     changed = [r for path, r in file.records().items() if "fit bench" in r.source]
     assert changed and all(record.status == "calibrated" for record in changed)
@@ -125,4 +118,3 @@ def test_the_format_keeps_data_apart(tmp_path: Path):
         load_fit(path)
     halves = [replace(each, start=k, end=k + 1.0) for k, each in enumerate(same)]
     assert len(fit_file(fit.estimate(), **ABOUT, data=halves).data) == 2
-    assert TRUTH  # the module that `response` is of

@@ -1,9 +1,9 @@
 r"""Actuator from step responses: what valves or pressures did, and how far the segments bent.
 
-Predictions are those of `pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode of all
-modules, gain and bias of each chamber's own. Segments must bend freely, on a bench or lifted: on the floor the load
-of the body is in the bends as well. `actuator.bend_rad` and all gains together cannot be told apart, so it is
-held unless asked for.
+Predictions are those of `pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode
+of all modules, gain and bias of each chamber's own. Segments must bend freely, on a bench or lifted: on the
+floor the load of the body is in the bends as well. `actuator.bend_rad` and all gains together cannot be
+told apart, so it is held unless asked for.
 
 Of a log of pressures instead of valves, bends follow the pressures by τ_mode, taken as a delay (for pressures
 that change in τ₁ that errs by (τ_mode/τ₁)²); what fills the chambers cannot be told from it.
@@ -80,7 +80,7 @@ class Response:
 
     @classmethod
     def of_recording(cls, recording: Recording, name: str, supply_pa: float) -> Response:
-        """Return the response in a recording that was joined with its log; samples that were filled are left out.
+        """Return the response in a recording that was joined with its log, without samples that were filled.
 
         Raises:
             InputError: there is no log.
@@ -136,7 +136,9 @@ def fit_actuator(
     """
     if not responses:
         raise InputError("responses are wanted; none was given")
-    everything = [*((each, "fit") for each in responses), *((each, "validation") for each in validation)]
+    everything: list[tuple[Response, Role]] = [
+        *((each, "fit") for each in responses), *((each, "validation") for each in validation)
+    ]  # fmt: skip
     keep_apart(each.data_set(role) for each, role in everything)
     for each, _ in everything:
         if each.bend.shape[1] != spec.segments:
@@ -183,26 +185,20 @@ def predicted(
     return trace.bend, trace.pressure
 
 
-def _compared(
-    response: Response, spec: RobotSpec, clock: float, noise: float, role: Role | str
-) -> list[Residual]:
+def _compared(response: Response, spec: RobotSpec, clock: float, noise: float, role: Role) -> list[Residual]:
     bend, pressure = predicted(response, spec, clock)
     found = []
     for j in range(spec.segments):
         known = np.isfinite(response.bend[:, j])
         off = (response.bend[:, j] - bend[:, j])[known]
-        found.append(Residual(f"{response.name} bend_{j + 1}", "rad", off, noise, _role(role)))
+        found.append(Residual(f"{response.name} bend_{j + 1}", "rad", off, noise, role))
     if response.pressure is not None and pressure is not None:
         for j in range(spec.segments):
             for s, side in enumerate(SIDES):
                 off = response.pressure[:, j, s] - pressure[:, j, s]
                 name = f"{response.name} pressure_{side}_{j + 1}"
-                found.append(Residual(name, "Pa", off, _PRESSURE_NOISE, _role(role)))
+                found.append(Residual(name, "Pa", off, _PRESSURE_NOISE, role))
     return found
-
-
-def _role(role: Role | str) -> Role:
-    return "fit" if role == "fit" else "validation"
 
 
 def _sides(trajectory: Trajectory, name: str) -> np.ndarray:

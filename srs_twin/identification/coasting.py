@@ -1,4 +1,4 @@
-r"""Friction from coasting: the robot is thrown across the floor, straight and with vented chambers, and slows down.
+r"""Friction from coasting: the robot is thrown across the floor, straight, with vented chambers.
 
 Along its wheels it loses μ_t g/(1 + s), across them μ_n g; thrown at an angle, what the friction law says
 (`plants.sliding`, which also tells what s is). Where each run began and how fast it was thrown is found along
@@ -76,8 +76,8 @@ class Coasting:
             )
         if speed[first] < _LEAST_SPEED:
             raise InputError(
-                f"{name}: it moves at {speed[first]:.2g} m/s at most; a throw of {_LEAST_SPEED:g} m/s or more "
-                "is wanted"
+                f"{name}: it moves at {speed[first]:.2g} m/s at most; a throw of "
+                f"{_LEAST_SPEED:g} m/s or more is wanted"
             )
         heading = trajectory["heading"][first:]
         if np.ptp(heading) > _MOST_TURN:

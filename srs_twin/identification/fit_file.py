@@ -1,7 +1,7 @@
 """Fit files: what a fit found, from which data, by which command and versions; calibration/fits/*.yaml.
 
-Which data made the fit and which were kept for validation stands beside each hash; a file in which the same data
-are both is refused. What is not identifiable has no number in it.
+Which data made the fit and which were kept for validation stands beside each hash; a file in which the same
+data are both is refused. What is not identifiable has no number in it.
 """
 
 from __future__ import annotations
@@ -111,7 +111,8 @@ class FitFile(Strict):
             correlation[np.ix_(rows, rows)] = self.correlation
         return Estimate(
             parameters, correlation, (), tuple(self.cancels), self.quality.samples,
-            self.quality.independent_samples, self.quality.rms or 0.0, dict(self.held), self.quality.converged,
+            self.quality.independent_samples, self.quality.rms or 0.0, dict(self.held),
+            self.quality.converged,
         )  # fmt: skip
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:

@@ -1,9 +1,9 @@
 """Locomotion: what is left to find when friction and actuators are known, from runs of the crawling robot.
 
 Either plant is driven as the robot was and held against what was measured: by period-averaged speed and yaw
-rate (`averages`), by path, heading and bends over time (`shapes`), or by both. Of the masses only their ratios
-act, and stiffness and damping only over them; with bends as given (`complete`) stiffness does not act at all. The
-verdicts say so, whatever is asked for.
+rate (`averages`), by path, heading and bends over time (`shapes`), or by both. Of the masses only their
+ratios act, and stiffness and damping only over them; with bends as given (`complete`) stiffness does not
+act at all. The verdicts say so, whatever is asked for.
 """
 
 from __future__ import annotations

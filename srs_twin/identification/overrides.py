@@ -27,7 +27,7 @@ def robot_override(fit: FitFile, *, weak: bool = True) -> dict[str, Any]:
         weak: whether what is only weakly identified is taken as well.
 
     Raises:
-        InputError: the base robot is not found or wrong, draws at random what was fitted, or nothing was found.
+        InputError: no such base robot, one that draws at random what was fitted, or nothing was found.
     """
     file = load_robot_file(fit.robot)
     taken = [
@@ -53,8 +53,8 @@ def robot_override(fit: FitFile, *, weak: bool = True) -> dict[str, Any]:
     for key in block.get("modules", {}) if spread else ():
         if getattr(spread, _SPREADS[key]) is not None:
             raise InputError(
-                f"{fit.robot}: it draws modules.{key} at random ({_SPREADS[key]}), which a fit cannot stand on; "
-                "take that out first"
+                f"{fit.robot}: it draws modules.{key} at random ({_SPREADS[key]}), which a fit cannot stand "
+                "on; take that out first"
             )
     return block
 

@@ -1,4 +1,4 @@
-r"""Friction from a spring car (Eq. 17, Table 2): the spring's largest deformation as the wheels begin to move.
+r"""Friction from a spring car (Eq. 17, Table 2): the spring's largest deformation as motion begins.
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}, $$
 
@@ -54,8 +54,8 @@ class Pulls:
             value, error = getattr(self, what), getattr(self, f"{what}_error")
             if not (math.isfinite(value) and value > 0 and math.isfinite(error) and 0 <= error < value):
                 raise InputError(
-                    f"{self.name}: {what} {value!r} with error {error!r} is not allowed; it must be above 0 and "
-                    "its error smaller"
+                    f"{self.name}: {what} {value!r} with error {error!r} is not allowed; it must be above 0 "
+                    "and its error smaller"
                 )
         for way in _WAYS:
             pulls = np.asarray(getattr(self, way), dtype=float)

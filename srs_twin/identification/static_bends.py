@@ -1,8 +1,8 @@
 """Static tables: pressures that were held, and the bends at which free segments came to rest.
 
-A plain CSV file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and
-rad without a unit). A pressure that is not there is 0, an empty bend was not measured. Gain, bias and bend limit
-can be told from it; nothing that takes time, and no mass.
+A plain CSV file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``,
+``bend_1_deg``; Pa and rad without a unit). A pressure that is not there is 0, an empty bend was not
+measured. Gain, bias and bend limit can be told from it; nothing that takes time, and no mass.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     """Read a static table.
 
     Raises:
-        InputError: no such file, no bends, columns of segments that the robot has not, or values that none has.
+        InputError: no such file, no bends, columns of other segments, or values that no robot has.
     """
     source = read_source(path)
     columns, width, _ = read_columns(source, _KNOWN)
@@ -81,7 +81,8 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     def column(name: str, number: int, missing: float) -> np.ndarray:
         if (name, number) not in place:
             return np.full(len(rows.values), missing)
-        return np.asarray(rows.values[:, place[name, number]] * _factor(found[name, number]))
+        with np.errstate(over="ignore"):  # refused below
+            return np.asarray(rows.values[:, place[name, number]] * _factor(found[name, number]))
 
     numbers = range(1, spec.segments + 1)
     pressure = np.stack(

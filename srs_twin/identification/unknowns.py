@@ -1,8 +1,8 @@
 """Unknowns: numbers of a robot that a fit may look for, by their names in a robot file.
 
-A name is `section.key` of a robot file, with the number of a connector or segment behind it where the file has
-a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``, ``modules.bias_rad_1``. Values are in the unit that
-the key names. ``mass.connectors_kg`` alone is the mean, and scales all masses, the wheels' too.
+A name is `section.key` of a robot file, with the number of a connector or segment behind it where the file
+has a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``, ``modules.bias_rad_1``. Values are in the
+unit that the key names. ``mass.connectors_kg`` alone is the mean, and scales all masses, the wheels' too.
 ``actuator.bend_rad`` is the bend under the robot's nominal supply pressure.
 
 What is searched is not the value but its coordinate z: ln(value), or value/scale where values may be 0 or
@@ -141,7 +141,7 @@ def names_of_fields() -> list[str]:
 
 
 def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
-    """Return numbered names, one a segment: per_segment(spec, "modules.bias_rad")."""
+    """Return names numbered from 1 to the number of segments, such as ``modules.bias_rad_1``."""
     return tuple(f"{name}_{j}" for name in names for j in range(1, spec.segments + 1))
 
 
@@ -176,7 +176,7 @@ def _of(section: str, attribute: str, unit: str, low: float, high: float, **more
 
     def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
         changed: Any = replace(getattr(spec, section), **{attribute: value})
-        return replace(spec, **{section: changed})  # type: ignore[arg-type]
+        return replace(spec, **{section: changed})
 
     return _Field(unit, low, high, get, put, **more)
 

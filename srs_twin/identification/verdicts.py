@@ -1,9 +1,9 @@
 r"""What data can tell: from the Jacobian's singular values, never by hand.
 
-Let J be the derivatives of the weighted residuals by the coordinates z of `unknowns`, s_k its singular values
-with directions v_k, and E the difference between two Jacobians from steps h and 2h, which shows how far J itself
-is to be trusted. A direction is *blind* where moving along it does nothing that could be told from the
-error of the derivatives,
+Let J be the derivatives of the weighted residuals by the coordinates z of `unknowns`, s_k its singular
+values with directions v_k, and E the difference between two Jacobians from steps h and 2h, which shows how
+far J itself is to be trusted. A direction is *blind* where moving along it does nothing that could be told
+from the error of the derivatives,
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 

@@ -5,9 +5,10 @@ Thrown across the floor, all its connectors move alike, so its mass cancels:
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 
 with f the law for a load of g a unit mass. s is 0 where wheels have no inertia; wheels that have to stop
-spinning as well lengthen the way along by 1 + s, because the floor brakes them with that much less than their
-axles do. Nothing pushes such a body, so neither velocity ever changes its sign: each is followed by the midpoint
-rule until it is 0, and stays so. Places are smooth in the velocities and coefficients, as a fit needs them.
+spinning as well lengthen the way along by 1 + s, because the floor brakes them with that much less than
+their axles do. Nothing pushes such a body, so neither velocity ever changes its sign: each is followed by
+the midpoint rule until it is 0, and stays so. Places are smooth in the velocities and coefficients, as a
+fit needs them.
 """
 
 from __future__ import annotations

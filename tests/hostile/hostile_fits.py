@@ -40,10 +40,10 @@ quality: {{samples: 20, independent_samples: 20.0, rms: 1.0, converged: true}}
 FIT_MALFORMED: tuple[Malformed, ...] = edited(
     FIT,
     {
-        "a number of what is not identifiable": ("not identifiable, why", "not identifiable, value: 0.1, why", ":14:85: parameters[2].value: what is not identifiable has no number"),
-        "no number of what is identified": ("value: 0.0966, ", "", ":12:54: parameters[0].verdict: identified, but value is missing"),
+        "a number of what is not identifiable": ("not identifiable, why", "not identifiable, value: 0.1, why", "parameters[2].value: what is not identifiable has no number"),
+        "no number of what is identified": ("value: 0.0966, ", "", "parameters[0].verdict: identified, but value is missing"),
         "half an interval": (", high: 0.0977", "", "parameters[0].verdict: identified, but high is missing"),
-        "a value beyond its interval": ("value: 0.0966", "value: 0.2", ":12:73: parameters[0].value: must lie between low and high, 0.0955 and 0.0977"),
+        "a value beyond its interval": ("value: 0.0966", "value: 0.2", ":12:66: parameters[0].value: must lie between low and high, 0.0955 and 0.0977"),
         "an interval the wrong way round": ("low: 0.4, high: 0.9", "low: 0.9, high: 0.4", "parameters[1].value: must lie between"),
         "a verdict of one's own": ("verdict: identified", "verdict: certain", "parameters[0].verdict: must be one of identified, weakly identified, not identifiable, not text 'certain'"),
         "a parameter that no robot has": ("friction.mu_t", "friction.mu_x", "parameters[0].name: "),
@@ -51,7 +51,7 @@ FIT_MALFORMED: tuple[Malformed, ...] = edited(
         "one parameter twice": ("friction.mu_n", "friction.mu_t", "parameters: friction.mu_t stands here 2 times"),
         "another unit": ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
         "the same data in both roles": ("b" * 64, "a" * 64, ":8:3: data: later.csv: the same data as pulls.csv"),
-        "a role of one's own": ("role: validation", "role: test", ":9:102: data[1].role: must be one of fit, validation, not text 'test'"),
+        "a role of one's own": ("role: validation", "role: test", "data[1].role: must be one of fit, validation, not text 'test'"),
         "nothing fitted": ("role: fit", "role: validation", "data: none of role fit"),
         "a short hash": ("a" * 64, "a" * 63, "data[0].sha256: "),
         "a hash in capitals": ("a" * 64, "A" * 64, "data[0].sha256: "),

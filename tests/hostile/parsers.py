@@ -246,7 +246,8 @@ PARSERS: tuple[Parser, ...] = (
         good=hostile_fits.FIT,
         parse=load_fit,
         function="srs_twin.identification.fit_file:load_fit",
-        malformed=STRUCTURE + no_numbers(hostile_fits.FIT, "rms", "quality.rms") + hostile_fits.FIT_MALFORMED,
+        malformed=STRUCTURE + hostile_fits.FIT_MALFORMED
+        + no_numbers(hostile_fits.FIT, "independent_samples", "quality.independent_samples"),
         values=anything_anywhere(plain_data(hostile_fits.FIT), lambda: list(FitFile.model_fields)),
         identity=Identity(
             hostile_fits.fits(), lambda fit: yaml_bytes(fit.model_dump(mode="json", exclude_none=True))
