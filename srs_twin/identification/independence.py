@@ -6,8 +6,10 @@ the model lacks. With ρ_k their autocorrelation, n samples tell a mean as well 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k , $$
 
 the sum taken while pairs ρ_{2m} + ρ_{2m+1} are positive (Geyer 1992, Statistical Science 7: initial positive
-sequence). All series are pooled, each weighted by its power. Series that are too short to tell, such as pulls
-or averages of runs, count as independent.
+sequence). A fit of p unknowns takes the slow part of the noise out of the residuals, about a share c = p
+τ/n of their power at all short lags; it is put back, ρ_k → (ρ_k + c)/(1 + c), with τ as it comes out. All
+series are pooled, each weighted by its power. Series that are too short to tell, such as pulls or averages
+of runs, count as independent.
 """
 
 from __future__ import annotations
@@ -20,11 +22,16 @@ LEAST_SAMPLES = 20
 """Shorter series say nothing about their autocorrelation."""
 
 
-def correlation_time(series: Sequence[np.ndarray]) -> float:
+_ROUNDS = 5
+_MOST_TAKEN = 0.5  # c beyond which a fit has taken so much that the rest says nothing of it
+
+
+def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     """Return τ, 1 or more.
 
     Args:
         series: residuals over time, each of shape (samples,), in comparable units.
+        unknowns: p, how many numbers were fitted.
     """
     long = [each for each in series if len(each) >= LEAST_SAMPLES]
     if not long or not any(each.any() for each in long):
@@ -37,7 +44,13 @@ def correlation_time(series: Sequence[np.ndarray]) -> float:
     pairs = rho[: most // 2 * 2].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
     kept = pairs[: ends[0]] if ends.size else pairs
-    return max(1.0, float(2 * kept.sum() - 1))
+    lags = 2 * len(kept) - 1  # besides lag 0
+    plain = max(1.0, float(2 * kept.sum() - 1))
+    samples, time = sum(len(each) for each in long), plain
+    for _ in range(_ROUNDS):
+        taken = min(unknowns * time / samples, _MOST_TAKEN)
+        time = max(1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * taken) / (1 + taken))
+    return time
 
 
 def _autocovariance(values: np.ndarray) -> np.ndarray:

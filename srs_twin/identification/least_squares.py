@@ -163,7 +163,7 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
     residuals = search.residuals(z)
     fitted = [each.values / each.scale for each in residuals if each.role == "fit"]
     samples = sum(len(each) for each in fitted)
-    independent = samples / correlation_time(fitted)
+    independent = samples / correlation_time(fitted, len(unknowns))
     freedom = max(independent - len(unknowns), 1.0)
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))

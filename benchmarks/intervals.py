@@ -1,0 +1,142 @@
+"""How often the 95 % intervals of the fits hold the truth: noisy repetitions, each with a noise of its own.
+
+uv run python benchmarks/intervals.py [REPETITIONS]
+
+Noise: pulls 10 % and 8 % of the mean, places 1 mm, bends 0.01 rad (white, or with a correlation of 0.8
+between samples at 100 Hz), gait runs 1 mm and 0.01 rad. Of the gait runs, whose fits are dear, a fifth as many.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from srs_twin import Gait, Trajectory, load_robot
+from srs_twin.identification.actuator import Response, fit_actuator, predicted
+from srs_twin.identification.coasting import Coasting, fit_coasting
+from srs_twin.identification.data_set import fingerprint
+from srs_twin.identification.estimate import Estimate
+from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.pulls import Pulls, fit_pulls
+from srs_twin.identification.static_bends import StaticTable, fit_static
+from srs_twin.identification.unknowns import with_values
+from srs_twin.plants.sliding import slide, spin_share
+from srs_twin.pneumatics import Schedule
+from srs_twin.pneumatics.bending import air_bend
+
+GEN2, MODULE = load_robot("gen2"), load_robot("gen4_module")
+FRICTION = {"friction.mu_t": 0.06, "friction.mu_n": 0.5}
+ACTUATOR = {
+    "actuator.tau_fill_s": 0.15, "actuator.tau_vent_s": 0.09, "actuator.tau_mode_s": 0.01,
+    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
+}  # fmt: skip
+STATIC = {
+    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
+    "actuator.bend_limit_rad": 1.4,
+}  # fmt: skip
+GAIT = {"friction.mu_t": 0.055, "friction.mu_n": 0.48, "geometry.rigid_gap_m": 0.022}
+Fit = Callable[[np.random.Generator], Estimate]
+
+
+def correlated(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
+    """Return noise of unit variance, each sample like the one before by rho."""
+    noise = rng.normal(size=count)
+    for k in range(1, count):
+        noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
+    return noise
+
+
+def pulls(rng: np.random.Generator) -> Estimate:
+    factor = 0.25 * 9.81 / 120.0
+    return fit_pulls(
+        Pulls(factor * rng.normal(0.06, 0.006, 10), factor * rng.normal(0.5, 0.04, 10), 120.0, 0.25)
+    )
+
+
+def coasting(rng: np.random.Generator) -> Estimate:
+    time = np.arange(0.0, 1.0, 0.01)
+    runs = []
+    for k, velocity in enumerate([(0.5, 0.0), (0.0, 0.8)]):
+        way = slide(velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2))
+        x, y = (way + 1e-3 * rng.normal(size=way.shape)).T
+        seen = Trajectory({"time": time, "com_x": x, "com_y": y, "heading": 0 * time})
+        runs.append(Coasting.of(seen, f"throw_{k}", start=0.0))
+    return fit_coasting(runs, GEN2)
+
+
+def actuator(rho: float) -> Fit:
+    states = np.array([[[1, -1]], [[-1, -1]], [[-1, 1]], [[-1, -1]]], dtype=np.int8)
+    time = np.arange(0.0, 3.0, 0.01)
+    blank = Response(
+        "steps",
+        "0" * 64,
+        Schedule(3.0, np.array([0.0, 0.5, 1.5, 2.0]), states),
+        48e3,
+        time,
+        np.zeros((300, 1)),
+    )
+    bend, _ = predicted(blank, with_values(MODULE, ACTUATOR))
+    return lambda rng: fit_actuator(
+        [replace(blank, bend=bend + 0.01 * correlated(rng, len(time), rho)[:, None])], MODULE
+    )
+
+
+def static(rng: np.random.Generator) -> Estimate:
+    pressure = np.zeros((14, 1, 2))
+    pressure[:7, 0, 0] = pressure[7:, 0, 1] = np.linspace(0, 90e3, 7)
+    robot = with_values(MODULE, STATIC)
+    bend = robot.modules.array("bias") + air_bend(robot, pressure) + 0.01 * rng.normal(size=(14, 1))
+    return fit_static([StaticTable("table", fingerprint(bend), pressure, bend)], MODULE)
+
+
+def gaits() -> Fit:
+    model = PlantModel(settings={"friction": "wheel"})
+    truth = []
+    for frequency, offset in [(2.0, 0.0), (1.5, 0.2)]:
+        run = GaitRun(
+            Trajectory({"time": np.array([0.0, 3.0])}), Gait(frequency, offset), 48e3, f"{frequency} Hz"
+        )
+        truth.append(replace(run, trajectory=model.follow(run, with_values(GEN2, GAIT))))
+
+    def noisy(run: GaitRun, rng: np.random.Generator) -> GaitRun:
+        columns = dict(run.trajectory.columns)
+        for name in ("com_x", "com_y", "heading", *(f"bend_{j}" for j in range(1, 5))):
+            columns[name] = columns[name] + (1e-3 if name[0] == "c" else 1e-2) * rng.normal(
+                size=len(run.trajectory)
+            )
+        return replace(run, trajectory=Trajectory(columns, metadata=run.trajectory.metadata))
+
+    return lambda rng: fit_locomotion(
+        [noisy(run, rng) for run in truth], GEN2, list(GAIT), model=model, against="shapes"
+    )
+
+
+def main(repetitions: int) -> None:
+    fits: tuple[tuple[str, Fit, dict[str, float], int], ...] = (
+        ("pulls", pulls, FRICTION, repetitions),
+        ("coasting", coasting, FRICTION, repetitions),
+        ("actuator, white noise", actuator(0.0), ACTUATOR, repetitions),
+        ("actuator, correlated noise", actuator(0.8), ACTUATOR, repetitions),
+        ("static table", static, STATIC, repetitions),
+        ("gait runs, complete", gaits(), GAIT, max(1, repetitions // 5)),
+    )
+    print("| data | parameter | held the truth | no number | mean error over its standard error |")
+    print("|---|---|---|---|---|")
+    for name, fit, truth, count in fits:
+        found = [fit(np.random.default_rng([seed, 8])) for seed in range(count)]
+        for parameter, value in truth.items():
+            each = [f[parameter] for f in found if f[parameter].value is not None]
+            held = sum(p.low <= value <= p.high for p in each)  # type: ignore[operator]
+            bias = np.mean([(p.value - value) / p.standard_error for p in each])  # type: ignore[operator]
+            print(
+                f"| {name} | {parameter} | {held} of {count} | {count - len(each)} | {bias:+.2f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
