@@ -117,7 +117,7 @@ def fit_locomotion(
     model: PlantModel | None = None,
     against: str = "averages",
     validation: Sequence[GaitRun] = (),
-    starts: int = 1,
+    starts: int = 3,
     starting: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> Estimate:
@@ -130,7 +130,7 @@ def fit_locomotion(
         model: the plant that stands for the robot; default the analytical one.
         against: "averages", "shapes" or "both".
         validation: runs to hold the estimate against.
-        starts: how many searches.
+        starts: how many searches; one may end in a minimum that is not the least, with a large residual.
         starting: other values to start from, by name.
         noise: other values for `NOISE`, by name.
 
