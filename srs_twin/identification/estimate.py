@@ -13,8 +13,6 @@ from srs_twin.errors import InputError
 Verdict = Literal["identified", "weakly identified", "not identifiable"]
 Role = Literal["fit", "validation"]
 
-VERDICTS: tuple[Verdict, ...] = ("identified", "weakly identified", "not identifiable")
-
 
 @dataclass(frozen=True)
 class Residual:
