@@ -10,7 +10,7 @@ from srs_twin.documents import Document, Loc, load_yaml
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.files import find
 from srs_twin.robot_file import RobotFile, units_of
-from srs_twin.sourced import Record
+from srs_twin.sourced import Record, restated
 from srs_twin.validation import validate
 
 
@@ -88,9 +88,7 @@ def _override(base: Mapping[str, Any], override: Mapping[str, Any], source: str)
         merged[name] = dict(section)
         for key, entry in value.items():
             plain = key in units and not isinstance(entry, Mapping)
-            changed = {"value": entry, "status": "estimated", "source": source}
-            before = section.get(key) or {"unit": units.get(key)}
-            merged[name][key] = before | changed if plain else entry
+            merged[name][key] = restated(section.get(key), entry, units[key], source) if plain else entry
     return merged
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Generic, Literal, TypeVar
 
 from pydantic import Field
@@ -33,3 +34,15 @@ class Record(Strict, Generic[Value, Unit]):
 def between(low: float, high: float) -> Any:
     """Return the bounds of a number."""
     return Field(ge=low, le=high)
+
+
+def restated(before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str) -> dict[str, Any]:
+    """Return plain data of a record whose number somebody sets: an estimate, whatever it was before.
+
+    Args:
+        before: plain data of the record so far, whose unit stays; None or empty: there is none yet.
+        value: the number.
+        unit: of the key, for a record that is new.
+        source: who set it.
+    """
+    return {**(before or {"unit": unit}), "value": value, "status": "estimated", "source": source}

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import Loc
 from srs_twin.robot_file import units_of
+from srs_twin.sourced import restated
 
 if TYPE_CHECKING:
     from srs_twin.sweep.file import PlotFile
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 Value = bool | int | float | str
 Changes = Mapping[str, Value]
+
+BY_A_SWEEP = "varied by a sweep"
+"""Source of a robot's number that a sweep sets."""
 
 NOT_PHYSICS = ("name", "title", "expect")
 """Fields that say how results are named or judged, not what is simulated."""
@@ -73,7 +77,7 @@ class Experiment:
             # A number that the robot does not have yet has no record either.
             unit = units_of(str(where[1])).get(str(where[2]))
             if unit is not None:
-                whole = {"value": value, "unit": unit, "status": "estimated", "source": "varied by a sweep"}
+                whole = restated(None, value, unit, BY_A_SWEEP)
         return changed(document, where, whole)
 
 
@@ -138,7 +142,7 @@ def changed(data: Any, loc: Loc, value: Value) -> Any:
     """
     if not loc:
         if isinstance(data, Mapping) and {"value", "unit"} <= data.keys() and not isinstance(value, Mapping):
-            return {**data, "value": value, "status": "estimated", "source": "varied by a sweep"}
+            return restated(data, value, None, BY_A_SWEEP)
         return value
     first, rest = loc[0], loc[1:]
     if isinstance(data, list) and isinstance(first, int) and first < len(data):
