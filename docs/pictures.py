@@ -1,9 +1,9 @@
-"""Makes the README's pictures from a real run.
+"""Makes pictures of the README and of docs/ from real runs.
 
     uv run python docs/pictures.py
 
-`plan.png`, `why.png` and `fig31.png` need nothing; `hero.png` is a screenshot of Rerun's viewer and needs a
-Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers).
+`plan.png`, `why.png` and those of sweeps need nothing; `hero.png` is a screenshot of Rerun's viewer and
+needs a Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers).
 """
 
 from __future__ import annotations
@@ -22,15 +22,18 @@ from srs_twin.viewing.waterfall import waterfall
 
 IMAGES = Path(__file__).parent / "images"
 MOMENT_S = 3.3
+SWEEPS = {"fig31": "com_speed_m_s", "ilc_spread": "scatter_path_bend_per_m"}
+"""Sweep → which of its plots."""
 
 
 def main() -> None:
-    """Run gen2_straight, gen2_turn and the sweep fig31 and write the pictures."""
+    """Run gen2_straight, gen2_turn and two sweeps (five minutes, most of it ilc_spread) and draw them."""
     IMAGES.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder, open_sweep(load_sweep("fig31"), Path(folder)) as sweep:
-        sweep.run(local(), sweep.missing())
-        speed = next(name for name in sweep.finish().files if name.endswith("com_speed_m_s.png"))
-        (IMAGES / "fig31.png").write_bytes((Path(folder) / speed).read_bytes())
+    for name, plot in SWEEPS.items():
+        with tempfile.TemporaryDirectory() as folder, open_sweep(load_sweep(name), Path(folder)) as sweep:
+            sweep.run(local(), sweep.missing())
+            drawn = next(file for file in sweep.finish().files if file.endswith(f"{plot}.png"))
+            (IMAGES / f"{name}.png").write_bytes((Path(folder) / drawn).read_bytes())
     turn = load_scenario("gen2_turn")
     with tempfile.TemporaryDirectory() as folder:
         runs = run_scenario(turn, Path(folder)).trajectories

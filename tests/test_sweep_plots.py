@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.collections import PathCollection
+from matplotlib.colors import to_hex
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -172,14 +173,25 @@ def test_many_lines_get_a_colour_bar():
     assert bar.get_ylabel() == "supply pressure (kPa)" and len(curves(planes(figure)[0])) == 26
 
 
-def test_scatter_holds_the_table():
-    given = grid(missing=(2,))
+@pytest.mark.parametrize("count", [3, 13])
+def test_scatter_holds_the_table(count):
+    """A legend tells few colours apart, a colour bar many."""
+    given = grid(pressures=np.linspace(20, 40, count), missing=(2,))
     figure = draw(PlotRequest("scatter", "com_speed_rel", SPEED, by=P, plants=("twin",)), given)
     (axes,) = planes(figure)
     expected = [
         (x, y, c) for x, y, c in zip(given["comparison.com_speed_rel"], given[B], given[P], strict=True) if y
     ]
-    found = [(*at, c) for at, c in zip(dots(axes).get_offsets(), dots(axes).get_array(), strict=True)]
+    if count == 3:
+        key = axes.get_legend()
+        shades = {
+            to_hex(line.get_color()): float(text.get_text())
+            for line, text in zip(key.get_lines(), key.get_texts(), strict=True)
+        }
+        values = [shades[to_hex(color)] for color in dots(axes).get_facecolors()]
+    else:
+        values = dots(axes).get_array()
+    found = [(*at, c) for at, c in zip(dots(axes).get_offsets(), values, strict=True)]
     assert np.array(sorted(found)) == pytest.approx(np.array(sorted(expected)))
     assert axes.get_xlabel() == "CoM speed, relative difference" and axes.get_ylabel() == "CoM speed (m/s)"
 

@@ -178,15 +178,23 @@ def _line(request: PlotRequest, rows: SweepTable, owners: list[str], beside: Bes
     if beside is not None and request.x in beside.at and request.metric in beside.metrics:
         samples.append(_draw_published(axes, beside, request, x, by, colors if few else {}))
     legend_above(axes, samples)
-    if request.by and few:
-        handles = [Line2D([], [], color=colors[group], label=by.text(group)) for group in groups]
-        axes.legend(
-            handles=handles, title=textwrap.fill(by.label, 18), title_fontsize=8, fontsize=8, frameon=False,
-            loc="upper left", bbox_to_anchor=(1.0, 1.0), alignment="left",
-        )  # fmt: skip
-    elif request.by:
-        color_bar(figure, Normalize(*span([by])), "viridis", by)
+    if request.by:
+        _name_groups(figure, axes, by, groups, colors)
     return figure
+
+
+def _name_groups(
+    figure: Figure, axes: Axes, by: Values, groups: np.ndarray, colors: Mapping[float, str]
+) -> None:
+    """Say which colour is which value of `by`: a legend of few, a colour bar of many."""
+    if len(groups) > _MOST_LINES:
+        color_bar(figure, Normalize(*span([by])), "viridis", by)
+        return
+    handles = [Line2D([], [], color=colors[group], label=by.text(group)) for group in groups]
+    axes.legend(
+        handles=handles, title=textwrap.fill(by.label, 18), title_fontsize=8, fontsize=8, frameon=False,
+        loc="upper left", bbox_to_anchor=(1.0, 1.0), alignment="left",
+    )  # fmt: skip
 
 
 def _draw_published(
@@ -216,6 +224,10 @@ def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
     figure, (axes,) = column_panels(1, key=request.by is not None)
     given = [rows.values(request.by, owner) for owner in owners] if request.by else []
     low, high = span(given)
+    shades = np.concatenate([each.numbers for each in given]) if given else np.zeros(0)
+    groups = np.unique(shades[np.isfinite(shades)])
+    few = len(groups) <= _MOST_LINES
+    colors = _colors(groups, given[0], few=few) if given and few else {}
     drawn = 0
     for i, owner in enumerate(owners):
         x, values = rows.values(request.x, owner), rows.metric(request.metric, owner)
@@ -223,7 +235,9 @@ def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
         there = np.isfinite(x.numbers) & np.isfinite(values.numbers) & np.isfinite(shade)
         order = np.flatnonzero(there)[np.lexsort((values.numbers[there], x.numbers[there], shade[there]))]
         color: dict[str, Any] = {"color": _color(owner)}
-        if request.by:
+        if request.by and few:
+            color = {"c": [colors[each] for each in shade[order]]}
+        elif request.by:
             color = {"c": shade[order], "cmap": "viridis", "vmin": low, "vmax": high}
         axes.scatter(
             x.numbers[order], values.numbers[order], s=16, marker=_MARKERS[owner], alpha=0.85,
@@ -232,9 +246,11 @@ def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
         drawn += len(order)
     x = rows.values(request.x, owners[0])
     _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
-    if given:
-        color_bar(figure, Normalize(low, high), "viridis", given[0])
     legend_above(axes, [_sample(owner, line=False, plain=bool(given)) for owner in owners])
+    if given and few:
+        _name_groups(figure, axes, given[0], groups, colors)
+    elif given:
+        color_bar(figure, Normalize(low, high), "viridis", given[0])
     return figure
 
 
