@@ -19,6 +19,7 @@ _FOLDERS = {
     "footprint": "calibration/footprints",
     "scenario": "scenarios",
     "sweep": "scenarios/sweeps",
+    "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
 
@@ -50,7 +51,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     anything else is a name, looked up in the shipped folder.
 
     Args:
-        kind: "robot", "footprint", "scenario" or "sweep".
+        kind: "robot", "footprint", "scenario", "sweep" or "table".
         name_or_path: as a person wrote it.
 
     Raises:

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "srs_twin"
 ORDER = (
     ("errors", "compiled", "plausible", "records", "threads", "process_server", "processes"),
     ("files", "folders", "documents", "validation", "parquet"),
-    ("modules", "sourced", "modules_file", "spec", "robots", "robot_file", "world"),
+    ("modules", "sourced", "published", "modules_file", "spec", "robots", "robot_file", "world"),
     ("trajectory",),
     ("shape", "friction", "pneumatics", "sensing"),
     (
