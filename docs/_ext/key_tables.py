@@ -1,0 +1,129 @@
+"""Tables of every key that a file may have, from the JSON schemas that editors use."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from srs_twin.robot_file import RobotFile
+from srs_twin.scenario.file import ScenarioFile
+from srs_twin.sweep.file import SweepFile
+from srs_twin.validation import allowed
+
+Schema = Mapping[str, Any]
+
+_HEAD = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|"
+_RECORD = ("value", "unit", "status", "source")
+
+
+def scenario() -> str:
+    """Return the keys of scenario files."""
+    return Blocks(ScenarioFile.model_json_schema(), {"robot": "[a robot](robot.md)"}).markdown("scenario")
+
+
+def sweep() -> str:
+    """Return the keys of sweep files."""
+    return Blocks(SweepFile.model_json_schema(by_alias=True)).markdown("sweep")
+
+
+def robot() -> str:
+    """Return the keys of robot files."""
+    return Blocks(RobotFile.model_json_schema()).markdown("robot")
+
+
+@dataclass
+class Blocks:
+    """The blocks of keys of one kind of file, each described once.
+
+    Attributes:
+        root: the whole schema.
+        elsewhere: what to say of keys that are described on another page.
+        places: name of a definition → the path under which it is described.
+    """
+
+    root: Schema
+    elsewhere: Mapping[str, str] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
+
+    def markdown(self, name: str) -> str:
+        """Return a section for each block, in the order of the file; anchors begin with that name."""
+        return "\n\n".join(self._section(name, "", self.root))
+
+    def _section(self, name: str, path: str, block: Schema) -> Iterator[str]:
+        title = f"## {path}" if path else "## At the top level"
+        rows, inner = [], []
+        for key, schema in block["properties"].items():
+            where = f"{path.partition(' (')[0]}.{key}".removeprefix(".")
+            words = self.elsewhere.get(where) or self._words(name, where, schema, inner)
+            rows.append(_row(key, schema, words, key in block.get("required", ()), self._unit(schema)))
+        yield f"({_anchor(name, path)})=\n{title}\n\n{block['description']}\n\n{_HEAD}\n" + "\n".join(rows)
+        for where, each in inner:
+            yield from self._section(name, where, each)
+
+    def _words(self, name: str, where: str, schema: Schema, inner: list[tuple[str, Schema]]) -> str:
+        """Return what a key may hold; blocks that are new go to `inner`."""
+        links, plain = [], []
+        for option, many in self._options(schema):
+            definition = option.get("$ref", "").rpartition("/")[2]
+            block = self.root["$defs"][definition] if definition else option
+            if "properties" not in block or set(block["properties"]) == set(_RECORD):
+                value = block.get("properties", {}).get("value", block)
+                plain.append(("a list, each " if many else "") + allowed(value, self.root))
+                continue
+            if definition not in self.places:
+                kind = block["properties"].get("kind", {}).get("const")
+                place = f"{where}{'[]' if many else ''}" + (f" (kind: {kind})" if kind else "")
+                self.places[definition] = place
+                inner.append((place, block))
+            place = self.places[definition]
+            links.append(f"{'a list of ' if many else ''}[{place}](#{_anchor(name, place)})")
+        return "; ".join([*dict.fromkeys(filter(None, plain)), *dict.fromkeys(links)]) or "see the meaning"
+
+    def _options(self, schema: Schema, many: bool = False) -> Iterator[tuple[Schema, bool]]:
+        """Yield what a key may hold, and whether it is a list of such."""
+        choices = schema.get("anyOf") or schema.get("oneOf")
+        if choices:
+            for choice in choices:
+                yield from self._options(choice, many)
+        elif schema.get("type") == "array" and _blocks_in(schema["items"]):
+            yield from self._options(schema["items"], True)
+        elif schema.get("type") != "null":
+            yield schema, many
+
+    def _unit(self, schema: Schema) -> str:
+        for option, _ in self._options(schema):
+            definition = option.get("$ref", "").rpartition("/")[2]
+            record = self.root["$defs"][definition]["properties"] if definition else {}
+            if set(record) == set(_RECORD):
+                return _shown(record["unit"]["const"])
+        return _shown(schema.get("unit", ""))
+
+
+def _shown(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _blocks_in(schema: Schema) -> bool:
+    return "$ref" in schema or any("$ref" in each for each in schema.get("oneOf", schema.get("anyOf", ())))
+
+
+def _row(key: str, schema: Schema, words: str, required: bool, unit: str) -> str:
+    meaning = schema.get("title") if "unit" in schema else schema.get("description", schema.get("title", ""))
+    cells = (f"`{key}`", unit, words, "required" if required else _default(schema), meaning)
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+
+
+def _default(schema: Schema) -> str:
+    default = schema.get("default")
+    if default is None:
+        return "none"
+    if isinstance(default, dict):
+        return "its defaults"
+    return f"`{json.dumps(default)}`" if default != [] else "empty"
+
+
+def _anchor(name: str, path: str) -> str:
+    letters = [c if c.isalnum() or c == "_" else "-" for c in f"{name}-{path}"]
+    return "-".join(filter(None, "".join(letters).split("-")))

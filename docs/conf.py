@@ -1,0 +1,52 @@
+"""How Sphinx makes the site: the Markdown of the checkout, and reference pages made from the code.
+
+`uv run sphinx-build -W -c docs . site` builds it; -W makes a broken link an error. Nothing of the site comes
+from elsewhere: the theme takes the reader's own fonts, formulas are MathML.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "docs/_ext"), str(ROOT)]
+
+from srs_twin import __version__  # noqa: E402
+
+project, release = "srs_twin", __version__
+copyright = "the srs_twin authors"  # noqa: A001
+
+extensions = [
+    "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "generated", "docstrings",
+]  # fmt: skip
+
+# The root of the checkout is the root of the site: a relative link between Markdown files leads to the same
+# place on a forge, in an editor and here.
+root_doc = "docs/index"
+include_patterns = ["docs/**.md", "*.md", "models/README.md", "calibration/README.md"]
+# What need not be looked through; links may lead there all the same.
+exclude_patterns = [".*", "runs", "dist", "build", "site", "srs_twin", "tests", "benchmarks"]
+templates_path = ["_templates"]
+
+myst_enable_extensions = ["dollarmath", "attrs_inline"]
+myst_dmath_double_inline = True
+myst_heading_anchors = 4
+
+default_role = "py:obj"
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_class_signature = "mixed"
+napoleon_use_ivar = True
+napoleon_attr_annotations = False
+
+html_theme = "furo"
+html_title = "srs_twin"
+html_additional_pages = {"index": "home.html"}
+html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["formulas.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_last_updated_fmt = None
+html_theme_options = {"footer_icons": []}
