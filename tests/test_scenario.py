@@ -596,7 +596,7 @@ def test_the_schema_describes_every_key():
             assert prop.get("description") or "$ref" in prop, path
     assert schema["properties"]["duration_s"] == {
         "title": "Simulated time", "description": "Simulated time in s, 0.001 to 3600.",
-        "type": "number", "minimum": 0.001, "maximum": 3600.0,
+        "type": "number", "minimum": 0.001, "maximum": 3600.0, "unit": "s",
     }  # fmt: skip
     assert schema["$defs"]["ExpectationFile"]["properties"]["metric"]["enum"] == list(known_metrics())
 

@@ -1,0 +1,94 @@
+"""The pages of the documentation as tests read them: links, blocks, commands."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from conftest import ROOT
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, what stands behind it (`runnable`, a file's name, …), its text."""
+
+    language: str
+    mark: str
+    text: str
+
+    @property
+    def file(self) -> str | None:
+        """The name under which a reader is told to save it."""
+        return self.mark if re.fullmatch(r"[\w.-]+\.\w+", self.mark) else None
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page."""
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        return self.path.relative_to(ROOT).as_posix()
+
+    @cached_property
+    def text(self) -> str:
+        return self.path.read_text("utf-8")
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        found = re.findall(r"^ *```([\w{}-]*) ?(.*)\n((?:.*\n)*?) *```$", self.text, re.M)
+        return [Block(*each) for each in found]
+
+    @cached_property
+    def prose(self) -> str:
+        """The page without its blocks."""
+        return re.sub(r"^ *```.*\n(?:.*\n)*? *```$", "", self.text, flags=re.M)
+
+    @property
+    def links(self) -> list[str]:
+        """Targets of links and pictures inside the checkout."""
+        spoken = re.sub(r"`[^`]*`", "``", self.prose)
+        return [t for t in re.findall(r"\]\(([^)\s]+)\)", spoken) if not re.match(r"\w+:", t)]
+
+    @property
+    def anchors(self) -> set[str]:
+        """What can be linked to: headings, as forges and the site spell them."""
+        headings = re.findall(r"^#+ (.*)$", self.prose, re.M)
+        return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+    @property
+    def commands(self) -> list[str]:
+        """Every line that a reader is to type, without its comment."""
+        shell = "".join(block.text for block in self.blocks if block.language == "sh")
+        lines = [line.partition(" # ")[0].strip() for line in shell.replace("\\\n", " ").splitlines()]
+        return [line for line in lines if line]
+
+    @property
+    def mentions(self) -> list[str]:
+        """Commands in the prose; they may lack what they need: `srs-twin compare --explain`."""
+        found = re.findall(r"`((?:uv run )?(?:srs-twin [a-z-]|python benchmarks)[^`]*)`", self.prose)
+        return [" ".join(each.split()) for each in found]
+
+    @property
+    def files(self) -> set[str]:
+        """Names of files that the page has a reader save."""
+        return {block.file for block in self.blocks if block.file}
+
+
+def words_of(command: str) -> list[str]:
+    """Return the words of a command; `…` stands for whatever a reader puts there and is left out."""
+    return [word for word in shlex.split(command) if word != "…"]
+
+
+PAGES = [
+    Page(path)
+    for path in sorted(
+        [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "models/README.md",
+         ROOT / "calibration/README.md"]
+    )
+]  # fmt: skip

@@ -1,0 +1,219 @@
+"""What the pages tell a reader is so: links lead somewhere, commands parse, files load, examples run."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+from functools import cache
+
+import pytest
+from conftest import ROOT
+from pages import PAGES, Page, words_of
+from ruamel.yaml import YAML
+from typer.exceptions import TyperException
+
+from srs_twin import load_robot, load_scenario
+from srs_twin.cli.app import command
+from srs_twin.files import shipped_names
+from srs_twin.robot_file import RobotFile
+from srs_twin.scenario.file import ScenarioFile
+from srs_twin.sweep.file import SweepFile
+from srs_twin.sweep.loading import load_sweep
+
+BY_PATH = {page.path: page for page in PAGES}
+COMMANDS = [(page, line) for page in PAGES for line in (*page.commands, *page.mentions)]
+BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
+# What else a reader types. A new program here needs a look at whether it can be checked.
+OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python"}
+GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
+SWEEP = ROOT / "scenarios/sweeps/fig41.yaml"
+FRAGMENT = {"robot": "gen2", "duration_s": 5.0, "controller": {"kind": "gait", "frequency_hz": 2.0}}
+
+
+def name_of(value):
+    return value.name if isinstance(value, Page) else None
+
+
+whole = cache(command)  # putting the verbs together takes longer than parsing
+
+
+def parsed(words, *, mention=False):
+    """Parse what follows `srs-twin` without running it; return the context of a command, or None."""
+    if "--help" in words or "--version" in words:
+        words = [word for word in words if word not in ("--help", "--version")]
+        assert not words or words[0] in whole().commands
+        return None
+    while words and words[0].startswith("-"):
+        assert any(words[0] in each.opts for each in whole().params), words[0]
+        words = words[1:]
+    given, name = whole(), ""
+    while words and hasattr(given, "commands"):
+        name, *words = words
+        assert name in given.commands, f"there is no command {name}"
+        given = given.commands[name]
+    if hasattr(given, "commands"):
+        return None
+    if mention and all(word.startswith("-") for word in words):
+        known = {spelt for each in given.params for spelt in (*each.opts, *each.secondary_opts)}
+        assert set(words) <= known, f"{name} knows no {set(words) - known}"
+        return None
+    return given.make_context(name, list(words))
+
+
+def is_there(kind, value, page):
+    """Say whether a scenario or sweep that a page names can be found."""
+    if value.isupper() or value in page.files:
+        return True
+    if "/" in value or "." in value:
+        return bool(list(ROOT.glob(value)))
+    return value in shipped_names(kind) or (ROOT / value).is_dir()
+
+
+def check_srs_twin(page, words, *, mention=False):
+    context = parsed(words, mention=mention)
+    for parameter, kind in GIVEN.items():
+        given = context.params.get(parameter) if context else None
+        for value in [given] if isinstance(given, str) else given or []:
+            if context.info_name != "view":
+                assert is_there(kind, value, page), f"{kind} {value} is not there"
+
+
+def check_script(words):
+    (script,) = (word for word in words if word.endswith(".py"))
+    text = (ROOT / script).read_text("utf-8")
+    options = {word.partition("=")[0] for word in words[words.index(script) + 1 :] if word.startswith("--")}
+    assert {option for option in options if f'"{option}"' not in text} == set(), script
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_somewhere(page):
+    lost = []
+    for target in page.links:
+        path, _, anchor = target.partition("#")
+        file = (page.path.parent / path).resolve() if path else page.path
+        if not file.exists() or (anchor and anchor not in BY_PATH[file].anchors):
+            lost.append(target)
+    assert lost == []
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=lambda value: name_of(value) or str(value))
+def test_commands_parse_and_what_they_name_is_there(page, line):
+    for part in line.split(" && "):
+        words = words_of(part)
+        if "srs-twin" in words and "build" not in words:
+            mention = line not in page.commands
+            check_srs_twin(page, words[words.index("srs-twin") + 1 :], mention=mention)
+        elif any(word.endswith(".py") for word in words):
+            check_script(words)
+        assert words[0] in OTHERS | {"srs-twin"} or words[0].endswith("/pip") or words[0].endswith("/uv"), (
+            line
+        )
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["compare gen2_strait", "run scenarios/gone.yaml", "compare gen2_turn --explian", "colour gen2_turn"],
+)
+def test_the_rule_catches_what_is_not_there(line):
+    with pytest.raises((AssertionError, TyperException)):
+        check_srs_twin(PAGES[0], line.split())
+
+
+@pytest.mark.parametrize(
+    ("page", "block"), [each for each in BLOCKS if each[1].language == "python"], ids=name_of
+)
+def test_python_names_what_there_is(page, block):
+    for node in ast.walk(ast.parse(block.text)):
+        if isinstance(node, ast.Import):
+            for each in node.names:
+                importlib.import_module(each.name)
+        elif isinstance(node, ast.ImportFrom):
+            module = importlib.import_module(node.module)
+            for each in node.names:
+                assert hasattr(module, each.name) or importlib.import_module(f"{node.module}.{each.name}")
+        elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") in ("srs", "srs_twin"):
+            assert hasattr(importlib.import_module("srs_twin"), node.attr), node.attr
+
+
+def yaml_blocks():
+    done_elsewhere = {"github", "gitlab"}  # tests/test_ci_docs.py
+    return [(p, b) for p, b in BLOCKS if b.language == "yaml" and b.mark not in done_elsewhere]
+
+
+@pytest.mark.parametrize(("page", "block"), yaml_blocks(), ids=name_of)
+def test_yaml_loads(page, block, tmp_path, monkeypatch):
+    """Whole files as they are; parts of scenarios and sweeps within one."""
+    monkeypatch.chdir(tmp_path)
+    for each in page.blocks:
+        if each.file:
+            (tmp_path / each.file).write_text(each.text, "utf-8")
+    yaml = YAML(typ="safe", pure=True)
+    document = yaml.load(block.text.replace("{…}", "{}"))
+    keys = set(document)
+    path = tmp_path / "printed.yaml"
+    if {"scenario", "vary"} <= keys:
+        path.write_text(block.text, "utf-8")
+        assert load_sweep(str(path)) and keys <= set(SweepFile.model_fields)
+    elif {"geometry", "mass"} <= keys:
+        path.write_text(block.text, "utf-8")
+        assert load_robot(str(path)) and keys <= set(RobotFile.model_fields)
+    elif keys <= set(SweepFile.model_fields) - set(ScenarioFile.model_fields):
+        with path.open("w", encoding="utf-8") as file:
+            yaml.dump({**yaml.load(SWEEP.read_text("utf-8")), **document}, file)
+        assert load_sweep(str(path))
+    else:
+        assert keys <= set(ScenarioFile.model_fields)
+        with path.open("w", encoding="utf-8") as file:
+            yaml.dump({**FRAGMENT, **document}, file)
+        assert load_scenario(str(path))
+
+
+EXAMPLES = [page for page in PAGES if any(block.mark == "runnable" for block in page.blocks)]
+
+
+@pytest.mark.parametrize("page", [page for page in EXAMPLES if page.name != "README.md"], ids=name_of)
+def test_examples_run_from_top_to_bottom(page, tmp_path, monkeypatch, srs_twin):
+    """As a reader would: save what is to be saved, type what is to be typed. README: tests/test_readme.py."""
+    for name in ("scenarios", "calibration"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in page.blocks:
+        if block.file:
+            (tmp_path / block.file).write_text(block.text, "utf-8")
+    for block in page.blocks:
+        if block.mark != "runnable":
+            continue
+        if block.language == "python":
+            exec(compile(block.text, page.name, "exec"), names)
+        else:
+            assert block.language == "sh"
+            for line in block.text.splitlines():
+                words = words_of(line)
+                done = srs_twin(*words[words.index("srs-twin") + 1 :], cwd=tmp_path)
+                assert done.returncode == 0, done.stderr
+
+
+def test_the_new_pages_have_examples():
+    assert {page.name for page in EXAMPLES} >= {
+        "README.md", "docs/quickstart.md", "docs/add-a-controller.md", "docs/add-a-robot.md"
+    }  # fmt: skip
+
+
+def test_errata_that_the_project_names_are_listed():
+    """E1 to E29 stand in the errata once each, with a place and a remedy."""
+    text = next(page.text for page in PAGES if page.name == "docs/errata.md")
+    rows = [line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)]
+    assert [row[0].strip("| ") for row in rows] == [f"E{n}" for n in range(1, 30)]
+    assert all(len(row) == 4 and all(cell.strip(" |") for cell in row) for row in rows)
+    named = {
+        int(number)
+        for path in [
+            *ROOT.glob("srs_twin/**/*.py"),
+            *ROOT.glob("calibration/**/*.yaml"),
+            *ROOT.glob("docs/*.md"),
+        ]
+        for number in re.findall(r"\(E(\d+)\b", path.read_text("utf-8"))
+    }
+    assert named and named <= set(range(1, 30))

@@ -1,0 +1,185 @@
+"""The site: it builds without a warning, a broken link is one, nothing of it comes from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from pages import PAGES
+
+import srs_twin
+from srs_twin.cli.app import command
+from srs_twin.robot_file import RobotFile
+from srs_twin.scenario.file import ScenarioFile
+from srs_twin.sweep.file import SweepFile
+
+# Attributes by which a browser fetches something without being asked; `href` only of these elements.
+FETCHED = {"src", "srcset", "data", "poster", "action", "background"}
+FETCHING = {"link", "base", "image", "use"}
+
+
+def build(target, *, source=ROOT, pages=()):
+    """Run Sphinx as CONTRIBUTING.md says; warnings are errors."""
+    sphinx = Path(sys.executable).with_name("sphinx-build")
+    words = [
+        str(sphinx),
+        "-W",
+        "--keep-going",
+        "-q",
+        "-c",
+        str(ROOT / "docs"),
+        str(source),
+        str(target),
+        *pages,
+    ]
+    return subprocess.run(words, capture_output=True, text=True, timeout=600)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    target = tmp_path_factory.mktemp("site")
+    done = build(target)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+class Fetches(HTMLParser):
+    """Collects what a page makes a browser fetch, and the text of its tables' first cells."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [
+            value or "" for name, value in attrs if name in FETCHED or (name == "href" and tag in FETCHING)
+        ]
+
+
+def fetched(text):
+    reader = Fetches()
+    reader.feed(text)
+    return reader.found + re.findall(r"url\(([^)]+)\)|@import\s+(\S+)", text)
+
+
+def is_foreign(target):
+    return bool(re.match(r"[\"']?(?:https?:)?//", "".join(target)))
+
+
+def test_nothing_is_fetched_from_elsewhere(site):
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > len(PAGES)
+    for path in [*pages, *site.rglob("*.css")]:
+        foreign = [each for each in fetched(path.read_text("utf-8")) if is_foreign(each)]
+        assert foreign == [], path
+    assert not [path for path in site.rglob("*") if "mathjax" in path.name.lower()]
+
+
+def test_the_rule_catches_what_would_be_fetched():
+    page = """<link rel="stylesheet" href="//fonts.example/a.css"><script src='https://cdn.example/x.js'></script>
+    <style>@import "http://a.example/b.css"; body { background: url(https://c.example/d.png) }</style>
+    <a href="https://fine.example">a link</a> <img src="../_images/hero.png">"""
+    assert len([each for each in fetched(page) if is_foreign(each)]) == 4
+
+
+def test_scripts_load_nothing_by_themselves(site):
+    """The theme's scripts and the search index are all there is, and name no address to fetch from."""
+    for path in site.rglob("*.js"):
+        calls = re.findall(
+            r"(?:fetch|import|importScripts|open)\(\s*[\"'`](https?:)?//", path.read_text("utf-8")
+        )
+        assert calls == [], path
+
+
+def test_every_page_is_in_it(site):
+    for page in PAGES:
+        assert (site / page.name).with_suffix(".html").is_file(), page.name
+    assert "docs/index.html" in (site / "index.html").read_text("utf-8")
+
+
+def test_formulas_are_drawn_without_a_script(site):
+    shown = (site / "docs/models.html").read_text("utf-8")
+    formulas = re.findall(r"(?<!\w)\$\$", next(p for p in PAGES if p.name == "docs/models.md").prose)
+    assert shown.count('<div class="math">') == len(formulas) / 2 > 5
+    assert "$$" not in re.sub(r"<(pre|code).*?</\1>", "", shown, flags=re.S)
+
+
+def keys_of(schema):
+    """Every key of every block of a schema; those of records are not blocks."""
+    blocks = [schema, *(each for name, each in schema["$defs"].items() if not name.startswith("Record"))]
+    return {key for block in blocks for key in block.get("properties", {})}
+
+
+@pytest.mark.parametrize(
+    ("page", "model"), [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)]
+)
+def test_every_key_stands_in_the_reference(site, page, model):
+    shown = (site / f"docs/reference/{page}.html").read_text("utf-8")
+    rows = re.findall(r"<tr class=\"row-\w+\"><td>(.*?)</tr>", shown, re.S)
+    cells = [[re.sub(r"<[^>]+>", "", cell).strip() for cell in row.split("<td>")] for row in rows]
+    keys = {cell[0] for cell in cells}
+    missing = keys_of(model.model_json_schema(by_alias=True)) - keys
+    assert missing == set()
+    assert all(len(cell) == 5 and cell[2] and cell[3] and cell[4] for cell in cells if cell[0] != "value")
+
+
+def test_ranges_units_and_defaults_are_those_of_the_model(site):
+    shown = (site / "docs/reference/scenario.html").read_text("utf-8")
+    row = re.search(r"<tr[^>]*><td><p><code[^>]*><span class=\"pre\">record_hz</span>.*?</tr>", shown, re.S)
+    words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", row[0])).strip()
+    assert words == "record_hz Hz a number from 0.1 to 10000 100.0 Recorded samples a second"
+
+
+def commands_in(given, words=("srs-twin",)):
+    inner = getattr(given, "commands", {})
+    if not inner:
+        yield " ".join(words), given
+    for name, each in inner.items():
+        yield from commands_in(each, (*words, name))
+
+
+def test_every_command_and_option_stands_in_the_reference(site):
+    shown = re.sub(r"<[^>]+>", "", (site / "docs/reference/commands.html").read_text("utf-8"))
+    for name, given in commands_in(command()):
+        _, _, section = shown.partition(f"\n{name}¶") if f"\n{name}¶" in shown else ("", "", "")
+        section = section or shown[shown.rindex(f"{name}¶") :]
+        section = section[: section.index("¶", len(name) + 1)] if "¶" in section[len(name) + 1 :] else section
+        for each in given.params:
+            if each.param_type_name == "option":
+                assert each.opts[-1] in section and (each.help or "")[:20] in section, (name, each.opts)
+
+
+def test_every_public_name_stands_in_the_python_reference(site):
+    text = next(page.text for page in PAGES if page.name == "docs/reference/api.md")
+    named = re.findall(r"^\.\. auto\w+:: srs_twin\.(\w+)$", text, re.M)
+    assert sorted(named) == sorted(set(srs_twin.__all__) - {"__version__"})
+    shown = (site / "docs/reference/api.html").read_text("utf-8")
+    assert all(f'id="srs_twin.{name}"' in shown for name in named)
+
+
+def test_a_broken_link_or_anchor_fails(tmp_path):
+    for name in ("docs", "models", "calibration", "scenarios"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "docs/index.md").write_text(
+        "# A\n[gone](gone.md) [lost](#nowhere)\n[file](../scenarios/x.yaml)\n"
+    )
+    done = build(tmp_path / "site", source=tmp_path)
+    assert done.returncode == 1
+    assert {"gone.md", "nowhere", "../scenarios/x.yaml"} <= set(re.findall(r"'([^']+)'", done.stderr)), (
+        done.stderr
+    )
+
+
+def test_search_works_from_a_file(site):
+    """The index is a script, not something to fetch, which browsers refuse for files."""
+    index = (site / "searchindex.js").read_text("utf-8")
+    assert index.startswith("Search.setIndex(")
+    assert (
+        "docs/quickstart" in json.loads(index.removeprefix("Search.setIndex(").removesuffix(")"))["docnames"]
+    )
