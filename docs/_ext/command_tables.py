@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from key_tables import row
+
 from srs_twin.cli.app import command
 
 
@@ -32,5 +34,5 @@ def _sections(words: str, given: Any) -> Iterator[str]:
 def _table(given: Any, context: Any, kind: str) -> str:
     """Return what `--help` says of the arguments or the options, as a table."""
     records = [each.get_help_record(context) for each in given.params if each.param_type_name == kind]
-    rows = [f"| `{name.strip()}` | {' '.join(text.split())} |" for name, text in filter(None, records)]
+    rows = [row(f"`{name.strip()}`", " ".join(text.split())) for name, text in filter(None, records)]
     return "\n".join([f"| {kind} | |", "|---|---|", *rows]) if rows else ""

@@ -15,6 +15,7 @@ from srs_twin.validation import allowed
 Schema = Mapping[str, Any]
 
 _HEAD = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|"
+_SUFFIX = {"": "", "a list of ": "[]", "names, each with ": ".NAME"}
 _RECORD = ("value", "unit", "status", "source")
 
 
@@ -57,7 +58,8 @@ class Blocks:
         for key, schema in block["properties"].items():
             where = f"{path.partition(' (')[0]}.{key}".removeprefix(".")
             words = self.elsewhere.get(where) or self._words(name, where, schema, inner)
-            rows.append(_row(key, schema, words, key in block.get("required", ()), self._unit(schema)))
+            default = "required" if key in block.get("required", ()) else _default(schema)
+            rows.append(row(f"`{key}`", self._unit(schema), words, default, self._meaning(schema)))
         yield f"({_anchor(name, path)})=\n{title}\n\n{block['description']}\n\n{_HEAD}\n" + "\n".join(rows)
         for where, each in inner:
             yield from self._section(name, where, each)
@@ -65,32 +67,41 @@ class Blocks:
     def _words(self, name: str, where: str, schema: Schema, inner: list[tuple[str, Schema]]) -> str:
         """Return what a key may hold; blocks that are new go to `inner`."""
         links, plain = [], []
-        for option, many in self._options(schema):
+        for option, form in self._options(schema):
             definition = option.get("$ref", "").rpartition("/")[2]
             block = self.root["$defs"][definition] if definition else option
             if "properties" not in block or set(block["properties"]) == set(_RECORD):
                 value = block.get("properties", {}).get("value", block)
-                plain.append(("a list, each " if many else "") + allowed(value, self.root))
+                plain.append(form + allowed(value, self.root))
                 continue
             if definition not in self.places:
                 kind = block["properties"].get("kind", {}).get("const")
-                place = f"{where}{'[]' if many else ''}" + (f" (kind: {kind})" if kind else "")
+                place = where + _SUFFIX[form] + (f" (kind: {kind})" if kind else "")
                 self.places[definition] = place
                 inner.append((place, block))
             place = self.places[definition]
-            links.append(f"{'a list of ' if many else ''}[{place}](#{_anchor(name, place)})")
+            links.append(f"{form}[{place}](#{_anchor(name, place)})")
         return "; ".join([*dict.fromkeys(filter(None, plain)), *dict.fromkeys(links)]) or "see the meaning"
 
-    def _options(self, schema: Schema, many: bool = False) -> Iterator[tuple[Schema, bool]]:
-        """Yield what a key may hold, and whether it is a list of such."""
-        choices = schema.get("anyOf") or schema.get("oneOf")
-        if choices:
+    def _options(self, schema: Schema, form: str = "") -> Iterator[tuple[Schema, str]]:
+        """Yield what a key may hold, and in which form: by itself, in a list, or under names of its own."""
+        values = schema.get("additionalProperties")
+        if choices := schema.get("anyOf") or schema.get("oneOf"):
             for choice in choices:
-                yield from self._options(choice, many)
+                yield from self._options(choice, form)
         elif schema.get("type") == "array" and _blocks_in(schema["items"]):
-            yield from self._options(schema["items"], True)
+            yield from self._options(schema["items"], "a list of ")
+        elif isinstance(values, dict):
+            yield from self._options(values, "names, each with ")
         elif schema.get("type") != "null":
-            yield schema, many
+            yield schema, form
+
+    def _meaning(self, schema: Schema) -> str:
+        # Of a quantity unit and range have columns of their own.
+        if "unit" in schema:
+            return str(schema["title"])
+        block = self.root["$defs"].get(schema.get("$ref", "").rpartition("/")[2], {})
+        return str(schema.get("description") or block.get("description", ""))
 
     def _unit(self, schema: Schema) -> str:
         for option, _ in self._options(schema):
@@ -109,10 +120,10 @@ def _blocks_in(schema: Schema) -> bool:
     return "$ref" in schema or any("$ref" in each for each in schema.get("oneOf", schema.get("anyOf", ())))
 
 
-def _row(key: str, schema: Schema, words: str, required: bool, unit: str) -> str:
-    meaning = schema.get("title") if "unit" in schema else schema.get("description", schema.get("title", ""))
-    cells = (f"`{key}`", unit, words, "required" if required else _default(schema), meaning)
-    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+def row(*cells: str) -> str:
+    """Return a row of a Markdown table; bars and, outside code, angle brackets are shown as they are."""
+    shown = [cell if cell.startswith("`") else cell.replace("<", "&lt;") for cell in cells]
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in shown) + " |"
 
 
 def _default(schema: Schema) -> str:
