@@ -38,6 +38,7 @@ default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"
+autoclass_content = "both"
 napoleon_use_ivar = True
 napoleon_attr_annotations = False
 

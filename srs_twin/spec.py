@@ -226,6 +226,13 @@ class RobotSpec:
     Attributes:
         name: short name, also the name of its MJCF model.
         title: one line for people.
+        geometry: lengths and the number of connectors.
+        mass: of connectors and wheels.
+        friction: of the wheels on the floor.
+        bending: compliance of a segment.
+        actuator: response of a module to its valves.
+        chamber: air spaces.
+        supply: pressures and their limits.
         phase_step: β, by which the gait of a segment lags the one before it, rad (E18).
         variation: what is each module's own; None where all are nominal.
     """
@@ -269,7 +276,7 @@ class RobotSpec:
 
 
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
-    """Load a robot: a shipped name (gen1 to gen4) or the path of a robot file.
+    """Load a robot: a shipped name (gen1 to gen4, gen4_module) or the path of a robot file.
 
     Raises:
         InputError: not found, not readable, or everything that is wrong with it (`InputFileError`).

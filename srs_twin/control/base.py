@@ -34,7 +34,12 @@ class Controller(ABC):
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Prepare for a robot and a control tick (s).
+        """Prepare for a run: all that the controller remembers begins here.
+
+        Args:
+            spec: the robot.
+            tick: control tick, s.
+            seed: for whatever is random in the controller.
 
         Raises:
             InputError: a valve layout or tick it cannot drive.

@@ -40,6 +40,17 @@ class Gait(Controller):
     def __init__(
         self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None
     ) -> None:
+        """Make the gait.
+
+        Args:
+            frequency: f, Hz.
+            offset: φ, between −1 and 1, positive to the left.
+            phase: ψ at the start, rad.
+            phase_step: β, rad; None takes the robot's.
+
+        Raises:
+            InputError: a frequency that is not above 0, or an offset out of range (also when set later).
+        """
         if not (math.isfinite(frequency) and frequency > 0):
             raise InputError(f"gait frequency {frequency!r} Hz is not allowed; it must be above 0")
         self.frequency = frequency

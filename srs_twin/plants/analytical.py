@@ -30,8 +30,9 @@ _MASSLESS_S = 0.0001  # at 0.25 ms pressures of point masses swing below ambient
 
 
 class AnalyticalSnake(Plant):
-    """The planar model: `complete`, whose bends follow Eq. 14, or one of its neighbours.
+    """The planar model (Section 3.1): `complete`, whose bends follow Eq. 14, or one of its neighbours.
 
+    Point masses on arcs of constant curvature under the floor's friction; Eq. 11 summed over the body (E22).
     `simplified` freezes every chord at its straight length; `compliant` lets the bends yield to load and
     inertia.
 

@@ -125,7 +125,8 @@ class Plant(ABC):
                 (slots, segments, 2): equal parts of the tick, in order.
 
         Raises:
-            InputError, DivergedError: as in `advance`.
+            InputError: as in `advance`.
+            DivergedError: as in `advance`.
         """
         return self.advance(valves, 1)[-1]
 

@@ -37,7 +37,9 @@ from srs_twin.threads import Workers
 
 
 class TwinBatch:
-    """Many twins with one number of connectors and one tick (module docstring).
+    """Many twins with one number of connectors and one tick, stepped together over threads.
+
+    Each gives bit for bit what a `TwinSnake` of its spec alone gives.
 
     Attributes:
         twins: the runs, each a `TwinSnake` that may also be used alone.

@@ -25,7 +25,10 @@ _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
 
 
 class TwinSnake(Plant):
-    """The MuJoCo twin.
+    """The MuJoCo twin: rigid bodies in three dimensions, several hinges a segment, wheels or skids.
+
+    Its segments have stiffness k and damping c = k τ₂ and are driven by the moment k G (p⁺ − p⁻), so that a
+    free segment without mass obeys Eq. 14.
 
     Attributes:
         stretch: how much the engine runs at a time, s: its records of every step stay small.
