@@ -27,7 +27,7 @@ class Gait(Controller):
     """Open-loop gait of Eq. 13.
 
     Attributes:
-        frequency: f, Hz.
+        frequency: f, Hz; `change_frequency` changes it while it runs.
         offset: φ, between −1 and 1; may be changed while it runs.
         phase: ψ, rad.
         lag: β (j − 1) − ψ of each segment, shape (segments,), rad; known from `reset` on.
@@ -35,6 +35,7 @@ class Gait(Controller):
 
     kind = "gait"
     frequency: float
+    lag: np.ndarray
     layouts = ("3/2", "in_out")
 
     def __init__(
@@ -51,9 +52,7 @@ class Gait(Controller):
         Raises:
             InputError: a frequency that is not above 0, or an offset out of range (also when set later).
         """
-        if not (math.isfinite(frequency) and frequency > 0):
-            raise InputError(f"gait frequency {frequency!r} Hz is not allowed; it must be above 0")
-        self.frequency = frequency
+        self.frequency = _checked_frequency(frequency)
         self.offset = offset
         self.phase = phase
         self._phase_step = phase_step
@@ -69,11 +68,25 @@ class Gait(Controller):
             raise InputError(f"gait offset {value!r} is not allowed; it must lie between -1 and 1")
         self._offset = float(value)
 
+    def change_frequency(self, frequency: float, time: float) -> None:
+        """Go on with another frequency from a time on (s), without a jump of the wave.
+
+        Raises:
+            InputError: a frequency that is not above 0.
+        """
+        turned = 2 * math.pi * (_checked_frequency(frequency) - self.frequency) * time
+        self.lag = self.lag + turned
+        self.frequency = frequency
+
+    def angle(self, time: float) -> float:
+        """Return the argument of the first segment's sine at a time (s), rad."""
+        return 2 * math.pi * self.frequency * time - float(self.lag[0])
+
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """Take β from the robot unless one was given, and the slots from the tick."""
         slots = whole_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
         step = spec.phase_step if self._phase_step is None else self._phase_step
-        self.lag: np.ndarray = step * np.arange(spec.segments) - self.phase
+        self.lag = step * np.arange(spec.segments) - self.phase
         self._middle = (np.arange(slots) + 0.5) / slots
         self._tick = tick
 
@@ -120,6 +133,12 @@ class Gait(Controller):
         value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.lag) + self._offset
         # Rounding must not decide the sign of an exact zero.
         return np.where(value >= -1e-12, 1, -1).astype(np.int8)
+
+
+def _checked_frequency(frequency: float) -> float:
+    if not (math.isfinite(frequency) and frequency > 0):
+        raise InputError(f"gait frequency {frequency!r} Hz is not allowed; it must be above 0")
+    return frequency
 
 
 def _antagonistic(wave: np.ndarray) -> np.ndarray:

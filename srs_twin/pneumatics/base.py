@@ -210,6 +210,17 @@ class Pneumatics(ABC):
     ) -> Trace:
         """Do what `advance` says, with the valve states as they are; set pressure, bend and air."""
 
+    def regulate(self, supply_pa: float) -> None:
+        """Set the supply's pressure from now on, also over a `reset`.
+
+        Args:
+            supply_pa: gauge, Pa; at most what the chambers were made for.
+
+        Raises:
+            InputError: more than that or below 0, or chambers without a regulator.
+        """
+        raise InputError(f"pneumatics '{self.kind}' has no supply that could be regulated; 'lag' has")
+
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording (JSON values)."""
         stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]} if self.stuck else {}

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.compiled import compiled
+from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.bending import flattened, gains
 from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
@@ -68,17 +69,27 @@ class LagPneumatics(Pneumatics):
         # Relaxation rate a and asymptote P, by kind and valve state + 1.
         self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + leak_per_s
         self._asymptote = np.zeros_like(self._rate)
-        self._asymptote[:, 2] = supply_pa / kinds[0] / self._rate[:, 2]
+        self._tau_fill, self._largest = kinds[0], supply_pa
+        self.regulate(supply_pa)
         self._tau, self._gain = actuator.tau_mode, gains(spec)
         self._limit = actuator.bend_limit
         self._space = chamber.dead_volume, chamber.displacement
-        self._worth = supply_pa / (supply_pa + AMBIENT_PA)
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
         super().reset()
         self._linear = np.zeros(self._segments)
+
+    def regulate(self, supply_pa: float) -> None:
+        """See `Pneumatics.regulate`: a regulator without a lag of its own."""
+        if not 0 <= supply_pa <= self._largest:
+            raise InputError(
+                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._largest:g} Pa, "
+                "which these chambers were made for"
+            )
+        self._asymptote[:, 2] = supply_pa / self._tau_fill / self._rate[:, 2]
+        self._worth = supply_pa / (supply_pa + AMBIENT_PA)
 
     def describe(self) -> dict[str, Any]:
         """See `Pneumatics.describe`."""

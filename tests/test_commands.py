@@ -1,0 +1,98 @@
+"""What steers a snake from outside: the wave goes on without a jump, the supply follows, limits hold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from snakes import robot
+
+from srs_twin import Gait, InputError, TwinSnake
+from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
+from srs_twin.pneumatics import make_pneumatics
+
+SPEC = robot()
+FREQUENCIES = st.floats(0.3, 4.0)
+
+
+@given(FREQUENCIES, FREQUENCIES, st.floats(0.0, 50.0), st.floats(0.0, 1.0))
+def test_another_frequency_goes_on_from_the_same_angle_at_its_own_rate(before, after, time, later):
+    gait = Gait(before)
+    gait.reset(SPEC, 0.02)
+    angle, lags = gait.angle(time), np.diff(gait.lag)
+    gait.change_frequency(after, time)
+    assert gait.angle(time) == pytest.approx(angle, abs=1e-9)
+    assert gait.angle(time + later) - angle == pytest.approx(2 * math.pi * after * later, abs=1e-9)
+    assert np.diff(gait.lag) == pytest.approx(lags, abs=1e-9)
+
+
+def test_a_frequency_that_is_none_is_refused_and_changes_nothing():
+    gait = Gait(2.0)
+    gait.reset(SPEC, 0.02)
+    for frequency in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="gait frequency"):
+            gait.change_frequency(frequency, 1.0)
+    assert gait.frequency == 2.0 and gait.angle(1.0) == pytest.approx(4 * math.pi)
+
+
+def test_chambers_fill_to_what_the_supply_is_regulated_to():
+    chambers = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
+    fill = np.full((SPEC.segments, 2), 1, dtype=np.int8)
+    told = []
+    for pressure in (60e3, 30e3, 45e3):
+        chambers.regulate(pressure)
+        chambers.advance(chambers.schedule(fill, 5.0), np.array([5.0]))
+        told.append(float(chambers.pressure[0, 0]))
+    assert told == pytest.approx([60e3, 30e3, 45e3], rel=1e-6)
+
+
+def test_regulated_chambers_are_those_made_for_that_pressure_bit_for_bit():
+    made = make_pneumatics("lag", SPEC, supply_pa=45e3, layout="3/2")
+    regulated = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
+    regulated.regulate(45e3)
+    gait = Gait(2.0)
+    gait.reset(SPEC, 0.02)
+    for k in range(30):
+        traces = []
+        for chambers in (made, regulated):
+            schedule = chambers.schedule(gait.valves_at(0.02 * k), 0.02)
+            traces.append(chambers.advance(schedule, np.array([0.01, 0.02])))
+        assert (traces[0].pressure == traces[1].pressure).all() and (traces[0].air == traces[1].air).all()
+
+
+def test_a_supply_that_cannot_be_is_refused():
+    chambers = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
+    for pressure in (-1.0, 60.1e3, math.nan):
+        with pytest.raises(InputError, match="it must be 0 to 60000 Pa, which these chambers were made for"):
+            chambers.regulate(pressure)
+    with pytest.raises(InputError, match="'orifice' has no supply that could be regulated; 'lag' has"):
+        make_pneumatics("orifice", SPEC, supply_pa=60e3, layout="3/2").regulate(1e3)
+
+
+def test_a_command_takes_effect_on_gait_and_supply():
+    twin = TwinSnake(SPEC, supply_pa=55e3)
+    gait = CommandedGait(SPEC, twin.tick, twin.pneumatics, GaitCommand(0.0, 1.0, 41e3))
+    highest = []
+    for command in (GaitCommand(0.0, 1.0, 41e3), GaitCommand(0.3, 2.0, 55e3)):
+        state = twin.reset()
+        for _ in range(100):
+            state = twin.step(gait.valves(float(state.time), command))
+            highest.append(float(state.pressure.max()))
+        assert gait.command == command
+    # With an offset of 0.3 a chamber fills for 0.3 s of 0.5 s, three time constants.
+    assert max(highest[:100]) <= 41e3 < max(highest[100:]) <= 55e3
+    assert float(state.heading) > 1.0
+
+
+def test_limits_are_the_texts_and_hold_each_part():
+    limits = GaitLimits.of(SPEC)
+    assert limits.offset == (-0.4, 0.4) and limits.frequency == (1.0, 2.0)
+    # Section 3.4.2: 41 to 55 kPa.
+    assert limits.pressure == (pytest.approx(41e3, rel=0.01), pytest.approx(55e3, rel=0.01))
+    assert limits.held(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(-0.4, 2.0, limits.pressure[0])
+    for name in ("gen1", "gen3", "gen4"):
+        spec = robot(name)
+        assert GaitLimits.of(spec).pressure[1] <= spec.supply.pulsed_limit
