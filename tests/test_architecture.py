@@ -58,6 +58,7 @@ RESERVED = {
         "identification",
     },
     "dm_control": {"mjcf", "plants", "envs", "viewing", "identification"},
+    "gymnasium": {"envs"},
     "rerun": {"viewing"},
     "ray": {"sweep"},
 }

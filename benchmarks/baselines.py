@@ -1,0 +1,54 @@
+"""The project's own controllers as policies of the environments: how often they arrive, how well they track.
+
+uv run python benchmarks/baselines.py --episodes 20
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from statistics import mean
+
+import numpy as np
+from grid import table
+
+from srs_twin.envs import TASKS
+from srs_twin.envs.baseline import Balance, Pilot, Score, play_episode
+from srs_twin.envs.crawling import CrawlTask
+from srs_twin.envs.module import ModuleTask
+from srs_twin.envs.tasks import make_task
+
+
+def scored(name: str, seed: int) -> Score:
+    """Play an episode of a task with the project's own policy."""
+    task = make_task(name)
+    policy = Pilot(task) if isinstance(task, CrawlTask) else None
+    if isinstance(task, ModuleTask):
+        policy = Balance(task)
+    assert policy is not None
+    return play_episode(task, policy, np.random.default_rng(seed))
+
+
+def row(name: str, scores: list[Score]) -> list[str]:
+    endings = Counter(score.ending for score in scores)
+    told = ", ".join(f"{ending} {count}" for ending, count in endings.most_common())
+    return [name, told, f"{mean(s.reward for s in scores):.3g}", f"{mean(s.time for s in scores):.3g}"]
+
+
+def main() -> None:
+    """Print a table of all tasks."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--episodes", type=int, default=20)
+    arguments.add_argument("--processes", type=int, default=None)
+    given = arguments.parse_args()
+    with ProcessPoolExecutor(given.processes) as pool:
+        rows = []
+        for name in TASKS:
+            seeds = range(given.episodes)
+            rows.append(row(name, list(pool.map(scored, [name] * given.episodes, seeds))))
+    print(table(["task", "endings", "mean return", "mean time, s"], rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""Environments for agents: tasks on the twin, with the faces of gymnasium and dm_env (docs/environments.md).
+
+Importing this registers ``SRSTwin/GoTo-v0``, ``SRSTwin/Obstacles-v0`` and ``SRSTwin/Module-v0``;
+`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it by itself. (Since its version 1.0 gymnasium looks
+for no entry points.) `srs_twin.envs.dm.load("GoTo")` is the dm_env of the same task, and needs no gymnasium.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+TASKS = ("GoTo", "Obstacles", "Module")
+
+
+def _register() -> None:
+    import gymnasium
+
+    for task in TASKS:
+        gymnasium.register(
+            f"SRSTwin/{task}-v0",
+            entry_point="srs_twin.envs.single:SnakeEnv",
+            vector_entry_point="srs_twin.envs.vector:SnakeVectorEnv",
+            kwargs={"task": task},
+        )
+
+
+if find_spec("gymnasium") is not None:
+    _register()

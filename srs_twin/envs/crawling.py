@@ -1,0 +1,276 @@
+r"""GoTo and Obstacles: crawl to a goal, on an open floor or among circles.
+
+With d the distance of the centre of mass to the goal, a step gives
+
+$$ r = \frac{d_{k-1} - d_k}{1\,\text{m}} + [\text{goal reached}] - [\text{room left}]
+- 0.5\,[\text{touching}]\,\frac{\Delta t}{1\,\text{s}}. $$
+
+The first term is a potential (−d, without discount): it adds up to the way made good and so changes no
+order among the policies that reach the goal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from srs_twin.control.camera import Camera, Frames
+from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
+from srs_twin.control.readings import LARGEST_READING, Readings
+from srs_twin.envs.signals import Signal, Signals, numbered
+from srs_twin.envs.task import Episode, Task
+from srs_twin.envs.variation import Variation
+from srs_twin.errors import InputError
+from srs_twin.planning.fields import strewn
+from srs_twin.plants.base import SnakeState
+from srs_twin.plants.twin import TwinSnake
+from srs_twin.sensing import Sensor
+from srs_twin.spec import RobotSpec
+from srs_twin.world import Bounds, Goal, World
+
+STEP_S = 0.1
+GOAL_RADIUS_M = 0.1
+CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
+"""Noise as in scenario follow_fig57."""
+TOUCH_PER_S = 0.5
+"""Reward that touching an obstacle costs."""
+
+_PA_PER_KPA = 1e3
+_RADII_M = (0.08, 0.12)
+_GAP_M = 0.25  # between obstacles: generation 2 sweeps 0.1 m ahead and 0.17 m in its tightest turns
+_CLEAR_M = 0.3  # around start and goal
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where episodes take place; the snake begins at the origin.
+
+    Attributes:
+        room: what the centre of mass must not leave.
+        headings: the smallest and largest at the start, rad.
+        distances: of the goal, m.
+        bearings: of the goal, from the snake's heading, rad.
+        obstacles: how many circles lie between.
+        strewn: where their centres may lie; None where there are none.
+    """
+
+    room: Bounds
+    headings: tuple[float, float]
+    distances: tuple[float, float]
+    bearings: tuple[float, float]
+    obstacles: int = 0
+    strewn: Bounds | None = None
+
+
+OPEN = Field(Bounds((-2.5, 2.5), (-2.5, 2.5)), (-math.pi, math.pi), (0.6, 1.5), (-math.pi / 2, math.pi / 2))
+CIRCLES = Field(
+    Bounds((-0.6, 2.6), (-1.2, 1.2)), (-0.3, 0.3), (2.0, 2.2), (-0.2, 0.2), 4,
+    Bounds((0.4, 1.6), (-0.6, 0.6)),
+)  # fmt: skip
+
+
+class CrawlTask(Task):
+    """Crawl to a goal (module docstring).
+
+    Attributes:
+        place: where.
+        robot: what crawls, before anything is drawn.
+        limits: of the commands.
+    """
+
+    step_s = STEP_S
+
+    def __init__(
+        self,
+        name: str,
+        place: Field,
+        *,
+        robot: str = "gen2",
+        fit: str | None = None,
+        ranges: dict[str, tuple[float, float]] | None = None,
+        limit_s: float = 30.0,
+        sensor: str | Sensor = "ideal",
+        camera: Camera = CAMERA,
+        **twin: Any,
+    ) -> None:
+        """Make the task.
+
+        Args:
+            name: as registered.
+            place: where episodes take place.
+            robot: name or path of what crawls; the spreads of its modules are drawn for every episode.
+            fit: path of a fit file, within whose intervals robots are drawn (`Variation`).
+            ranges: names of a robot's numbers → lowest and highest, drawn uniformly.
+            limit_s: time limit, s.
+            sensor: of the bends, as `TwinSnake` takes it.
+            camera: how often and with which noise it sees; a frame a step at least.
+            **twin: as `TwinSnake` takes it.
+
+        Raises:
+            InputError: a robot, fit or range that cannot be.
+        """
+        self.name, self.place, self.limit_s = name, place, limit_s
+        self._variation = Variation.of(robot, fit=fit, ranges=ranges)
+        self._twin, self._camera = {"sensor": sensor, **twin}, camera
+        self.robot = self._variation.file.spec()
+        self.limits = GaitLimits.of(self.robot)
+        self.actions = gait_signals(self.limits)
+        self.observations = _observations(place, self.robot.segments, self.actions)
+
+    def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
+        """See `Task.begin`."""
+        spec = self._variation.draw(rng)
+        heading, distance, bearing = (
+            float(rng.uniform(*limits))
+            for limits in (self.place.headings, self.place.distances, self.place.bearings)
+        )
+        goal = Goal(
+            distance * math.cos(heading + bearing),
+            distance * math.sin(heading + bearing),
+            None,
+            GOAL_RADIUS_M,
+        )
+        seed = int(rng.integers(2**32))
+        world = World(self._obstacles(goal, seed), self.place.room, goal)
+        twin = self._same(spec, world, last) or TwinSnake(
+            spec, tick=STEP_S, supply_pa=self.limits.pressure[1], world=world, **self._twin
+        )
+        return CrawlEpisode(self, twin, world, heading, Frames(self._camera, seed), seed)
+
+    def _obstacles(self, goal: Goal, seed: int) -> tuple[Any, ...]:
+        if self.place.strewn is None:
+            return ()
+        clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
+        return strewn(self.place.obstacles, self.place.strewn, seed, radius=_RADII_M, gap=_GAP_M, clear=clear)
+
+    @staticmethod
+    def _same(spec: RobotSpec, world: World, last: Episode | None) -> TwinSnake | None:
+        """Return the twin of an episode that is over, where it is the one that is wanted."""
+        if not isinstance(last, CrawlEpisode) or world.solid or last.world.solid:
+            return None
+        return last.twin if last.twin.spec == spec else None
+
+
+class CrawlEpisode(Episode):
+    """One try to get to a goal.
+
+    Attributes:
+        world: obstacles, room and goal.
+    """
+
+    def __init__(
+        self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: Frames, seed: int
+    ) -> None:
+        """Lay the snake at the origin."""
+        if world.goal is None:
+            raise InputError("there is no goal to crawl to; give world.goal")
+        self.world, self.goal = world, world.goal
+        self._goal = world.goal
+        limits = task.limits
+        middle = GaitCommand(0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure)))
+        state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
+        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, middle)
+        self._frames, self._readings = frames, Readings(twin.spec.segments)
+        self._distance = self._away(state)
+        super().__init__(task, twin, state)
+
+    def _valves(self, action: list[float]) -> np.ndarray:
+        offset, frequency, kilopascal = action
+        return self._gait.valves(
+            float(self.state.time), GaitCommand(offset, frequency, kilopascal * _PA_PER_KPA)
+        )
+
+    def _observed(self) -> list[float]:
+        time = float(self.state.time)
+        seen = self._frames.take(self.state)
+        assert seen is not None, "the camera has a frame a step"
+        self._readings.take(time, self.state.sensed)
+        c, s = math.cos(seen.heading), math.sin(seen.heading)
+
+        def ahead_and_left(x: float, y: float) -> tuple[float, float]:
+            dx, dy = x - seen.x, y - seen.y
+            return c * dx + s * dy, c * dy - s * dx
+
+        angle, command = self._gait.gait.angle(time), self._gait.command
+        circles = [(*ahead_and_left(each.x, each.y), each.radius) for each in self.world.obstacles]
+        return [
+            seen.x, seen.y, c, s, *ahead_and_left(self._goal.x, self._goal.y),
+            math.cos(angle), math.sin(angle), *self._readings.value,
+            command.offset, command.frequency, command.pressure / _PA_PER_KPA,
+            *(number for circle in circles for number in circle),
+        ]  # fmt: skip
+
+    def _judge(self) -> float:
+        state, room = self.state, self.world.bounds
+        before, self._distance = self._distance, self._away(state)
+        reward = before - self._distance
+        if self._touching():
+            reward -= TOUCH_PER_S * self._task.step_s
+        x, y = state.com
+        if self._distance <= self._goal.radius:
+            self.ending = "goal_reached"
+            return reward + 1.0
+        if room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
+            self.ending = "room_left"
+            return reward - 1.0
+        return reward
+
+    def _info(self) -> dict[str, Any]:
+        x, y = map(float, self.state.com)
+        return {
+            "time_s": float(self.state.time),
+            "com_x_m": x,
+            "com_y_m": y,
+            "heading_rad": float(self.state.heading),
+            "goal_x_m": self._goal.x,
+            "goal_y_m": self._goal.y,
+            "goal_distance_m": self._distance,
+            "touching": self._touching(),
+            "air_j": float(self.state.air),
+            "ending": self.ending,
+        }
+
+    def _touching(self) -> bool:
+        return bool(np.any(self.state.obstacle_force))
+
+    def _away(self, state: SnakeState) -> float:
+        return math.hypot(self._goal.x - float(state.com[0]), self._goal.y - float(state.com[1]))
+
+
+def gait_signals(limits: GaitLimits) -> Signals:
+    """Return the numbers of a command."""
+    low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
+    return (
+        Signal("offset", "1", *limits.offset, "steering offset φ of the gait, positive to the left"),
+        Signal("frequency_hz", "Hz", *limits.frequency, "of the gait; the wave goes on without a jump"),
+        Signal("pressure_kpa", "kPa", low, high, "of the air supply"),
+    )
+
+
+def _observations(place: Field, segments: int, actions: Sequence[Signal]) -> Signals:
+    (left, right), (bottom, top) = place.room.x, place.room.y
+    across = math.hypot(right - left, top - bottom) + 1.0
+    found = [
+        Signal("x_m", "m", left - 0.5, right + 0.5, "centre of mass, by the camera"),
+        Signal("y_m", "m", bottom - 0.5, top + 0.5, "centre of mass, by the camera"),
+        Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, by the camera"),
+        Signal("heading_sin", "1", -1.0, 1.0, "its sine"),
+        Signal("goal_ahead_m", "m", -across, across, "where the goal lies from there, along the heading"),
+        Signal("goal_left_m", "m", -across, across, "and to the left of it"),
+        Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait's angle at the first segment"),
+        Signal("gait_sin", "1", -1.0, 1.0, "its sine"),
+    ]
+    reach = LARGEST_READING
+    found += numbered(segments, "bend_#_rad", "rad", -reach, reach, "bend of a segment, as sensed")
+    found += [Signal(each.name, each.unit, each.low, each.high, "as commanded last") for each in actions]
+    for k in range(1, place.obstacles + 1):
+        found += [
+            Signal(f"obstacle_{k}_ahead_m", "m", -across, across, "centre of a circle, along the heading"),
+            Signal(f"obstacle_{k}_left_m", "m", -across, across, "and to the left of it"),
+            Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, "its radius"),
+        ]
+    return tuple(found)

@@ -1,0 +1,148 @@
+r"""Module: one module on the bench bends as a reference asks, by the duties of its two chambers.
+
+The reference holds an angle for a second, then jumps to the next, drawn within what the supply can hold. A
+step gives the absolute error that is left at its end, over its time:
+
+$$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
+
+It is a cost of tracking, not of arriving, so there is no potential in it; q is the bend itself, not what the
+sensor says.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from srs_twin.control.iterative_smc import CARRIER_HZ
+from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.readings import LARGEST_READING, Readings
+from srs_twin.envs.signals import Signal
+from srs_twin.envs.task import Episode, Task
+from srs_twin.envs.variation import Variation
+from srs_twin.errors import InputError
+from srs_twin.plants.twin import TwinSnake
+from srs_twin.sensing import Sensor
+from srs_twin.spec import RobotSpec
+
+STEP_S = 0.05
+"""Three periods of the carrier."""
+HOLD_S = 1.0
+REACH_SHARE = 0.8
+"""Of what the supply bends a free module by."""
+TIMESTEP_S = 0.00025
+"""The carrier's ripple asks for it, as in the scenarios module_…"""
+
+
+class ModuleTask(Task):
+    """Track a reference (module docstring).
+
+    Attributes:
+        reach: largest angle of a reference, rad.
+    """
+
+    name, step_s = "Module", STEP_S
+
+    def __init__(
+        self,
+        *,
+        robot: str = "gen4_module",
+        fit: str | None = None,
+        ranges: dict[str, tuple[float, float]] | None = None,
+        limit_s: float = 5.0,
+        sensor: str | Sensor = "hall",
+        **twin: Any,
+    ) -> None:
+        """Make the task.
+
+        Args:
+            robot: name or path of a robot of one segment; the spreads of its modules are drawn for every
+                episode.
+            fit: path of a fit file, within whose intervals robots are drawn (`Variation`).
+            ranges: names of a robot's numbers → lowest and highest, drawn uniformly.
+            limit_s: time limit, s.
+            sensor: of the bend, as `TwinSnake` takes it.
+            **twin: as `TwinSnake` takes it.
+
+        Raises:
+            InputError: a robot of more segments, a fit or a range that cannot be.
+        """
+        self._variation = Variation.of(robot, fit=fit, ranges=ranges)
+        self._twin, self.limit_s = {"sensor": sensor, "timestep": TIMESTEP_S, **twin}, limit_s
+        spec = self._variation.file.spec()
+        if spec.segments != 1:
+            raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")
+        self.reach = REACH_SHARE * spec.actuator.gain * spec.supply.nominal
+        duties = (
+            Signal(
+                "duty_plus", "1", 0.0, 1.0, f"share of time in which the + chamber fills, {CARRIER_HZ:g} Hz"
+            ),
+            Signal(
+                "duty_minus", "1", 0.0, 1.0, "the same of the − chamber; + bends to the left, − to the right"
+            ),
+        )
+        largest = LARGEST_READING
+        self.actions = duties
+        self.observations = (
+            Signal("bend_rad", "rad", -largest, largest, "bend, as sensed"),
+            Signal("bend_before_rad", "rad", -largest, largest, "the same a step ago"),
+            Signal("reference_rad", "rad", -self.reach, self.reach, "the angle asked for in the coming step"),
+            Signal("duty_plus", "1", 0.0, 1.0, "as commanded last"),
+            Signal("duty_minus", "1", 0.0, 1.0, "as commanded last"),
+        )
+
+    def begin(self, rng: np.random.Generator, last: Episode | None = None) -> ModuleEpisode:
+        """See `Task.begin`."""
+        spec = self._variation.draw(rng)
+        levels = rng.uniform(-self.reach, self.reach, max(1, round(self.limit_s / HOLD_S)))
+        seed = int(rng.integers(2**32))
+        twin = _same(spec, last) or TwinSnake(spec, tick=STEP_S, base="clamped", **self._twin)
+        return ModuleEpisode(self, twin, levels, seed)
+
+
+def _same(spec: RobotSpec, last: Episode | None) -> TwinSnake | None:
+    return last.twin if last is not None and last.twin.spec == spec else None
+
+
+class ModuleEpisode(Episode):
+    """One try to track."""
+
+    def __init__(self, task: ModuleTask, twin: TwinSnake, levels: np.ndarray, seed: int) -> None:
+        """Begin with a straight module and empty chambers."""
+        state = twin.reset(seed=seed)
+        self._levels = levels
+        self._carrier = PulseWidth(CARRIER_HZ, twin.tick, 1, long_ticks=True)
+        self._readings = Readings(1)
+        self._duties = [0.0, 0.0]
+        super().__init__(task, twin, state)
+
+    def _valves(self, action: list[float]) -> np.ndarray:
+        self._asked = self._reference()
+        self._duties = action
+        return self._carrier.step(np.array([action]))
+
+    def _reference(self) -> float:
+        """Return the angle asked for in the step that begins now, rad."""
+        number = int(float(self.state.time) / HOLD_S + 1e-9)
+        return float(self._levels[min(number, len(self._levels) - 1)])
+
+    def _observed(self) -> list[float]:
+        before = float(self._readings.value[0])
+        self._readings.take(float(self.state.time), self.state.sensed)
+        return [float(self._readings.value[0]), before, self._reference(), *self._duties]
+
+    def _judge(self) -> float:
+        return -abs(self._asked - float(self.state.bend[0])) * self._task.step_s
+
+    def _info(self) -> dict[str, Any]:
+        plus, minus = map(float, self.state.pressure[0])
+        return {
+            "time_s": float(self.state.time),
+            "bend_rad": float(self.state.bend[0]),
+            "reference_rad": self._reference(),
+            "pressure_plus_pa": plus,
+            "pressure_minus_pa": minus,
+            "air_j": float(self.state.air),
+            "ending": self.ending,
+        }

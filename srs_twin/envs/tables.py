@@ -1,0 +1,58 @@
+"""Tables of actions and observations for docs/environments.md, from the tasks themselves.
+
+    uv run python -m srs_twin.envs.tables docs/environments.md
+
+writes them between their marks; a test holds that they are current.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from srs_twin.envs import TASKS
+from srs_twin.envs.signals import Signals
+from srs_twin.envs.tasks import make_task
+from srs_twin.files import atomic_write
+
+BEGIN, END = "<!-- signals: begin -->", "<!-- signals: end -->"
+
+
+def tables() -> str:
+    """Return the tables of all tasks."""
+    parts = []
+    for name in TASKS:
+        task = make_task(name)
+        parts.append(
+            f"### SRSTwin/{name}-v0\n\n"
+            f"A step holds for {task.step_s:g} s; an episode is cut off after {task.limit_s:g} s.\n\n"
+            f"{_table('action', task.actions)}\n\n{_table('observation', task.observations)}"
+        )
+    return "\n\n".join(parts)
+
+
+def placed(page: str) -> str:
+    """Return a page with the tables between its marks."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{tables()}\n{END}{after}"
+
+
+def _table(kind: str, signals: Signals) -> str:
+    rows = [f"| {kind} | unit | least | greatest | what |", "|---|---|---|---|---|"]
+    rows += [
+        f"| `{each.name}` | {each.unit} | {each.low:.4g} | {each.high:.4g} | {each.what} |"
+        for each in signals
+    ]
+    return "\n".join(rows)
+
+
+def main(path: str) -> None:
+    """Write the tables of a page anew."""
+    page = Path(path)
+    with atomic_write(page) as part:
+        Path(part).write_text(placed(page.read_text("utf-8")), "utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
