@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED
+from srs_twin.cli import INTERRUPTED, calibrate_fits
 from srs_twin.cli.counting import Counting
 from srs_twin.errors import InputError
 
@@ -21,12 +21,18 @@ FOOTPRINTS = "calibration/footprints"
 _WIDTH = 100
 _FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
 
-app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="Measure what files hold: footprints.")
+app = typer.Typer(
+    rich_markup_mode=None, no_args_is_help=True, help="Numbers of a robot from recordings and runs."
+)
+app.command("friction")(calibrate_fits.friction)
+app.command("actuator")(calibrate_fits.actuator)
+app.command("locomotion")(calibrate_fits.locomotion)
+app.command("robot")(calibrate_fits.robot)
 
 
 @app.callback()
 def calibrate() -> None:
-    """Measure what files hold: footprints."""
+    """Find numbers of a robot from its recordings, and what files hold from runs."""
 
 
 @app.command()

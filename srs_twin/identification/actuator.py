@@ -19,7 +19,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.data_set import DataSet, fingerprint, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.recording import Recording
 from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
 from srs_twin.identification.valve_log import SIDES, ValveLog
@@ -120,6 +120,7 @@ def fit_actuator(
     validation: Sequence[Response] = (),
     starts: int = 1,
     noise: float = _BEND_NOISE,
+    watch: Watch | None = None,
 ) -> Estimate:
     """Return time constants, gains and biases from responses.
 
@@ -130,6 +131,7 @@ def fit_actuator(
         validation: responses to hold the estimate against.
         starts: how many searches.
         noise: of a measured bend, rad.
+        watch: is told how far the search is, see `least_squares`.
 
     Raises:
         InputError: no response, responses of another robot, or one to validate with that is also fitted.
@@ -163,7 +165,7 @@ def fit_actuator(
     held = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(each.name != "actuator.bend_rad" for each in wanted):
         held["actuator.bend_rad"] = spec.actuator.gain * spec.supply.nominal
-    return least_squares(residuals, [*wanted, *clocks], starts=starts, held=held)
+    return least_squares(residuals, [*wanted, *clocks], starts=starts, held=held, watch=watch)
 
 
 def predicted(

@@ -16,7 +16,7 @@ from srs_twin.errors import InputError
 from srs_twin.friction import LAWS
 from srs_twin.identification.data_set import DataSet, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, unknowns
 from srs_twin.identification.velocity import moving_slope
 from srs_twin.plants.sliding import slide, spin_share
@@ -106,6 +106,7 @@ def fit_coasting(
     law: str = "wheel",
     wheel_inertia: bool = True,
     noise: float = _NOISE,
+    watch: Watch | None = None,
 ) -> Estimate:
     """Return μ_t and μ_n from throws.
 
@@ -117,6 +118,7 @@ def fit_coasting(
         wheel_inertia: whether wheels have to stop spinning, as the robot's and the twin's; the analytical
             plant's and skids have none.
         noise: of a measured place, m.
+        watch: is told how far the search is, see `least_squares`.
 
     Raises:
         InputError: no run, an unknown law, or a run to validate with that is also fitted.
@@ -140,7 +142,8 @@ def fit_coasting(
 
     thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k, noise)]
     found = least_squares(
-        residuals, [*unknowns(spec, _NAMES), *thrown], step=1e-4, held={"spin_share": share}
+        residuals, [*unknowns(spec, _NAMES), *thrown], step=1e-4, held={"spin_share": share},
+        watch=watch,
     )  # fmt: skip
     if not validation or len(found.values) < len(_NAMES):
         return found

@@ -27,6 +27,9 @@ from srs_twin.identification.verdicts import IDENTIFIED, Knowledge, knowledge
 Values = Mapping[str, float]
 Residuals = Callable[[Values], Sequence[Residual]]
 
+Watch = Callable[[int, float], None]
+"""Called while a search goes on, with how often the model was run and the least weighted RMS so far."""
+
 LEVEL = 0.95
 """Of the confidence intervals."""
 
@@ -47,6 +50,7 @@ def least_squares(
     starts: int = 1,
     seed: int = 0,
     held: Values | None = None,
+    watch: Watch | None = None,
 ) -> Estimate:
     """Fit unknowns to data.
 
@@ -60,11 +64,12 @@ def least_squares(
             points drawn about it.
         seed: of these draws.
         held: what the values refer to, for the estimate.
+        watch: is told how far the search is.
 
     Raises:
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
     """
-    search = _Search(residuals, tuple(unknowns), step, coarse)
+    search = _Search(residuals, tuple(unknowns), step, coarse, watch)
     ends = [search.run(start) for start in _starts(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
     return _estimate(search, best, ends, held or {})
@@ -83,9 +88,15 @@ class _Search:
     """Weighted residuals as a function of z, and their derivatives."""
 
     def __init__(
-        self, residuals: Residuals, unknowns: tuple[Unknown, ...], step: float, coarse: float | None
+        self,
+        residuals: Residuals,
+        unknowns: tuple[Unknown, ...],
+        step: float,
+        coarse: float | None,
+        watch: Watch | None,
     ) -> None:
         self.unknowns, self.step, self._coarse, self._residuals = unknowns, step, coarse, residuals
+        self._watch, self._runs, self._least = watch, 0, np.inf
         if not unknowns:
             raise InputError("a fit needs at least one unknown")
         self.low = np.array([each.coordinate(each.low) for each in unknowns])
@@ -106,7 +117,12 @@ class _Search:
 
     def weighted(self, z: np.ndarray) -> np.ndarray:
         found = [each.values / each.scale for each in self.residuals(z) if each.role == "fit"]
-        return np.concatenate(found) if found else np.zeros(0)
+        weighted = np.concatenate(found) if found else np.zeros(0)
+        if self._watch is not None and len(weighted):
+            self._runs += 1
+            self._least = min(self._least, float(np.sqrt(np.mean(weighted**2))))
+            self._watch(self._runs, self._least)
+        return weighted
 
     def jacobian(self, z: np.ndarray, step: float | None = None) -> np.ndarray:
         """Return derivatives by central differences, one-sided at bounds, shape (samples, n)."""

@@ -20,7 +20,7 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.data_set import DataSet, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.rollout import rollout
@@ -120,6 +120,7 @@ def fit_locomotion(
     starts: int = 3,
     starting: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
+    watch: Watch | None = None,
 ) -> Estimate:
     """Return what gait runs tell of a robot.
 
@@ -133,6 +134,7 @@ def fit_locomotion(
         starts: how many searches; one may end in a minimum that is not the least, with a large residual.
         starting: other values to start from, by name.
         noise: other values for `NOISE`, by name.
+        watch: is told how far the search is, see `least_squares`.
 
     Raises:
         InputError: no run, too few for so many unknowns, a run without a whole gait period, or one to
@@ -163,7 +165,7 @@ def fit_locomotion(
         return found
 
     wanted = unknowns(spec, names, starts=starting)
-    return least_squares(residuals, wanted, step=model.step, coarse=_COARSE, starts=starts)
+    return least_squares(residuals, wanted, step=model.step, coarse=_COARSE, starts=starts, watch=watch)
 
 
 def signals(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.data_set import DataSet, fingerprint
+from srs_twin.identification.data_set import DataSet, fingerprint, keep_apart
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, Verdict
 from srs_twin.identification.least_squares import LEVEL
 from srs_twin.identification.verdicts import IDENTIFIED, KNOWN
@@ -39,6 +39,7 @@ class Pulls:
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
         name: what the data are called.
+        sha256: of their file; empty where there is none.
     """
 
     along: Sequence[float]
@@ -48,6 +49,7 @@ class Pulls:
     stiffness_error: float = 0.0
     mass_error: float = 0.0
     name: str = "pulls"
+    sha256: str = ""
 
     def __post_init__(self) -> None:
         for what in ("stiffness", "mass"):
@@ -79,11 +81,20 @@ class Pulls:
         """Return what a fit says of these data."""
         along, across = (np.asarray(getattr(self, way), dtype=float) for way in _WAYS)
         used = fingerprint(along, across, np.array([self.stiffness, self.mass]))
-        return DataSet(self.name, used, role, len(along) + len(across))
+        return DataSet(self.name, self.sha256 or used, role, len(along) + len(across))
 
 
-def fit_pulls(pulls: Pulls) -> Estimate:
-    """Return μ_t and μ_n; a direction that was not pulled is not identifiable."""
+def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> Estimate:
+    """Return μ_t and μ_n; a direction that was not pulled is not identifiable.
+
+    Args:
+        pulls: what was measured.
+        validation: pulls to hold the estimate against.
+
+    Raises:
+        InputError: pulls to validate with that are also fitted.
+    """
+    keep_apart([pulls.data_set("fit"), *(each.data_set("validation") for each in validation)])
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(way) for way in _WAYS]
     means = np.array([each.mean() if len(each) else np.nan for each in values])
@@ -98,14 +109,20 @@ def fit_pulls(pulls: Pulls) -> Estimate:
             correlation[k], correlation[:, k] = np.nan, np.nan
         else:
             correlation[k, k] = 1.0
+    scatter = [max(float(each.std(ddof=1)), 1e-12) if len(each) else math.nan for each in values]
     residuals = tuple(
-        Residual(f"{pulls.name} {way}", "1", each - mean, max(float(each.std(ddof=1)), 1e-12))
-        for way, each, mean in zip(_WAYS, values, means, strict=True)
-        if len(each)
+        Residual(f"{data.name} {way}", "1", data.coefficients(way) - means[k], scatter[k], role)
+        for data, role in _with_roles(pulls, validation)
+        for k, way in enumerate(_WAYS)
+        if len(values[k]) and len(data.coefficients(way))
     )
     samples = sum(len(each) for each in values)
     held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
     return Estimate(tuple(found), correlation, residuals, (), samples, float(samples), 1.0, held)
+
+
+def _with_roles(pulls: Pulls, validation: Sequence[Pulls]) -> list[tuple[Pulls, Role]]:
+    return [(pulls, "fit"), *((each, "validation") for each in validation)]
 
 
 def _parameter(k: int, values: np.ndarray, mean: float, own: float, error: float) -> Parameter:

@@ -19,7 +19,7 @@ from srs_twin.identification.cells import read_rows
 from srs_twin.identification.columns import Column, read_columns
 from srs_twin.identification.data_set import DataSet, keep_apart
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.source import read_source
 from srs_twin.identification.units import PRESSURES
 from srs_twin.identification.unknowns import per_segment, unknowns, with_values
@@ -54,6 +54,16 @@ class StaticTable:
     def data_set(self, role: Role) -> DataSet:
         """Return what a fit says of these data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
+
+
+def is_static(path: str | os.PathLike[str]) -> bool:
+    """Say whether a file's first line names bends as its columns: a table, no recording.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    names = "".join(read_source(path).head(1)).lower().split(",")
+    return any(name.strip().startswith("bend_") for name in names)
 
 
 def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
@@ -105,6 +115,7 @@ def fit_static(
     names: Iterable[str] | None = None,
     validation: Sequence[StaticTable] = (),
     noise: float = _NOISE,
+    watch: Watch | None = None,
 ) -> Estimate:
     """Return gains, biases and the bend limit from static tables.
 
@@ -114,6 +125,7 @@ def fit_static(
         names: what is unknown, see `unknowns`; default gains, biases and the bend limit.
         validation: tables to hold the estimate against.
         noise: of a measured bend, rad.
+        watch: is told how far the search is, see `least_squares`.
 
     Raises:
         InputError: no table, or one to validate with that is also fitted.
@@ -136,7 +148,7 @@ def fit_static(
     held = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if "actuator.bend_rad" not in wanted:
         held["actuator.bend_rad"] = spec.actuator.gain * spec.supply.nominal
-    return least_squares(residuals, unknowns(spec, wanted, starts=starts), held=held)
+    return least_squares(residuals, unknowns(spec, wanted, starts=starts), held=held, watch=watch)
 
 
 def _compared(table: StaticTable, spec: RobotSpec, noise: float, role: Role) -> list[Residual]:

@@ -1,0 +1,157 @@
+"""Make the recordings of docs/your-robot.md: the twin with numbers that the walk-through does not know.
+
+``uv run python docs/your_robot.py`` writes calibration/examples/my_snake; the same bytes every time.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from srs_twin import Gait, Trajectory, TwinSnake, load_robot, rollout
+from srs_twin.control.replay import Replay
+from srs_twin.files import atomic_write
+from srs_twin.identification.synthetic import Take, write_motive
+from srs_twin.identification.unknowns import with_values
+from srs_twin.pneumatics import Schedule
+from srs_twin.spec import GRAVITY, RobotSpec
+
+FOLDER = Path(__file__).parents[1] / "calibration/examples/my_snake"
+SUPPLY = 48.3e3  # Pa
+HIDDEN = {
+    "friction.mu_t": 0.055, "friction.mu_n": 0.48,
+    "geometry.rigid_gap_m": 0.021, "bending.stiffness_nm_per_rad": 0.38,
+    "actuator.tau_fill_s": 0.13, "actuator.tau_vent_s": 0.09,
+    "modules.gain_plus_1": 1.06, "modules.gain_minus_1": 0.97, "modules.bias_rad_1": 0.03,
+    "modules.gain_plus_2": 0.93, "modules.gain_minus_2": 1.02, "modules.bias_rad_2": -0.02,
+    "modules.gain_plus_3": 1.04, "modules.gain_minus_3": 1.08, "modules.bias_rad_3": 0.0,
+    "modules.gain_plus_4": 0.96, "modules.gain_minus_4": 0.91, "modules.bias_rad_4": 0.025,
+}  # fmt: skip
+"""What the robot of the recordings has and `gen2` has not."""
+
+_SPRING, _MASS = 30.0, 0.15  # N/m, kg
+_REST = 0.5  # s before the valves begin
+_BEND_NOISE = 0.004  # rad, of a protractor
+_OTHER_CLOCK = 12.3  # s: what the logs' clock shows more than the cameras'
+
+
+def hidden_robot() -> RobotSpec:
+    """Return the robot that was recorded."""
+    return with_values(load_robot("gen2"), HIDDEN)
+
+
+def main(folder: Path) -> None:
+    """Write all recordings."""
+    robot = hidden_robot()
+    for name, seed in (("pulls", 1), ("pulls_check", 2)):
+        write(folder / f"{name}.csv", pulls(seed))
+    for name, seed, levels in (("held", 3, (12, 24, 36, 48)), ("held_check", 4, (18, 42))):
+        write(folder / f"{name}.csv", held(robot, levels, seed))
+    for name, seed, fills in (("steps", 5, (0.6, 0.35, 0.9)), ("steps_check", 6, (0.5, 0.8))):
+        record(
+            folder / name, robot, steps(robot, fills), "clamped", Take(layout="pair", labeled=True, seed=seed)
+        )
+    shaken = Take(layout="head", swaps=8, lost=0.02, gap_frames=3.0)
+    for name, seed, frequency, offset in (
+        ("walk_straight", 7, 2.0, 0.0), ("walk_left", 8, 1.6, 0.25), ("walk_check", 9, 1.8, -0.15),
+    ):  # fmt: skip
+        record(folder / name, robot, walk(robot, frequency, offset), "free", replace(shaken, seed=seed))
+
+
+def pulls(seed: int) -> str:
+    """Return a table of pulls whose spring and scale scatter by 4 %."""
+    draw = np.random.default_rng(seed)
+    weight = _MASS * GRAVITY / _SPRING
+    rows = [
+        [1e3 * weight * HIDDEN[f"friction.mu_{way}"] * (1 + 0.04 * draw.standard_normal()) for way in "tn"]
+        for _ in range(8)
+    ]
+    head = "along_mm,across_mm,spring_n_per_m,mass_kg,spring_error_n_per_m,mass_error_kg"
+    return "\n".join([head, *(f"{a:.2f},{b:.2f},{_SPRING:g},{_MASS:g},0.3,0.001" for a, b in rows), ""])
+
+
+def held(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
+    """Return the bends at rest of a robot that hangs by its head, one side filled to some pressures (kPa)."""
+    draw = np.random.default_rng(seed)
+    rows = []
+    for level in (0, *levels, *(-each for each in levels)):
+        valves = np.full((robot.segments, 2), -1, dtype=np.int8)
+        valves[:, 0 if level > 0 else 1] = 1 if level else -1
+        plant = TwinSnake(robot, supply_pa=max(1e3 * abs(level), 1.0), base="clamped")
+        run = rollout(plant, Replay(Schedule(8.0, np.zeros(1), valves[None])), 8.0, record_hz=50)
+        # It swings for long: the mean is where it comes to rest.
+        bend = run.stack("bend")[200:].mean(axis=0) + _BEND_NOISE * draw.standard_normal(robot.segments)
+        sides = (max(level, 0), max(-level, 0))
+        rows.append([*sides * robot.segments, *(f"{each:.4f}" for each in bend)])
+    numbers = range(1, robot.segments + 1)
+    head = [f"pressure_{side}_{j}_kpa" for j in numbers for side in ("plus", "minus")]
+    head += [f"bend_{j}_rad" for j in numbers]
+    return "\n".join([",".join(head), *(",".join(map(str, row)) for row in rows), ""])
+
+
+def steps(robot: RobotSpec, fills: tuple[float, ...]) -> Schedule:
+    """Return valves that fill one side of the last segment, then the other, each for some times (s)."""
+    states, starts, time = [_vented(robot)], [0.0], _REST
+    for fill in fills:
+        for side in (0, 1):
+            for state, span in ((1, fill), (-1, 0.6)):
+                valves = _vented(robot)
+                valves[-1, side] = state
+                states.append(valves)
+                starts.append(time)
+                time += span
+    return Schedule(round(time + 0.2, 2), np.array(starts), np.array(states))
+
+
+def walk(robot: RobotSpec, frequency: float, offset: float, periods: int = 6) -> Schedule:
+    """Return valves that rest, crawl for some periods and rest again."""
+    gait = Gait(frequency, offset)
+    gait.reset(robot, 0.02)
+    crawl = gait.script(round(periods / frequency / 0.02) * 0.02)
+    rest = Schedule(_REST, np.zeros(1), _vented(robot)[None])
+    return rest.then(crawl).then(rest)
+
+
+def record(path: Path, robot: RobotSpec, valves: Schedule, base: str, take: Take) -> None:
+    """Run the robot, and write what cameras saw of it and what was commanded, on another clock."""
+    plant = TwinSnake(robot, supply_pa=SUPPLY, base=base)
+    duration = round(valves.span / plant.tick) * plant.tick
+    run = rollout(plant, Replay(valves), duration, pose=(0.4, -0.3, 0.6), record_hz=100)
+    write_motive(_finite(run), replace(take, digits=2), path.with_suffix(".csv"))
+    write(path.with_name(path.name + ".valves.csv"), log(valves))
+
+
+def log(valves: Schedule) -> str:
+    """Return a log of valves: a row where one changes, and one at the end."""
+    segments = valves.states.shape[1]
+    head = [f"valve_{side}_{j}" for j in range(1, segments + 1) for side in ("plus", "minus")]
+    times = [*valves.starts, valves.span]
+    rows = [*valves.states, valves.states[-1]]
+    lines = [
+        f"{time + _OTHER_CLOCK:.4f}," + ",".join(str(int(each)) for each in row.ravel())
+        for time, row in zip(times, rows, strict=True)
+    ]
+    return "\n".join([",".join(["time", *head]), *lines, ""])
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file, whole or not at all."""
+    with atomic_write(path) as part:
+        part.write_text(text, encoding="utf-8", newline="")
+
+
+def _vented(robot: RobotSpec) -> np.ndarray:
+    return np.full((robot.segments, 2), -1, dtype=np.int8)
+
+
+def _finite(run: Trajectory) -> Trajectory:
+    """Return the columns that a camera can see."""
+    kept = ("time", "x_", "y_", "theta_")
+    return Trajectory({name: each for name, each in run.columns.items() if name.startswith(kept)})
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)

@@ -1,0 +1,280 @@
+"""`srs-twin calibrate friction`, `actuator`, `locomotion`: numbers of a robot from its own recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from srs_twin.cli.fitting import (
+    FilesArgument,
+    FindOption,
+    GapOption,
+    HeadOption,
+    LayoutOption,
+    NameOption,
+    OffsetOption,
+    OutOption,
+    OverwriteOption,
+    Place,
+    PressureOption,
+    QuietOption,
+    RobotOption,
+    UpOption,
+    ValidateOption,
+    ValvesOption,
+    names_in,
+    reading,
+    say_read,
+)
+from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.identification.takes import Reading
+    from srs_twin.spec import RobotSpec
+
+_LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m"
+
+
+def friction(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    validate: ValidateOption = None,
+    law: Annotated[
+        str, typer.Option("--law", help="Of sliding throws: wheel, axis or ellipse (skids).")
+    ] = "wheel",
+    wheel_inertia: Annotated[
+        bool, typer.Option("--wheel-inertia/--no-wheel-inertia", help="Whether throws spin wheels up.")
+    ] = True,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    name: NameOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find mu_t and mu_n from a table of pulls with a spring car, or from recordings of throws."""
+    place = Place.of(context, "friction", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.coasting import Coasting, fit_coasting
+    from srs_twin.identification.pulls import fit_pulls
+    from srs_twin.identification.pulls_file import is_pulls, read_pulls
+    from srs_twin.spec import load_robot
+
+    spec, kept = load_robot(robot), validate or []
+    if _alike([*files, *kept], is_pulls, "tables of pulls", "recordings of throws"):
+        if len(files) > 1:
+            raise InputError(f"{files[1]}: one table of pulls makes a fit; give others with --validate")
+        pulls, others = read_pulls(files[0]), [read_pulls(each) for each in kept]
+        found = fit_pulls(pulls, validation=others)
+        data = [pulls.data_set("fit"), *(each.data_set("validation") for each in others)]
+        title = f"Friction of {spec.name} from pulls"
+        place.finish(found, title=title, robot=robot, method="pulls", data=data)
+        return
+    how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap)
+
+    def throw(path: str) -> Coasting:
+        recording = how.motion(path, spec)
+        say_read(quiet, recording.summary.text())
+        return Coasting.of(recording.trajectory, path)
+
+    throws, held = [throw(each) for each in files], [throw(each) for each in kept]
+    with place.searching() as watch:
+        found = fit_coasting(
+            throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch
+        )  # fmt: skip
+    sets = [*(each.data_set("fit") for each in throws), *(each.data_set("validation") for each in held)]
+    title = f"Friction of {spec.name} from throws"
+    place.finish(found, title=title, robot=robot, method="coasting", data=sets)
+
+
+def actuator(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    valves: ValvesOption = None,
+    validate: ValidateOption = None,
+    pressure: PressureOption = None,
+    find: FindOption = None,
+    offset: OffsetOption = None,
+    starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Searches.")] = 1,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    name: NameOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find time constants, gains and biases from step responses, or gains from tables of held pressures."""
+    place = Place.of(context, "actuator", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.actuator import Response, fit_actuator
+    from srs_twin.identification.static_bends import fit_static, is_static, read_static
+    from srs_twin.spec import load_robot
+
+    spec, kept, names = load_robot(robot), validate or [], names_in(find)
+    if _alike([*files, *kept], is_static, "tables of held pressures", "recordings"):
+        _needless(valves, "--valves", "tables of held pressures have no log")
+        tables, others = ([read_static(each, spec) for each in given] for given in (files, kept))
+        with place.searching() as watch:
+            found = fit_static(tables, spec, names=names, validation=others, watch=watch)
+        data = [*(each.data_set("fit") for each in tables), *(each.data_set("validation") for each in others)]
+        title = f"Actuators of {spec.name} from held pressures"
+        place.finish(found, title=title, robot=robot, method="static", data=data)
+        return
+    how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset)
+    supply = _supply(spec, pressure)
+    takes = _takes([*files, *kept], valves, how, spec, quiet)
+    responses = [Response.of_recording(take, path, supply) for path, take in takes]
+    fitted, held = responses[: len(files)], responses[len(files) :]
+    with place.searching() as watch:
+        found = fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
+    sets = [*(each.data_set("fit") for each in fitted), *(each.data_set("validation") for each in held)]
+    title = f"Actuators of {spec.name} from responses"
+    place.finish(found, title=title, robot=robot, method="actuator", data=sets)
+
+
+def locomotion(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    valves: ValvesOption = None,
+    validate: ValidateOption = None,
+    pressure: PressureOption = None,
+    find: FindOption = _LOCOMOTION,
+    plant: Annotated[
+        str, typer.Option("--plant", help="Stands for the robot: analytical or twin.")
+    ] = "analytical",
+    model: Annotated[
+        str | None, typer.Option("--model", help="Of the analytical plant. [default: complete]")
+    ] = None,
+    law: Annotated[
+        str | None, typer.Option("--law", help="Of the analytical plant's floor. [default: wheel]")
+    ] = None,
+    against: Annotated[
+        str, typer.Option("--against", help="What is compared: averages, shapes or both.")
+    ] = "both",
+    starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Searches.")] = 3,
+    frequency: Annotated[
+        float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
+    ] = None,
+    offset: OffsetOption = None,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    name: NameOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find what is left (friction, gap, masses, stiffness) from runs of the crawling robot."""
+    place = Place.of(context, "locomotion", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.locomotion import PlantModel, fit_locomotion
+    from srs_twin.identification.takes import gait_run, starts_at_rest
+    from srs_twin.spec import load_robot
+
+    spec, kept = load_robot(robot), validate or []
+    stands = PlantModel(plant, _plant_settings(plant, model, law))
+    how = reading(
+        up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset, frequency=frequency
+    )  # fmt: skip
+    supply = _supply(spec, pressure)
+    takes = _takes([*files, *kept], valves, how, spec, quiet)
+    for path, take in takes:
+        if not starts_at_rest(take):
+            say_read(
+                quiet, f"warning: {path}: it begins while chambers fill; the plants begin with empty ones"
+            )
+    runs = [gait_run(take, path, supply) for path, take in takes]
+    fitted, held = runs[: len(files)], runs[len(files) :]
+    with place.searching() as watch:
+        found = fit_locomotion(
+            fitted, spec, names_in(find) or [], model=stands, against=against, validation=held, starts=starts,
+            watch=watch,
+        )  # fmt: skip
+    sets = [*(each.data_set("fit") for each in fitted), *(each.data_set("validation") for each in held)]
+    title = f"Locomotion of {spec.name} against the {plant} plant"
+    place.finish(found, title=title, robot=robot, method="locomotion", data=sets)
+
+
+def robot(
+    fits: Annotated[
+        list[str], typer.Argument(metavar="FIT...", help="Fit files of one robot; later ones count.")
+    ],
+    name: Annotated[str, typer.Option("--name", help="Of the new robot and its file.")],
+    out: Annotated[
+        str | None,
+        typer.Option("--out", metavar="FILE.yaml", help="[default: calibration/robots/NAME.yaml]"),
+    ] = None,
+    weak: Annotated[
+        bool, typer.Option("--weak/--no-weak", help="Take what is only weakly identified as well.")
+    ] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a robot file: the robot that the fits started from, with what they found."""
+    from pathlib import Path
+
+    from srs_twin.files import shown
+    from srs_twin.identification.fitted_robot import fitted_robot, write_robot
+
+    path = Path(out) if out else Path("calibration/robots") / f"{name}.yaml"
+    if path.exists() and not overwrite:
+        raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
+    write_robot(fitted_robot(fits, name, weak=weak), path)
+    say_read(quiet, f"robot in {path}")
+
+
+def _alike(files: Sequence[str], tells: Callable[[str], bool], one: str, other: str) -> bool:
+    """Say whether files are of one kind; refuse some of each.
+
+    Raises:
+        InputError: they are of both kinds, or one cannot be read.
+    """
+    kinds = [tells(each) for each in files]
+    if len(set(kinds)) > 1:
+        first, second = files[kinds.index(True)], files[kinds.index(False)]
+        raise InputError(f"{first} is one of {one}, {second} one of {other}: give them to a fit each")
+    return kinds[0]
+
+
+def _takes(
+    files: Sequence[str], valves: Sequence[str] | None, how: Reading, spec: RobotSpec, quiet: bool
+) -> list[tuple[str, Any]]:
+    """Return (path, recording with its log) of each file, and say what was read."""
+    from srs_twin.identification.takes import logs_of
+
+    found = []
+    for path, log in zip(files, logs_of(files, valves or []), strict=True):
+        take = how.take(path, log, spec)
+        say_read(quiet, take.summary.text(), "")
+        found.append((path, take))
+    return found
+
+
+def _supply(spec: RobotSpec, pressure_kpa: float | None) -> float:
+    """Return the supply's gauge pressure, Pa."""
+    if pressure_kpa is None:
+        return spec.supply.nominal
+    if not 0.1 <= pressure_kpa <= 2000.0:
+        raise InputError(f"--pressure: {pressure_kpa:g} kPa is not allowed; it must be from 0.1 to 2000")
+    return 1e3 * pressure_kpa
+
+
+def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
+    """Return the settings of the plant that stands for the robot."""
+    if plant == "analytical":
+        return {"model": model or "complete", "friction": law or "wheel"}
+    _needless(model, "--model", "it belongs to --plant analytical")
+    _needless(law, "--law", "it belongs to --plant analytical")
+    return {}
+
+
+def _needless(given: object, option: str, why: str) -> None:
+    if given:
+        raise InputError(f"{option}: take it out; {why}")

@@ -1,0 +1,163 @@
+"""Takes: recordings with the logs of their valves, as what fits and replays ask for.
+
+The log of ``walk.csv`` is ``walk.valves.csv`` beside it, unless another is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from srs_twin.control.replay import Replay
+from srs_twin.errors import InputError
+from srs_twin.identification.joining import join
+from srs_twin.identification.locomotion import GaitRun
+from srs_twin.identification.recording import LONGEST_GAP, Recording, read_motion
+from srs_twin.identification.valve_log import ValveLog, read_valves
+from srs_twin.plants.base import Pose
+from srs_twin.pneumatics import Schedule
+from srs_twin.spec import RobotSpec
+
+_LOG = ".valves.csv"
+_LEAST_OPENINGS = 4
+_EVEN = 0.05  # of a period: by how much openings may come early or late
+_STILL = 1e-9  # s
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How recordings are read.
+
+    Attributes:
+        up: axis of the file that points up, one of `floor.UPS`.
+        layout: of the markers, one of `layout.LAYOUTS`.
+        head: name of the column of the marker at the head; None: the end towards which the robot crawls.
+        longest_gap_s: longest gap that is filled, s.
+        offset_s: what to add to the log's times, s; None: estimated.
+        gait_frequency_hz: Hz; None: as the valves repeat themselves.
+    """
+
+    up: str = "auto"
+    layout: str = "auto"
+    head: str | None = None
+    longest_gap_s: float = LONGEST_GAP
+    offset_s: float | None = None
+    gait_frequency_hz: float | None = None
+
+    def motion(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
+        """Read a captured motion; see `read_motion`.
+
+        Args:
+            path: of the file.
+            spec: the robot on it.
+            frequency: of the gait where none was given, Hz.
+        """
+        return read_motion(
+            path, spec, up=self.up, layout=self.layout, head=self.head, longest_gap_s=self.longest_gap_s,
+            gait_frequency_hz=frequency if self.gait_frequency_hz is None else self.gait_frequency_hz,
+        )  # fmt: skip
+
+    def take(self, path: str, valves: str, spec: RobotSpec) -> Recording:
+        """Read a captured motion and its log, and put both on one clock.
+
+        Raises:
+            InputError: as `read_motion`, `read_valves` and `join`.
+        """
+        log = read_valves(valves, spec)
+        return join(self.motion(path, spec, repeats(log)), log, spec, offset=self.offset_s)
+
+
+def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
+    """Return the log of each take.
+
+    Args:
+        takes: paths of motions.
+        given: their logs in the same order; none: those that lie beside them.
+
+    Raises:
+        InputError: more or fewer logs than takes.
+    """
+    if not given:
+        return [str(Path(take).with_name(Path(take).stem + _LOG)) for take in takes]
+    if len(given) != len(takes):
+        raise InputError(
+            f"{len(given)} logs of valves for {len(takes)} recordings; give one for each, in their order "
+            f"({', '.join(takes)}), or none where each lies beside its recording as NAME{_LOG}"
+        )
+    return list(given)
+
+
+def repeats(log: ValveLog) -> float | None:
+    """Return the frequency at which all chambers open evenly, Hz; None where they do not.
+
+    The first opening is left out: a gait may begin with a part of a period.
+    """
+    if log.kind != "valve":
+        return None
+    opened = (log.values[1:] == 1) & (log.values[:-1] != 1)
+    periods = []
+    for column in opened.reshape(len(opened), -1).T:
+        times = log.time[1:][column][1:]
+        if len(times) < _LEAST_OPENINGS:
+            return None
+        gaps = np.diff(times)
+        period = float(gaps.mean())
+        if np.abs(gaps - period).max() > _EVEN * period:
+            return None
+        periods.append(period)
+    period = float(np.mean(periods))
+    return 1 / period if np.ptp(periods) <= _EVEN * period else None
+
+
+def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
+    """Return a recording as a run whose valves are commanded again.
+
+    Raises:
+        InputError: there is no log, or one of pressures.
+    """
+    return GaitRun(
+        recording.trajectory,
+        Replay(commands(recording, name), recording.trajectory.metadata.get("gait_frequency_hz")),
+        supply_pa,
+        name,
+    )
+
+
+def commands(recording: Recording, name: str) -> Schedule:
+    """Return the valves from the recording's first sample on.
+
+    Raises:
+        InputError: there is no log, or one of pressures.
+    """
+    log = recording.valves
+    if log is None or log.kind != "valve":
+        raise InputError(
+            f"{name}: a log of valves is wanted; one of pressures does not say what was commanded"
+        )
+    schedule = log.schedule()
+    begin = min(max(float(recording.trajectory.time[0] - log.time[0]), 0.0), schedule.span - _STILL)
+    return schedule.part(begin, schedule.span)
+
+
+def starts_at_rest(recording: Recording) -> bool:
+    """Say whether chambers are empty as a recording begins, as those of a plant are."""
+    log = recording.valves
+    if log is None:
+        return True
+    before = log.values[log.time <= recording.trajectory.time[0] + _STILL]
+    return bool((before == -1).all() if log.kind == "valve" else (np.abs(before) < 1e3).all())
+
+
+def start_pose(recording: Recording) -> Pose:
+    """Return where the body lies as the recording begins: its mean until air comes."""
+    trajectory, log = recording.trajectory, recording.valves
+    moves = trajectory.time[0]
+    if log is not None:
+        busy = (log.values > (0 if log.kind == "valve" else 1e3)).any(axis=(1, 2))
+        moves = log.time[np.argmax(busy)] if busy.any() else trajectory.time[-1]
+    still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL
+    x, y = trajectory.com[still].mean(axis=0)
+    return float(x), float(y), float(trajectory["heading"][still].mean())
