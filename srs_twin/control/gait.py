@@ -69,7 +69,11 @@ class Gait(Controller):
         self._offset = float(value)
 
     def change_frequency(self, frequency: float, time: float) -> None:
-        """Go on with another frequency from a time on (s), without a jump of the wave.
+        """Go on with another frequency, without a jump of the wave.
+
+        Args:
+            frequency: f, Hz.
+            time: from when on, s.
 
         Raises:
             InputError: a frequency that is not above 0.
