@@ -33,7 +33,6 @@ myst_enable_extensions = ["dollarmath", "attrs_inline"]
 myst_dmath_double_inline = True
 myst_heading_anchors = 4
 
-smartquotes = False  # options keep their two dashes
 default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -34,5 +35,10 @@ def _sections(words: str, given: Any) -> Iterator[str]:
 def _table(given: Any, context: Any, kind: str) -> str:
     """Return what `--help` says of the arguments or the options, as a table."""
     records = [each.get_help_record(context) for each in given.params if each.param_type_name == kind]
-    rows = [row(f"`{name.strip()}`", " ".join(text.split())) for name, text in filter(None, records)]
+    rows = [row(f"`{name.strip()}`", _told(text)) for name, text in filter(None, records)]
     return "\n".join([f"| {kind} | |", "|---|---|", *rows]) if rows else ""
+
+
+def _told(text: str) -> str:
+    """Return a help text on one line, options in it as code: dashes would become one long one."""
+    return re.sub(r"(?<!\S)--[\w=.,-]*\w", r"`\g<0>`", " ".join(text.split()))
