@@ -64,7 +64,7 @@ class Page:
     @property
     def commands(self) -> list[str]:
         """Every line that a reader is to type, without its comment."""
-        shell = "".join(block.text for block in self.blocks if block.language == "sh")
+        shell = "".join(block.text for block in self.blocks if block.language in ("", "sh"))
         lines = [line.partition(" # ")[0].strip() for line in shell.replace("\\\n", " ").splitlines()]
         return [line for line in lines if line]
 
