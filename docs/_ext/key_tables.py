@@ -54,7 +54,8 @@ class Blocks:
 
     def _section(self, name: str, path: str, block: Schema) -> Iterator[str]:
         title = f"## {path}" if path else "## At the top level"
-        rows, inner = [], []
+        rows: list[str] = []
+        inner: list[tuple[str, Schema]] = []
         for key, schema in block["properties"].items():
             where = f"{path.partition(' (')[0]}.{key}".removeprefix(".")
             words = self.elsewhere.get(where) or self._words(name, where, schema, inner)
