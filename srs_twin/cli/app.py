@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import DEBUG, calibrate, compare, doctor, models, plan, run, schema, sweep, view
+from srs_twin.cli import DEBUG, calibrate, compare, doctor, models, plan, play, run, schema, sweep, view
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -24,6 +24,7 @@ app.command("compare")(compare.compare)
 app.command("plan")(plan.plan)
 app.command("sweep")(sweep.sweep)
 app.command("view")(view.view)
+app.command("play")(play.play)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
 app.command("schema")(schema.schema)

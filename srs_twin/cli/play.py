@@ -1,0 +1,24 @@
+"""`srs-twin play`: steer a robot's twin by keys."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def play(
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A shipped robot, or the file of one.")],
+) -> None:
+    """Steer the twin of a robot live, in MuJoCo's viewer: arrows, page up and page down."""
+    from srs_twin.spec import load_robot
+
+    spec = load_robot(robot)
+    from srs_twin.viewing.window import MujocoWindow, refuse_without_display
+
+    refuse_without_display()
+    from srs_twin.viewing.live import LiveSnake, steer
+
+    snake = LiveSnake(spec)
+    with MujocoWindow(snake) as window:
+        steer(snake, window)

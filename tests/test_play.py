@@ -1,0 +1,157 @@
+"""Steering by keys: what each does, real time by a clock of our own, no window where there is no display."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from snakes import robot
+
+from srs_twin import Gait, TwinSnake, rollout
+from srs_twin.viewing import live
+from srs_twin.viewing.live import LiveSnake, steer
+
+SPEC = robot()
+
+
+class FakeWindow:
+    """Is open for so many ticks, presses keys before some of them, and keeps what was shown."""
+
+    def __init__(self, ticks: int, keys: dict[int, tuple[int, ...]] | None = None) -> None:
+        self.ticks, self.keys, self.shown = ticks, keys or {}, []
+        self.snake: LiveSnake | None = None
+
+    def is_open(self) -> bool:
+        if self.snake is not None:
+            for key in self.keys.get(len(self.shown), ()):
+                self.snake.press(key)
+        return len(self.shown) < self.ticks
+
+    def show(self, snake: LiveSnake) -> None:
+        self.snake = snake
+        self.shown.append((float(snake.state.time), snake.command, snake.told()))
+
+
+class FakeTime:
+    """A clock that runs only when somebody sleeps, or works."""
+
+    def __init__(self, work: dict[int, float] | None = None) -> None:
+        self.now, self.slept, self._work = 100.0, [], work or {}
+
+    def clock(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now += seconds
+
+
+def run(window: FakeWindow, time: FakeTime | None = None) -> LiveSnake:
+    snake, time = LiveSnake(SPEC), time or FakeTime()
+    window.snake = snake
+    steer(snake, window, clock=time.clock, sleep=time.sleep)
+    return snake
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "step"),
+    [
+        (live.LEFT, "offset", 0.05), (live.RIGHT, "offset", -0.05),
+        (live.UP, "frequency", 0.1), (live.DOWN, "frequency", -0.1),
+        (live.PAGE_UP, "pressure", 1035.0), (live.PAGE_DOWN, "pressure", -1035.0),
+    ],
+)  # fmt: skip
+def test_a_key_changes_its_part_by_a_step_up_to_the_limit(key, name, step):
+    snake = LiveSnake(SPEC)
+    before = snake.command
+    snake.press(key)
+    snake.advance()
+    assert getattr(snake.command, name) - getattr(before, name) == pytest.approx(step)
+    others = {"offset", "frequency", "pressure"} - {name}
+    assert all(getattr(snake.command, other) == getattr(before, other) for other in others)
+    for _ in range(20):
+        snake.press(key)
+    snake.advance()
+    assert getattr(snake.command, name) == getattr(snake.limits, name)[step > 0]
+
+
+def test_left_turns_left_home_goes_straight_again_and_other_keys_do_nothing():
+    window = FakeWindow(200, {0: (live.LEFT,) * 4, 1: (ord("Q"), 7), 199: (live.HOME,)})
+    snake = run(window)
+    offsets = [command.offset for _, command, _ in window.shown]
+    assert offsets[:199] == [pytest.approx(0.2)] * 199 and offsets[199] == 0.0
+    assert float(snake.state.heading) > 0.5
+
+
+def test_without_keys_it_crawls_as_the_gait_does():
+    window = FakeWindow(100)
+    snake = run(window)
+    middle = window.shown[0][1]
+    twin = TwinSnake(SPEC, supply_pa=middle.pressure)
+    alone = rollout(twin, Gait(middle.frequency), 2.0)
+    assert snake.state.com == pytest.approx([alone["com_x"][-1], alone["com_y"][-1]], abs=1e-6)
+
+
+def test_space_holds_the_time_and_backspace_begins_anew():
+    window = FakeWindow(12, {0: (live.UP,), 3: (live.SPACE,), 6: (live.SPACE,), 9: (live.BACKSPACE,)})
+    run(window)
+    ticks = [round(time / 0.02) for time, _, _ in window.shown]
+    assert ticks == [1, 2, 3, 3, 3, 3, 4, 5, 6, 1, 2, 3]
+    assert "held" in window.shown[4][2][4][1] and "held" not in window.shown[7][2][4][1]
+    assert window.shown[8][1].frequency > window.shown[9][1].frequency
+
+
+def test_a_second_takes_a_second():
+    time = FakeTime()
+    run(FakeWindow(50), time)
+    assert time.now - 100.0 == pytest.approx(1.0)
+
+
+def test_what_takes_long_is_caught_up_but_not_without_end():
+    class Slow(FakeWindow):
+        def show(self, snake: LiveSnake) -> None:
+            super().show(snake)
+            time.now += {10: 0.1, 40: 5.0}.get(len(self.shown), 0.0)
+
+    time, window = FakeTime(), Slow(100)
+    snake = run(window, time)
+    # Of the 5 s that one picture took, all but the quarter that is caught up is lost, on a raster of ticks.
+    passed, crawled = time.now - 100.0, float(snake.state.time)
+    assert passed - crawled == pytest.approx(5.0 - live.LATEST_S, abs=0.05)
+    assert crawled == pytest.approx(2.0 + 0.1 + live.LATEST_S, abs=0.05)
+    assert np.min(time.slept) >= 0
+
+
+def test_slow_pictures_do_not_slow_the_snake():
+    class Slow(FakeWindow):
+        def show(self, snake: LiveSnake) -> None:
+            super().show(snake)
+            time.now += 0.2
+
+    time, window = FakeTime(), Slow(10)
+    snake = run(window, time)
+    assert float(snake.state.time) == pytest.approx(time.now - 100.0, abs=0.21)
+
+
+def test_what_stands_on_the_screen_has_units():
+    told = dict(LiveSnake(SPEC).told())
+    assert told["frequency (up, down)"] == "1.50 Hz" and told["pressure (page up, page down)"] == "48.3 kPa"
+    assert told["offset (left, right)"] == "+0.00" and told["speed"] == "0.000 m/s"
+
+
+@pytest.mark.parametrize(
+    ("display", "words"),
+    [
+        ("", "there is no display to steer a snake on (neither DISPLAY nor WAYLAND_DISPLAY is set)"),
+        (":4711", "the display :4711 does not answer"),
+    ],
+)
+def test_without_a_display_it_says_so(srs_twin, tmp_path, display, words):
+    done = srs_twin("play", "gen2", cwd=tmp_path, DISPLAY=display, WAYLAND_DISPLAY="")
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith(words) and done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_robot_that_is_not_there_is_told_first(srs_twin, tmp_path):
+    done = srs_twin("play", "gen5", cwd=tmp_path, DISPLAY="")
+    assert done.returncode == 2 and "unknown robot 'gen5'; did you mean gen" in done.stderr
