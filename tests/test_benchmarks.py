@@ -12,6 +12,7 @@ import against_mj_step
 import numpy as np
 import pytest
 import speed
+from environments import Plain, Vector
 from lsoda import CompleteModel, solve, stretches, trajectory
 from scaling import ThreadCost, chain
 from timing import Ratio, Result, Task, Timing, interleaved, machine
@@ -132,3 +133,17 @@ def test_twins_stepped_together_are_single_twins_to_the_bit(threads):
         assert run.columns.keys() == alone.columns.keys()
         for name in alone.columns:
             assert run[name].tobytes() == alone[name].tobytes(), name
+
+
+def test_the_vector_of_environments_is_timed_against_the_same_crawling():
+    """Where each snake gets to, whatever its heading at the start."""
+    vector, plain = Vector(2, 1), Plain(2, 1, 0.1)
+    whole = Plain(2, 1, 1.0)
+    for each in (vector, plain, whole):
+        each.run(1.0)
+    way = np.hypot(*plain._batch.state.com.T)
+    assert way.min() > 0.1
+    assert np.hypot(*whole._batch.state.com.T) == pytest.approx(way, abs=1e-9)
+    for env, made in zip(vector._envs.envs, way, strict=True):
+        assert np.hypot(*env.episode.state.com) == pytest.approx(made, abs=1e-5)
+        assert not env.episode.ending
