@@ -11,7 +11,7 @@ from srs_twin.envs.task import Episode
 
 _GOAL = np.array([0.69, 0.19, 0.19, 0.6], dtype=np.float32)
 _GOAL_HEIGHT = 0.002  # m
-_ELEVATION, _LENGTHS = -40.0, 4.0
+_ELEVATION, _LENGTHS, _APART = -65.0, 4.0, 1.7
 
 
 class Pictures:
@@ -37,10 +37,7 @@ class Pictures:
             self.close()
             self._canvas, self._model = Canvas(model, *self._size), model
         mujoco.mj_camlight(model, data)
-        camera = mujoco.MjvCamera()
-        camera.elevation, camera.azimuth = _ELEVATION, 90.0
-        camera.lookat = physics.center_of_mass()
-        camera.distance = _LENGTHS * episode.twin.spec.geometry.body_length
+        camera = _camera(episode)
         picture: np.ndarray = self._canvas.draw(data, camera, lambda scene: _add_goal(scene, episode))
         return picture
 
@@ -49,6 +46,19 @@ class Pictures:
         if self._canvas is not None:
             self._canvas.__exit__(None, None, None)
             self._canvas = self._model = None
+
+
+def _camera(episode: Episode) -> mujoco.MjvCamera:
+    """Look down on the snake, and on the goal where there is one, from a distance that shows both."""
+    camera, middle = mujoco.MjvCamera(), episode.twin.physics.center_of_mass()
+    camera.elevation, camera.azimuth = _ELEVATION, 90.0
+    camera.distance = _LENGTHS * episode.twin.spec.geometry.body_length
+    if episode.goal is not None:
+        way = np.array([episode.goal.x, episode.goal.y]) - middle[:2]
+        middle[:2] += way / 2
+        camera.distance = max(camera.distance, _APART * float(np.hypot(*way)))
+    camera.lookat = middle
+    return camera
 
 
 def _add_goal(scene: mujoco.MjvScene, episode: Episode) -> None:
