@@ -34,7 +34,7 @@ ORDER = (
     ("comparison",),
     ("identification", "scenario"),
     ("viewing",),
-    ("running",),
+    ("running", "finished"),
     ("doctor",),
     ("attribution", "sweep", "envs"),
     ("reproduction",),

@@ -8,7 +8,20 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import DEBUG, calibrate, compare, doctor, models, plan, play, run, schema, sweep, view
+from srs_twin.cli import (
+    DEBUG,
+    calibrate,
+    compare,
+    doctor,
+    models,
+    plan,
+    play,
+    render,
+    run,
+    schema,
+    sweep,
+    view,
+)
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -25,6 +38,7 @@ app.command("plan")(plan.plan)
 app.command("sweep")(sweep.sweep)
 app.command("view")(view.view)
 app.command("play")(play.play)
+app.command("render")(render.render)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
 app.command("schema")(schema.schema)

@@ -1,0 +1,150 @@
+"""`srs-twin render`: a video or a picture of finished runs, drawn by MuJoCo without a screen."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from srs_twin.cli.batch import QuietOption
+from srs_twin.cli.progress import Progress
+from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.finished import FinishedRun
+    from srs_twin.trajectory import Trajectory
+    from srs_twin.viewing.render import Size
+
+VIDEO, PICTURE = ".mp4", ".png"
+_SMALLEST, _LARGEST = 64, 4096  # pixels
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What is made of each run.
+
+    Attributes:
+        name: of the file where only its folder is known, from the name of the run.
+        suffix: of the file.
+        make: takes the file, the run, its twin's trajectory and who is told of the progress.
+    """
+
+    name: Callable[[str], str]
+    suffix: str
+    make: Callable[[Path, FinishedRun, Trajectory, Callable[[float], None]], object]
+
+
+def render(
+    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Run folders, or names in runs/.")],
+    video: Annotated[
+        str | None,
+        typer.Option("--video", metavar="FILE.mp4", help="Make a video; of several runs, a folder for them."),
+    ] = None,
+    image: Annotated[
+        str | None, typer.Option("--image", metavar="t=2.5", help="Make a picture of that moment, s.")
+    ] = None,
+    strobe: Annotated[
+        bool, typer.Option("--strobe", help="Make one picture from above, the snake at several moments.")
+    ] = False,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.png",
+            help="Where the picture goes; of several runs, a folder. [default: the run's folder]",
+        ),
+    ] = None,
+    size: Annotated[
+        str, typer.Option("--size", metavar="WxH", help="Pixels; of --strobe the width counts.")
+    ] = "1280x720",
+    fps: Annotated[
+        int, typer.Option("--fps", min=1, max=120, metavar="N", help="Pictures a second of a video.")
+    ] = 30,
+    speed: Annotated[
+        float,
+        typer.Option("--speed", min=0.001, max=1000, metavar="X", help="Of a video: 0.25 is slow motion."),
+    ] = 1.0,
+    quiet: QuietOption = False,
+) -> None:
+    """Draw finished runs with MuJoCo, no screen needed."""
+    if sum((video is not None, image is not None, strobe)) != 1:
+        raise InputError("give one of --video FILE.mp4, --image t=2.5 and --strobe")
+    if video is not None and out is not None:
+        raise InputError("--out is for pictures; the video goes where --video says")
+    from srs_twin.viewing.opengl import usable_opengl
+
+    usable_opengl()  # first: MuJoCo, imported from here on, refuses a name in MUJOCO_GL that it does not know
+    from srs_twin.finished import load_run
+
+    job = _job(video, image, _size(size), fps, speed)
+    target = None if (given := video if video is not None else out) is None else Path(given)
+    several = len(runs) > 1
+    if several and target is not None and target.suffix == job.suffix:
+        raise InputError(f"{target}: one file for {len(runs)} runs; give a folder")
+    if target is not None and target.suffix not in ("", job.suffix):
+        raise InputError(f"{target}: the file must end in {job.suffix}")
+    for name in runs:
+        run = load_run(name)
+        if (twin := run.trajectories.get("twin")) is None:
+            raise InputError(
+                f"{run.folder}: the twin did not run, and MuJoCo draws nothing else; "
+                "`srs-twin view` shows the analytical model"
+            )
+        path = target if target is not None and target.suffix else (target or run.folder) / job.name(run.name)
+        with Progress(run.name, quiet=quiet) as progress:
+            job.make(path, run, twin, partial(progress, "drawing"))
+        if not quiet:
+            typer.echo(str(path))
+
+
+def _job(video: str | None, image: str | None, size: Size, fps: int, speed: float) -> _Job:
+    from srs_twin.viewing.render import write_image, write_video
+
+    if video is not None:
+        return _Job(
+            lambda run: f"{run}{VIDEO}",
+            VIDEO,
+            lambda path, run, twin, tell: write_video(
+                path, run.scenario, twin, size=size, fps=fps, speed=speed, progress=tell
+            ),
+        )
+    if image is not None:
+        time = _moment(image)
+        return _Job(
+            lambda run: f"{run}-{time:g}s{PICTURE}",
+            PICTURE,
+            lambda path, run, twin, tell: write_image(path, run.scenario, twin, time, size=size),
+        )
+    from srs_twin.viewing.strobe import write_strobe
+
+    return _Job(
+        lambda run: f"{run}-strobe{PICTURE}",
+        PICTURE,
+        lambda path, run, twin, tell: write_strobe(path, run.scenario, twin, width=size.width),
+    )
+
+
+def _moment(given: str) -> float:
+    """Return the time that 't=2.5' or '2.5' means, s."""
+    try:
+        return float(given.strip().removeprefix("t="))
+    except ValueError as error:
+        raise InputError(f"--image {given}: not a moment; give seconds, such as t=2.5") from error
+
+
+def _size(given: str) -> Size:
+    from srs_twin.viewing.render import Size
+
+    match = re.fullmatch(r"(\d{1,5})[x×](\d{1,5})", given)
+    sides = [int(side) for side in match.groups()] if match else []
+    if not sides or not all(_SMALLEST <= side <= _LARGEST and side % 2 == 0 for side in sides):
+        raise InputError(
+            f"--size {given}: give width and height in pixels, such as 1280x720, "
+            f"both even and from {_SMALLEST} to {_LARGEST}"
+        )
+    return Size(*sides)

@@ -1,0 +1,275 @@
+"""Videos and pictures that MuJoCo draws, from real runs, through the command line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from srs_twin import load_scenario
+from srs_twin.errors import InputError
+from srs_twin.finished import load_run
+from srs_twin.running import run_scenario
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing import film, opengl
+from srs_twin.viewing.canvas import Canvas
+from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB
+from srs_twin.viewing.follow_camera import FollowCamera
+from srs_twin.viewing.stage import Stage
+
+av = pytest.importorskip("av")
+
+
+@pytest.fixture(scope="module")
+def opengl_here():
+    try:
+        return opengl.usable_opengl()
+    except InputError as error:
+        pytest.skip(str(error))
+
+
+def shortened(name, duration, **changes):
+    document = dict(load_scenario(name).document) | {"duration_s": duration, "expect": []} | changes
+    return parse_scenario(document, name=name)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, opengl_here):
+    """Folders of short runs: a gait, one among obstacles, a module on a bench."""
+    folder = tmp_path_factory.mktemp("runs")
+    for scenario in (
+        shortened("gen2_straight", 3.0),
+        shortened("follow_gen4_a", 3.0),
+        shortened("module_step_iterative", 0.6),
+    ):
+        run_scenario(scenario, folder / scenario.name, plants=["twin"])
+    return folder
+
+
+def frames(path):
+    with av.open(str(path)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+def alike(picture, rgb):
+    """The share of pixels that have a colour's hue, in light and shade."""
+    bright = picture[..., :3] / np.maximum(picture[..., :3].max(axis=-1, keepdims=True), 1)
+    return (np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean()
+
+
+def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
+    done = srs_twin(
+        *("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "320x180", "--fps", "5"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "out.mp4" and [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
+    film_ = frames(tmp_path / "out.mp4")
+    assert film_.shape == (16, 180, 320, 3), "3 s at 5 pictures a second, and the first"
+    for rgb in (PLUS_RGB, MINUS_RGB):
+        assert alike(film_[0], rgb) < 0.0002, "chambers are empty at the start"
+        assert max(alike(each, rgb) for each in film_) > 0.002
+    changed = (np.abs(np.diff(film_.astype(int), axis=0)).max(axis=-1) > 40).mean(axis=(1, 2))
+    assert (changed > 0.01).all(), "from each picture to the next the floor passes by"
+
+
+@pytest.mark.parametrize("name", ["gen2_straight", "follow_gen4_a", "module_step_iterative"])
+def test_pictures_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
+    done = srs_twin("render", str(runs / name), "--image", "t=0.5", "--size", "320x180", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    picture = imread(runs / name / f"{name}-0.5s.png")[..., :3] * 255
+    assert picture.shape == (180, 320, 3)
+    assert len(np.unique(picture.reshape(-1, 3).astype(int), axis=0)) > 500
+    assert alike(picture, PLUS_RGB) + alike(picture, MINUS_RGB) > 0.002
+
+
+def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
+    """Its axes are metres: a body drawn without perspective covers the floor that its geometry says."""
+    from srs_twin.viewing.strobe import _floor, _from_above
+
+    run = load_run(runs / "gen2_straight")
+    twin = run.trajectories["twin"]
+    stage = Stage(run.scenario, twin)
+    low, high = _floor(run.scenario, twin)
+    size = high - low
+    wide = 400
+    tall = 2 * round(wide * size[1] / size[0] / 2)
+    rows = [0, len(twin) - 1]
+    shown = _from_above(stage, rows, (low + high) / 2, float(size[1]), (wide, tall)).astype(int)
+    for row in rows:
+        for x, y in (twin.position[row, 1:] + twin.position[row, :-1]) / 2:
+            across = int((x - low[0]) / size[0] * wide)
+            down = int((high[1] - y) / size[1] * tall)
+            floor = shown[3, 3]
+            assert np.abs(shown[down, across] - floor).max() > 25, "the snake is drawn over the floor there"
+    beside = int((twin.position[0, 0, 0] - low[0]) / size[0] * wide), 3
+    assert np.abs(shown[beside[1], beside[0]] - shown[3, 3]).max() < 40
+
+
+def test_strobe_from_the_command_line(runs, srs_twin, tmp_path):
+    done = srs_twin("render", str(runs / "gen2_straight"), "--strobe", "--size", "800x600", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    picture = imread(done.stdout.strip())[..., :3] * 255
+    assert picture.shape[1] == 800
+    above_the_key = picture[:-100]
+    assert alike(above_the_key, (0, 114, 178)) > 0.0005, "the trail is there"
+
+
+def test_several_runs_go_into_a_folder(runs, srs_twin, tmp_path):
+    names = ["gen2_straight", "module_step_iterative"]
+    folders = [str(runs / name) for name in names]
+    options = ("--size", "64x64", "--fps", "1", "-q")
+    done = srs_twin("render", *folders, "--video", "films", *options, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert sorted(p.name for p in (tmp_path / "films").iterdir()) == [f"{name}.mp4" for name in names]
+
+
+def test_the_camera_goes_along_without_swaying(runs, opengl_here):
+    run = load_run(runs / "gen2_straight")
+    twin = run.trajectories["twin"]
+    camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False)
+    at = np.array([camera.at(row).lookat.copy() for row in range(len(twin))])
+    late = (twin.time > 1.0) & (twin.time < 2.5)  # where a whole period lies around
+    assert np.abs(np.diff(at[late, 1])).max() < 0.2 * np.abs(np.diff(twin["com_y"][late])).max()
+    assert np.hypot(*(at[:, :2] - twin.com).T).max() < 0.15 * run.scenario.robot.geometry.body_length
+
+
+def test_stage_puts_the_snake_where_it_was(runs, opengl_here):
+    run = load_run(runs / "follow_gen4_a")
+    twin = run.trajectories["twin"]
+    stage = Stage(run.scenario, twin)
+    for row in (0, 57, len(twin) - 1):
+        stage.show(row)
+        for i in (1, 5):
+            x, y, _ = stage.data.body(f"connector_{i}").xpos
+            assert (x, y) == pytest.approx((twin[f"x_{i}"][row], twin[f"y_{i}"][row]), abs=1e-9)
+
+
+REFUSED = {
+    "nothing asked": ((), "give one of --video FILE.mp4, --image t=2.5 and --strobe"),
+    "two things asked": (("--strobe", "--image", "1"), "give one of"),
+    "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for pictures"),
+    "not a moment": (("--image", "t=two"), "--image t=two: not a moment; give seconds, such as t=2.5"),
+    "moment beyond": (("--image", "t=20"), "t = 20 s is not in the run, which goes from 0 to 3 s"),
+    "moment of none": (("--image", "nan"), "t = nan s is not in the run"),
+    "odd size": (("--strobe", "--size", "321x180"), "both even and from 64 to 4096"),
+    "size of words": (("--strobe", "--size", "big"), "--size big: give width and height in pixels"),
+    "another suffix": (("--video", "a.avi"), "a.avi: the file must end in .mp4"),
+    "no such size": (("--strobe", "--size", "9999x9999"), "from 64 to 4096"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refusals(runs, srs_twin, tmp_path, name):
+    options, words = REFUSED[name]
+    done = srs_twin("render", str(runs / "gen2_straight"), *options, cwd=tmp_path)
+    assert done.returncode == 2 and words in done.stderr, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_run_is_refused(runs, srs_twin, tmp_path):
+    done = srs_twin("render", "nowhere", "--strobe", cwd=tmp_path)
+    assert done.returncode == 2 and "nowhere: no run there (looked for" in done.stderr
+    alone = tmp_path / "alone"
+    run_scenario(shortened("gen2_straight", 0.2), alone, plants=["analytical"])
+    done = srs_twin("render", "alone", "--strobe", cwd=tmp_path)
+    assert done.returncode == 2 and "alone: the twin did not run" in done.stderr
+    two = [str(runs / "gen2_straight"), str(runs / "follow_gen4_a")]
+    done = srs_twin("render", *two, "--video", "a.mp4", cwd=tmp_path)
+    assert done.returncode == 2 and "a.mp4: one file for 2 runs; give a folder" in done.stderr
+
+
+def test_a_trajectory_of_another_robot_is_refused(runs):
+    run, other = load_run(runs / "gen2_straight"), load_run(runs / "module_step_iterative")
+    with pytest.raises(
+        InputError, match=r"columns qpos_1…, the scenario's twin \d+: they do not belong together"
+    ):
+        Stage(run.scenario, other.trajectories["twin"])
+    columns = {k: v for k, v in run.trajectories["twin"].columns.items() if not k.startswith("qpos")}
+    with pytest.raises(InputError, match="nothing to draw"):
+        Stage(run.scenario, Trajectory(columns))
+
+
+def test_interrupted_nothing_is_left(runs, tmp_path):
+    script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
+    command = [script, "render", str(runs / "gen2_straight"), "--video", "out.mp4", "--fps", "120"]
+    started = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob(".out.*")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert list(tmp_path.glob(".out.*")), "it has begun to write"
+    started.send_signal(signal.SIGINT)
+    _, said = started.communicate(timeout=60)
+    assert started.returncode == 130 and "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"earlier")
+    with pytest.raises(RuntimeError), film.film(path, width=64, height=64, fps=1) as add:
+        add(np.zeros((64, 64, 3), dtype=np.uint8))
+        raise RuntimeError
+    assert path.read_bytes() == b"earlier" and list(tmp_path.iterdir()) == [path]
+    with (
+        pytest.raises(InputError, match="cannot be written"),
+        film.film(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
+    ):
+        raise AssertionError("not reached")
+
+
+def test_without_an_encoder_the_message_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(InputError, match=r"the encoder PyAV.*uv sync --extra video.*srs-twin\[video\]"):
+        film.encoder()
+
+
+def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin, tmp_path):
+    done = srs_twin("render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan")
+    assert done.returncode == 2
+    assert "MUJOCO_GL names does not draw here (vulkan: it is unknown" in done.stderr
+
+
+def test_where_none_draws_the_packages_are_named(monkeypatch):
+    monkeypatch.setattr(opengl, "_complaint", lambda name: f"no lib{name}")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("MUJOCO_GL", "disabled")
+    with pytest.raises(InputError) as caught:
+        opengl.usable_opengl.__wrapped__()
+    assert str(caught.value) == (
+        "no OpenGL draws here without a screen (egl: no libegl; osmesa: no libosmesa); on Debian and Ubuntu: "
+        "apt-get install libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
+    )
+
+
+@pytest.mark.parametrize("name", ["egl", "osmesa"])
+def test_both_draw_the_same(runs, name, tmp_path):
+    """Two implementations, one picture; whichever is chosen, a run looks alike."""
+    if opengl._complaint(name):
+        pytest.skip(f"{name} does not draw here")
+    code = (
+        "import sys, numpy as np\n"
+        "from srs_twin.finished import load_run\n"
+        "from srs_twin.viewing.render import Size, write_image\n"
+        "run = load_run(sys.argv[1])\n"
+        "write_image(__import__('pathlib').Path('p.png'), run.scenario, run.trajectories['twin'], 2.0, "
+        "size=Size(160, 90))"
+    )
+    environment = {**os.environ, "MUJOCO_GL": name}
+    command = [sys.executable, "-c", code, str(runs / "gen2_straight")]
+    subprocess.run(command, check=True, cwd=tmp_path, env=environment)
+    run = load_run(runs / "gen2_straight")
+    stage = Stage(run.scenario, run.trajectories["twin"])
+    camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False)
+    with Canvas(stage.model, 160, 90) as canvas:
+        row = stage.row_at(2.0)
+        ours = stage.picture(canvas, camera.at(row), row).astype(int)
+    theirs = imread(tmp_path / "p.png")[..., :3] * 255
+    assert np.abs(ours - theirs).mean() < 3.0
