@@ -1,7 +1,11 @@
-"""`srs-twin view`: look at a finished run in Rerun."""
+"""`srs-twin view`: look at finished runs in Rerun."""
 
 from __future__ import annotations
 
+import signal
+import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,13 +15,51 @@ from srs_twin.errors import InputError
 
 
 def view(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="A run folder, a recording, or a name in runs/.")],
+    runs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RUN...", help="Run folders, recordings, or names in runs/; several stand side by side."
+        ),
+    ],
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve the viewer for a browser on this machine, until Ctrl-C.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of the page. [default: a free one]")
+    ] = 0,
 ) -> None:
-    """Open the recording of a run."""
-    recording = find_recording(run)
-    from srs_twin.viewing.viewer import open_recording
+    """Open the recordings of runs."""
+    recordings = [find_recording(run) for run in runs]
+    if port and not web:
+        raise InputError("--port is for --web")
+    with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
+        shown = recordings[0]
+        if len(recordings) > 1:
+            from srs_twin.viewing.side_by_side import write_side_by_side
 
-    open_recording(recording)
+            shown = Path(folder) / "side-by-side.rrd"
+            write_side_by_side(shown, named(recordings))
+        if web:
+            _serve(shown, port)
+        else:
+            from srs_twin.viewing.viewer import open_recording
+
+            open_recording(shown)
+
+
+def _serve(recording: Path, port: int) -> None:
+    """Serve a recording until somebody ends it, which is no failure."""
+    from srs_twin.viewing.web import served
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with served([recording], port) as (address, serve):
+            typer.echo(address)
+            sys.stdout.flush()
+            print("open this address in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
+            serve()
+    except KeyboardInterrupt:
+        return
 
 
 def find_recording(run: str) -> Path:
@@ -37,3 +79,20 @@ def find_recording(run: str) -> Path:
             return path
     tried = ", ".join(str(path) for path in looked[1:])
     raise InputError(f"{run}: no recording there (looked for {tried}); `srs-twin run SCENARIO` makes one")
+
+
+def named(recordings: Sequence[Path]) -> dict[str, Path]:
+    """Give recordings the names of their folders, longer where these are alike.
+
+    Raises:
+        InputError: one is given twice.
+    """
+    places = [path.resolve() for path in recordings]
+    places = [path.parent if path.name == "recording.rrd" else path for path in places]
+    if len(set(places)) < len(places):
+        twice = next(path for path in places if places.count(path) > 1)
+        raise InputError(f"{twice}: given twice")
+    count = 1
+    while len({path.parts[-count:] for path in places}) < len(places):
+        count += 1
+    return dict(zip(("/".join(path.parts[-count:]) for path in places), recordings, strict=True))

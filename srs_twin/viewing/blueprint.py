@@ -25,6 +25,7 @@ class Layout:
         body_length: m.
         period: of the gait, s; plots show a few of them around the cursor. None: they show the whole run.
         compared: whether there are differences of the plants to plot.
+        root: entity above all of them, where several runs are in one recording.
     """
 
     plants: Sequence[str]
@@ -34,6 +35,12 @@ class Layout:
     body_length: float
     period: float | None
     compared: bool
+    root: str = ""
+
+    @property
+    def world(self) -> str:
+        """The entity of everything on the floor."""
+        return f"{self.root}/world" if self.root else "world"
 
     @property
     def followed(self) -> str:
@@ -46,9 +53,9 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
     modules = range(1, layout.segments + 1)
     bends = [_gait_plot(layout, j, "bend", f"Bend of module {j} (rad)") for j in modules]
     pressures = [_gait_plot(layout, j, "pressure", f"p+ minus p- of module {j} (kPa)") for j in modules]
-    body = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
+    body = [plot("body/speed", "CoM speed, forward (m/s)"), plot("body/heading", "Heading (rad)")]
     if layout.compared:
-        body.append(_plot("comparison", "Difference of the plants (mm)"))
+        body.append(plot("comparison", "Difference of the plants (mm)"))
     return rrb.Blueprint(
         rrb.Horizontal(
             scene_view(layout),
@@ -63,44 +70,46 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
     )
 
 
-def scene_view(layout: Layout) -> rrb.Spatial3DView:
+def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
     """Return the 3-D view: the eye goes along on the snake's right; trails reach back from the cursor."""
+    name = name or ("Both plants on the floor" if len(layout.plants) > 1 else "On the floor")
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])
     eye = layout.start + 1.25 * layout.body_length * right
     so_far = rrb.VisibleTimeRanges(
         timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
     return rrb.Spatial3DView(
-        origin="world",
-        name="Both plants on the floor" if len(layout.plants) > 1 else "On the floor",
+        origin=layout.world,
+        name=name,
         background=rrb.Background(color=[245, 246, 248]),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=1.0, color=[150, 155, 165, 110]),
         eye_controls=rrb.EyeControls3D(
             position=[*eye, 1.2 * layout.body_length],
             look_target=[*layout.start, 0.0],
             eye_up=[0.0, 0.0, 1.0],
-            tracking_entity=f"world/{layout.followed}/com",
+            tracking_entity=f"{layout.world}/{layout.followed}/com",
         ),
-        overrides={f"world/{plant}/trail": so_far for plant in layout.plants},
+        overrides={f"{layout.world}/{plant}/trail": so_far for plant in layout.plants},
     )
 
 
 def _gait_plot(layout: Layout, module: int, signal: str, name: str) -> rrb.TimeSeriesView:
     origin = f"module/{module}/{signal}"
     if layout.period is None:
-        return _plot(origin, name, legend=False)
+        return plot(origin, name, legend=False)
     half = rr.TimeInt(seconds=_PERIODS_SHOWN / 2 * layout.period)
     back = rr.TimeInt(seconds=-_PERIODS_SHOWN / 2 * layout.period)
     shown = rrb.TimeRange(
         start=rrb.TimeRangeBoundary.cursor_relative(back), end=rrb.TimeRangeBoundary.cursor_relative(half)
     )
     axis = rrb.TimeAxis(view_range=shown)
-    return _plot(origin, name, legend=False, axis_x=axis)
+    return plot(origin, name, legend=False, axis_x=axis)
 
 
-def _plot(
+def plot(
     origin: str, name: str, *, legend: bool = True, axis_x: rrb.TimeAxis | None = None
 ) -> rrb.TimeSeriesView:
+    """Return a plot over time of what lies beneath an entity."""
     corner = rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=legend)
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=axis_x)
 

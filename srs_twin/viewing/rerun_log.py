@@ -68,7 +68,7 @@ def _recorded(
     layout = _layout(trajectories, spec, comparison is not None)
     # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
     recording = log.memory_recording()
-    _send_blueprint(log, run_blueprint(layout))
+    send_blueprint(log, run_blueprint(layout))
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title or spec.title)
@@ -91,7 +91,7 @@ def _recorded(
     return content
 
 
-def _send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
+def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     """Send a blueprint as `log.send_blueprint` does, but end the stream that carries it.
 
     Rerun 0.41 forgets to: every recording of a process would leave two threads and two megabytes.

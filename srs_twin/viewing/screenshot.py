@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import tempfile
 import time
@@ -19,6 +18,7 @@ from typing import IO, TYPE_CHECKING
 from srs_twin.errors import InputError
 from srs_twin.viewing.blueprint import TIMELINE
 from srs_twin.viewing.viewer import rerun_executable, verify_recording
+from srs_twin.viewing.web import free_port
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -76,7 +76,7 @@ def _headless_viewer(size: tuple[int, int]) -> Iterator[ViewerClient]:
 
     `ViewerClient.spawn` would do, but it listens on every network interface and prints its stack traces.
     """
-    port = _free_port()
+    port = free_port()
     command = [
         str(rerun_executable()), "--headless", "--bind", "127.0.0.1", "--port", str(port),
         "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen",
@@ -112,9 +112,3 @@ def _connected(viewer: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> V
         )
     last = words.strip().splitlines()[-1:] or ["it said nothing"]
     raise InputError(f"the Rerun viewer did not start: {last[0]}")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -1,0 +1,185 @@
+"""`srs-twin view`: several runs side by side, and in a browser."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from io import BytesIO
+
+import browser
+import numpy as np
+import psutil
+import pytest
+from matplotlib.image import imread
+from viewing_runs import pair, robot
+
+from srs_twin.cli.view import named
+from srs_twin.comparison.compare import compare
+from srs_twin.errors import InputError
+from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB, STYLES
+from srs_twin.viewing.rerun_log import write_recording
+from srs_twin.viewing.screenshot import screenshots
+from srs_twin.viewing.side_by_side import write_side_by_side
+from srs_twin.viewing.viewer import verify_recording
+from srs_twin.viewing.web import served
+
+OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    made = {}
+    for name, changes in {"straight on": {}, "left+1": {"yaw_rate": 0.3, "connectors": 6}}.items():
+        runs = pair(duration=2.0, **changes)
+        path = folder / name / "recording.rrd"
+        path.parent.mkdir()
+        spec = robot(runs["twin"].position.shape[1])
+        write_recording(path, spec=spec, trajectories=runs, comparison=compare(*runs.values()))
+        made[name] = path
+    return made
+
+
+def share(picture, rgb):
+    """The share of pixels that have a colour's hue, in light and shade, and are not grey."""
+    bright = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1)
+    return (np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean()
+
+
+def shows_a_snake(picture):
+    return share(picture, PLUS_RGB) > 0.002 and share(picture, MINUS_RGB) > 0.002
+
+
+def entities(path):
+    from rerun.chunk import RrdReader
+
+    return {chunk.entity_path for chunk in RrdReader(path).stream().to_chunks()}
+
+
+def test_side_by_side_holds_all_of_each(recordings, tmp_path):
+    path = tmp_path / "both.rrd"
+    write_side_by_side(path, recordings)
+    verify_recording(path)
+    found = entities(path)
+    for name, recording in recordings.items():
+        root = "/" + name.replace(" ", "\\ ").replace("+", "\\+")
+        ours = {each for each in entities(recording) if not each.startswith("/__")}
+        assert {root + each for each in ours} <= found
+        assert len(ours) > 20
+
+
+def test_the_viewer_shows_them_side_by_side(recordings, tmp_path):
+    path = tmp_path / "both.rrd"
+    write_side_by_side(path, recordings)
+    try:
+        (png,) = screenshots(path, [1.5], size=(1000, 600))
+    except InputError as error:
+        if "no Vulkan driver" not in str(error):
+            raise
+        pytest.skip(str(error))
+    picture = imread(BytesIO(png))[..., :3] * 255
+    middle, below = picture.shape[1] // 2, 3 * picture.shape[0] // 4
+    for half in (picture[:below, :middle], picture[:below, middle:]):
+        assert shows_a_snake(half)
+    for half in (picture[below:, :middle], picture[below:, middle:]):
+        assert share(half, STYLES["twin"].rgb) > 0.001, "its speed is plotted below"
+
+
+def test_names_are_those_of_the_folders(tmp_path):
+    one, two, file = (tmp_path / p for p in ("a/turn/recording.rrd", "b/turn/recording.rrd", "x.rrd"))
+    assert named([one, file]) == {"turn": one, "x.rrd": file}
+    assert list(named([one, two])) == ["a/turn", "b/turn"]
+    with pytest.raises(InputError, match="a/turn: given twice"):
+        named([one, one])
+
+
+def test_what_is_no_recording_of_ours_is_refused(recordings, tmp_path):
+    import rerun as rr
+
+    log = rr.RecordingStream("another")
+    memory = log.memory_recording()
+    log.log("a/b", rr.TextLog("hello"))
+    (tmp_path / "other.rrd").write_bytes(memory.drain_as_bytes())
+    with pytest.raises(InputError, match=r"other\.rrd: not a recording of srs-twin \(no snake is in it\)"):
+        write_side_by_side(
+            tmp_path / "both.rrd", {"a": recordings["left+1"], "other.rrd": tmp_path / "other.rrd"}
+        )
+    assert not (tmp_path / "both.rrd").exists()
+
+
+def test_the_page_asks_for_nothing_from_outside(recordings):
+    with served([recordings["left+1"]]) as (address, serve):
+        threading.Thread(target=serve, daemon=True).start()
+        with OPENER.open(address, timeout=20) as answer:
+            page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
+            assert "url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in answer.url, "it opens the recording"
+        loaded = re.findall(r"""(?:src|href)=["']([^"']+)""", page) + re.findall(r"url\(([^)]*)", page)
+        assert loaded and not [each for each in loaded if "//" in each]
+        assert "default-src 'self'" in policy and "https:" not in policy
+        with OPENER.open(address + "re_viewer_bg.wasm", timeout=20) as answer:
+            assert answer.headers["Content-Type"] == "application/wasm"
+            assert answer.read(4) == b"\x00asm"
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            OPENER.open(address + "nothing-there", timeout=20)
+        everybody = psutil.Process().children(recursive=True)
+        listening = [
+            connection.laddr.ip
+            for process in (psutil.Process(), *everybody)
+            for connection in process.net_connections("tcp")
+            if connection.status == psutil.CONN_LISTEN
+        ]
+        assert len(listening) >= 3 and set(listening) == {"127.0.0.1"}, "page, Rerun's page, recording"
+    left = [process for process in everybody if process.is_running() and "rerun" in process.name()]
+    assert all(process.status() == psutil.STATUS_ZOMBIE for process in left)
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_the_page_is_served_until_it_is_ended(recordings, end):
+    script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
+    command = [script, "view", str(recordings["left+1"].parent), "--web"]
+    started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    address = started.stdout.readline().strip()
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+    started.stderr.readline()
+    OPENER.open(address, timeout=20).close()
+    started.send_signal(end)
+    out, said = started.communicate(timeout=30)
+    assert (started.returncode, out, said) == (0, "", "")
+    with pytest.raises(urllib.error.URLError):
+        OPENER.open(address, timeout=5)
+
+
+def test_refusals(recordings, srs_twin, tmp_path):
+    run = str(recordings["left+1"].parent)
+    done = srs_twin("view", run, "--port", "9000", cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.strip() == "--port is for --web"
+    done = srs_twin("view", run, run, cwd=tmp_path)
+    assert done.returncode == 2 and "given twice" in done.stderr
+    with served([recordings["left+1"]]) as (address, _):
+        port = address.rstrip("/").rpartition(":")[2]
+        done = srs_twin("view", run, "--web", "--port", port, cwd=tmp_path)
+    assert done.returncode == 2 and f"port {port} cannot be had" in done.stderr
+
+
+@pytest.mark.skipif(bool(browser.missing()), reason=browser.missing() or "a browser is here")
+def test_a_browser_shows_the_recording_without_the_internet(recordings, srs_twin):
+    with served([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:
+        threading.Thread(target=serve, daemon=True).start()
+        begun = time.monotonic()
+        chromium.get(address)
+        blue = STYLES["twin"].rgb
+        _, shown = browser.picture(
+            chromium, lambda page: shows_a_snake(page) and share(page[:, -200:], blue) > 0.001
+        )
+        assert shows_a_snake(shown), f"nothing to see after {time.monotonic() - begun:.0f} s"
+        assert share(shown[:, -200:], blue) > 0.001, "plots stand on the right"
+        asked = browser.requested(chromium)
+    assert len(asked) >= 4
+    assert not [each for each in asked if not re.match(r"(http://127\.0\.0\.1:\d+/|data:|blob:)", each)]
