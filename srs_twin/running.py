@@ -181,7 +181,7 @@ class PreparedRun:
         )  # fmt: skip
         write_recording(
             fresh / RECORDING, spec=spec, trajectories=trajectories, comparison=comparison,
-            title=scenario.title,
+            title=scenario.title, world=scenario.world,
         )  # fmt: skip
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
         return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)

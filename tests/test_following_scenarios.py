@@ -132,7 +132,7 @@ def test_run_follows_and_leaves_everything(file, srs_twin):
     from rerun.chunk import RrdReader
 
     entities = {chunk.entity_path for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()}
-    obstacles = {f"/world/plan/obstacles/{kind}" for kind in ("round", "straight")}
+    obstacles = {f"/world/obstacles/{kind}" for kind in ("round", "straight")}
     assert {"/world/plan/path", "/world/plan/edges", "/world/plan/goal"} | obstacles <= entities
     way = Trajectory.from_parquet(file / "out/analytical.parquet")
     for name in ("offset", "offset_commanded", "cross_track", "heading_error", "node", "estimate_x"):

@@ -33,6 +33,7 @@ from srs_twin.viewing.screenshot import screenshots
 from srs_twin.viewing.signals import forward_speed, period_speed, pressure_difference
 from srs_twin.viewing.tubes import body_line, wheel_centres
 from srs_twin.viewing.viewer import open_recording, verify_recording
+from srs_twin.world import Circle, Polygon, World
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -190,6 +191,37 @@ def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
     assert np.allclose(middle, body_line(thinned(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
     _, com = found["/world/analytical/com"]["Points3D:positions"]
     assert np.allclose(flat(com).reshape(-1, 3)[:, :2], thinned(runs["analytical"], 50).com, atol=1e-6)
+
+
+def test_the_recording_shows_forces_of_obstacles_while_they_last(tmp_path, spec):
+    twin = run("twin", Snake(duration=2.0))
+    force = np.zeros((2, 5, len(twin)))
+    force[:, 0, 50:53] = [[0.3], [-0.4]]
+    force[0, 3, 52:60] = 2.0
+    force[1, 4, 100] = -0.1
+    pushes = {f"obstacle_force_{axis}": pushed for axis, pushed in zip("xy", force, strict=True)}
+    columns = {f"{name}_{i + 1}": row for name, rows in pushes.items() for i, row in enumerate(rows)}
+    world = World((Circle(0.4, 0.1, 0.05),), polygons=(Polygon(((0, 1), (1, 1), (0.5, 2))),))
+    path = tmp_path / "touched.rrd"
+    touched = with_columns(twin, **columns)
+    write_recording(path, spec=spec, trajectories={"twin": touched}, world=world)
+    verify_recording(path)
+    seconds, vectors = read_back(path)["/world/twin/contact"]["Arrows3D:vectors"]
+    drawn = [np.array(row.as_py() or []).reshape(-1, 3) for row in vectors]
+    shown = dict(zip(seconds.tolist(), drawn, strict=True))
+    assert np.allclose(sorted(shown), twin.time[[*range(50, 61), 100, 101]], atol=1e-9)
+    for time_s, arrows in shown.items():
+        row = int(np.argmin(abs(twin.time - time_s)))
+        pushed = force[:, :, row].T
+        pushed = pushed[(pushed != 0).any(axis=1)]
+        assert np.allclose(arrows, np.column_stack([0.05 * pushed, np.zeros(len(pushed))]), atol=1e-7)
+    _, origins = read_back(path)["/world/twin/contact"]["Arrows3D:origins"]
+    expected = twin.position[51, 0]
+    assert np.allclose(np.array(origins[1].as_py())[0, :2], expected, atol=1e-6)
+
+
+def test_a_run_that_touched_nothing_has_no_arrows(recording):
+    assert not [entity for entity in read_back(recording) if entity.endswith("/contact")]
 
 
 def without(trajectory, *prefixes):

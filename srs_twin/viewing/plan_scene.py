@@ -1,9 +1,8 @@
-"""The first plan of a run on the floor of a recording: path, edges of the footprint, obstacles, goal."""
+"""The first plan of a run on the floor of a recording: path, edges of the footprint, goal."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -11,8 +10,7 @@ import rerun as rr
 from srs_twin.comparison.following import following, footprint_of, segments_of
 from srs_twin.trajectory import Trajectory
 
-_PATH, _EDGE, _OBSTACLE, _GOAL = (60, 60, 60), (120, 165, 205), (90, 90, 90), (176, 48, 48)
-_HEIGHT = 0.06
+_PATH, _EDGE, _GOAL = (60, 60, 60), (120, 165, 205), (176, 48, 48)
 _LOW = 0.001
 _CORNERS = 48
 
@@ -38,27 +36,6 @@ def send_plan(log: rr.RecordingStream, trajectories: Mapping[str, Trajectory]) -
     goal = about["goal"]
     ring = _ring(goal["x"], goal["y"], goal["radius"], _LOW)
     log.log("world/plan/goal", rr.LineStrips3D([ring], colors=[_GOAL], radii=[0.002]), static=True)
-    _send_obstacles(log, about["world"])
-
-
-def _send_obstacles(log: rr.RecordingStream, world: Mapping[str, Any]) -> None:
-    circles = world["obstacles"]
-    if circles:
-        upright = rr.Cylinders3D(
-            centers=[(c["x"], c["y"], _HEIGHT / 2) for c in circles],
-            lengths=[_HEIGHT] * len(circles),
-            radii=[c["radius"] for c in circles],
-            colors=[_OBSTACLE],
-        )
-        log.log("world/plan/obstacles/round", upright, static=True)
-    if world["polygons"]:
-        sides = [
-            [(x, y, z) for x, y in [*each["corners"], each["corners"][0]]]
-            for each in world["polygons"]
-            for z in (0.0, _HEIGHT)
-        ]
-        lines = rr.LineStrips3D(sides, colors=[_OBSTACLE], radii=[0.003])
-        log.log("world/plan/obstacles/straight", lines, static=True)
 
 
 def _ring(x: float, y: float, radius: float, height: float) -> list[tuple[float, float, float]]:

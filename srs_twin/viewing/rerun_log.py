@@ -1,7 +1,7 @@
 """Write a finished run as a Rerun recording, whole columns at once; nothing is logged while it simulates.
 
-Entity tree: `world/floor`, `world/plan/{path, edges, obstacles, goal}`,
-`world/<plant>/{body/segment_j, connectors, wheels, trail, com}`,
+Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
+`world/<plant>/{body/segment_j, connectors, wheels, trail, com, contact}`,
 `module/<j>/{bend, pressure}/<plant>`, `body/{speed, heading}/<plant>`, `comparison/{shape, path}`.
 The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
 as the views' names say.
@@ -22,9 +22,11 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.blueprint import TIMELINE, Layout, run_blueprint
 from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.colors import REFERENCE, Style, style_of
+from srs_twin.viewing.obstacle_scene import send_contacts, send_obstacles
 from srs_twin.viewing.plan_scene import send_plan
-from srs_twin.viewing.scene import Entities, send_snake
+from srs_twin.viewing.scene import Entities, line_height, send_snake
 from srs_twin.viewing.signals import forward_speed, gait_period, period_speed, pressure_difference
+from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison
@@ -41,6 +43,7 @@ def write_recording(
     trajectories: Mapping[str, Trajectory],
     comparison: Comparison | None = None,
     title: str = "",
+    world: World | None = None,
 ) -> None:
     """Write `recording.rrd`: both snakes on the floor, and their signals side by side in plots.
 
@@ -50,19 +53,21 @@ def write_recording(
         trajectories: plant → what it did. With a twin, the other plants are ghosts.
         comparison: gives the plots of shape and path difference.
         title: the recording's name in the viewer.
+        world: whose obstacles stand on the floor; None: there are none.
 
     Raises:
         InputError: there is no trajectory, or one of them is empty.
     """
     check_drawable(trajectories)
-    Path(path).write_bytes(_recorded(spec, trajectories, comparison, title))
+    Path(path).write_bytes(_recorded(spec, trajectories, comparison, title, world or World()))
     # A stream that nobody refers to any more keeps its threads and what went through it until it is told.
     rr.bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def _recorded(
-    spec: RobotSpec, trajectories: Mapping[str, Trajectory], comparison: Comparison | None, title: str
-) -> bytes:
+    spec: RobotSpec, trajectories: Mapping[str, Trajectory], comparison: Comparison | None, title: str,
+    world: World,
+) -> bytes:  # fmt: skip
     log = rr.RecordingStream(APPLICATION)
     low, high = _extent(trajectories, spec)
     layout = _layout(trajectories, spec, comparison is not None)
@@ -73,12 +78,14 @@ def _recorded(
     log.set_log_tick_enabled(False)
     log.send_recording_name(title or spec.title)
     _send_floor(log, low, high)
+    send_obstacles(log, world)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = style_of(plant, index)
         ghost = plant != "twin" and "twin" in trajectories
         scene = thinned(run, SCENE_HZ)
         entities = Entities(log, f"world/{plant}", scene.time)
         send_snake(entities, scene, spec.geometry, style, ghost=ghost)
+        send_contacts(log, f"world/{plant}/contact", run, line_height(spec.geometry))
         _send_signals(log, plant, run, style)
     send_plan(log, trajectories)
     if comparison is not None:

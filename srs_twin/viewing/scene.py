@@ -72,7 +72,7 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
         tube = rr.Capsules3D.from_fields(lengths=lengths, radii=[geometry.width / 2], fill_mode="solid")
         to.fixed(name, tube)
         poses = rr.Capsules3D.columns(
-            translations=_at_height(line[:, :-1], _height(geometry)),
+            translations=_at_height(line[:, :-1], line_height(geometry)),
             quaternions=_along(np.arctan2(step[..., 1], step[..., 0])),
         )
         to.moving(name, poses, step.shape[1])
@@ -88,7 +88,7 @@ def _send_hull(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba)
     # A little thinner than the other body, so that two at the same place do not flicker.
     radius = 0.46 * geometry.width
     side = line[:, :, None] + radius * np.cos(angle)[:, None] * left[:, :, None]
-    up = np.broadcast_to(_height(geometry) + radius * np.sin(angle), side.shape[:-1])
+    up = np.broadcast_to(line_height(geometry) + radius * np.sin(angle), side.shape[:-1])
     vertices = np.concatenate([side, up[..., None]], axis=-1).astype(np.float32)
     triangles = _tube_triangles(line.shape[1])
     hull = rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=color, face_rendering="front")
@@ -115,7 +115,7 @@ def _send_connectors(to: Entities, snake: Trajectory, geometry: Geometry, colors
     nothing = np.zeros_like(theta)
     turn = np.stack([nothing, nothing, np.sin(theta / 2), np.cos(theta / 2)], axis=-1)
     poses = rr.Boxes3D.columns(
-        centers=_at_height(snake.position, _height(geometry)),
+        centers=_at_height(snake.position, line_height(geometry)),
         quaternions=turn.reshape(-1, 4).astype(np.float32),
     )
     to.moving("connectors", poses, geometry.connectors)
@@ -142,7 +142,7 @@ def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
     to.moving("com", rr.Points3D.columns(positions=_at_height(snake.com, 0.003)))
 
 
-def _height(geometry: Geometry) -> float:
+def line_height(geometry: Geometry) -> float:
     """Return how high the centre line is drawn, m; a body wider than it is high must not sink in."""
     return max(geometry.com_height, geometry.width / 2)
 
