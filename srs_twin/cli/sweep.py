@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ from srs_twin.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from srs_twin.sweep import Summary
+    from srs_twin.sweep import Summary, Sweep
     from srs_twin.sweep.engines import Engine
     from srs_twin.sweep.task import Row
     from srs_twin.viewing.sweep_beside import BesideTable
@@ -44,6 +45,12 @@ def sweep(
         bool,
         typer.Option("--changed", help="Go on in a folder of an earlier version; keep what still belongs."),
     ] = False,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--without", metavar="FIELD=VALUE", help="Leave out the points with this value; may be repeated."
+        ),
+    ] = None,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")
     ] = False,
@@ -57,10 +64,11 @@ def sweep(
         _say(f"warning: {warning}")
     folder = Path(out) if out else SWEEPS / found.name
     with open_sweep(found, folder, changed=changed) as opened:
-        missing = opened.missing(retry_failed=retry_failed)
-        there = len(found.points) - len(missing)
+        wanted = wanted_points(found, without or ())
+        missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in wanted)
+        there = len(wanted) - len(missing)
         if there and not quiet:
-            _say(f"{there} of {len(found.points)} rows are there already, {len(missing)} to do")
+            _say(f"{there} of {len(wanted)} rows are there already, {len(missing)} to do")
         try:
             with Counting(found.name, len(missing), quiet=quiet) as counting:
                 opened.run(chosen, missing, lambda row: counting(failed=_failed(row)))
@@ -75,6 +83,30 @@ def sweep(
     if summary.exit_code:
         _complain(summary)
         raise typer.Exit(summary.exit_code)
+
+
+def wanted_points(found: Sweep, without: Sequence[str]) -> set[str]:
+    """Return the keys of the points of a sweep that are not left out.
+
+    Args:
+        found: the sweep.
+        without: `field=value` each.
+
+    Raises:
+        InputError: a field is not varied, or never has this value.
+    """
+    from srs_twin.errors import UnknownNameError
+
+    wanted = {point.key: point.changes for point in found.points}
+    for each in without:
+        field, _, value = each.partition("=")
+        if field not in found.fields:
+            raise UnknownNameError("varied field", field, found.fields)
+        values = {str(point.changes[field]) for point in found.points}
+        if value not in values:
+            raise UnknownNameError(f"value of {field}", value, values)
+        wanted = {key: changes for key, changes in wanted.items() if str(changes[field]) != value}
+    return set(wanted)
 
 
 def _engine(name: str, workers: int | None, address: str | None) -> Engine:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 PLAN_UNITS = {"plan_found": "1", "plan_length_m": "m", "plan_nodes": "1", "plan_kink_rad": "rad"}
 """Metrics of a plan alone."""
 
+PLANNING_UNITS = {**PLAN_UNITS, "plan_s": "s"}
+"""Metrics of planning where nothing moves: those of the plan, and the wall time that it took."""
+
 FOLLOWING_UNITS = {
     **PLAN_UNITS,
     "goal_reached": "1",

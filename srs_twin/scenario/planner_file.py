@@ -63,7 +63,10 @@ class GreedyFile(_FreeFile):
     """The text's search: the best child of either side in turn, for good."""
 
     kind: Literal["greedy"] = section(_KIND)
-    primitives: PrimitivesFile = section("Arcs to plan with.")
+    primitives: PrimitivesFile = section(
+        "Arcs to plan with (default: Section 5.2's: 21, turns of 60 degrees at most, 0.2 m).",
+        PrimitivesFile(count=21, turn_rad=math.pi / 3, length_m=0.2),
+    )
 
 
 class OmplFile(_FreeFile):
@@ -82,5 +85,10 @@ class GivenFile(_PlannerFile):
     )
     step_m: float = quantity("Length of each step", "m", 0.001, 100.0)
 
+
+PLANNER_FILES = {
+    "best_first": BestFirstFile, "greedy": GreedyFile, "ompl": OmplFile, "given": GivenFile,
+}  # fmt: skip
+"""Kind → keys that a planner of this kind has."""
 
 PlannerFile = Annotated[BestFirstFile | GreedyFile | OmplFile | GivenFile, Field(discriminator="kind")]

@@ -76,7 +76,7 @@ class RandomFile(Strict):
     kind: Literal["strewn", "fig54"] = section(
         "strewn: uniformly over a rectangle; fig54: of the 18 sites of planning.fields.", "strewn"
     )
-    count: int = quantity("How many", "", 0, 1000)
+    count: int = quantity("Number of circles", "", 0, 1000)
     seed: int | None = quantity("Of the draw (default: the scenario's)", "", 0, 2**32 - 1, None)
     area: BoundsFile | None = section("Where their centres lie (strewn; default: the bounds).", None)
     radius_m: Annotated[list[Annotated[float, Field(ge=0.001, le=100.0)]],

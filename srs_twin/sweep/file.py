@@ -131,8 +131,9 @@ class SweepFile(Strict):
     scenario: str = Field(
         title="Scenario", min_length=1, max_length=4096, description="A shipped name or the path of a file."
     )
-    plants: Annotated[list[Literal["analytical", "twin"]], Field(min_length=1, max_length=2)] | None = (
-        section("Which plants run (default: those that the scenario names).", None)
+    plants: Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None = section(
+        "Which plants run (default: those that the scenario names); []: none, the scenario is only planned.",
+        None,
     )
     periods: float | None = quantity(
         "Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks",

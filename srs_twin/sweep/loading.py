@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+from srs_twin.comparison.following import PLANNING_UNITS
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.documents import Document, load_yaml
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
@@ -66,16 +67,21 @@ class _Loading:
 
     def __init__(self, document: Document, file: SweepFile, scenario: Scenario) -> None:
         self._document, self._file = document, file
-        self._plants = tuple(p for p in PLANTS if p in (file.plants or scenario.plants))
+        named = scenario.plants if file.plants is None else file.plants
+        self._plants = tuple(p for p in PLANTS if p in named)
         self._scenario = dict(scenario.document)
         settings = self._scenario["plants"]
-        self._scenario["plants"] = {plant: settings.get(plant, {}) for plant in self._plants}
+        # Where nothing runs, the scenario still is what its file says.
+        self._scenario["plants"] = {
+            plant: settings.get(plant, {}) for plant in self._plants or scenario.plants
+        }
         self._warnings = scenario.warnings
 
     def sweep(self, name: str) -> Sweep | None:
         """Return the sweep, or None after reporting what is wrong with it."""
         file, before = self._file, len(self._document.problems)
         self._check_names()
+        self._check_planning()
         self._check_metrics()
         if file.beside is not None:
             check_beside(self._document, file, file.beside)
@@ -123,8 +129,24 @@ class _Loading:
                 ):
                     self._report(section, field, f"{path[1]} does not run here; add it to plants")
 
+    def _check_planning(self) -> None:
+        """Where nothing runs there must be a plan."""
+        if self._plants:
+            return
+        if "planner" not in self._scenario:
+            self._document.report(
+                ("plants",), "none, but the scenario has no planner: there is nothing to do"
+            )
+        if self._file.periods is not None:
+            self._document.report(("periods",), "nothing runs where plants is []; take it out", at_key=True)
+        if self._file.trajectories:
+            self._document.report(("trajectories",), "there are none where plants is []", at_key=True)
+        if self._file.beside is not None:
+            self._document.report(("beside",), "is of plants, and plants is []; take it out", at_key=True)
+
     def _check_metrics(self) -> None:
         known = [*METRIC_UNITS, *LIST_METRIC_UNITS, *(COMPARISON_UNITS if len(self._plants) == 2 else ())]
+        known = known if self._plants else list(PLANNING_UNITS)
         for i, metric in enumerate(self._file.metrics or ()):
             self._check_metric(("metrics", i), metric, known)
         for i, plot in enumerate(self._file.plots):
@@ -143,7 +165,7 @@ class _Loading:
     def _check_metric(self, loc: tuple[str | int, ...], metric: str, known: list[str]) -> None:
         if metric in known:
             return
-        if metric in COMPARISON_UNITS and len(self._plants) < 2:
+        if metric in COMPARISON_UNITS and len(self._plants) == 1:
             self._document.report(loc, f"{metric} compares both plants; only {self._plants[0]} runs here")
         else:
             self._document.report(loc, str(UnknownNameError("metric", metric, known)))

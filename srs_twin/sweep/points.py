@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import Loc
 from srs_twin.robot_file import units_of
+from srs_twin.scenario.planner_file import PLANNER_FILES
 from srs_twin.sourced import restated
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Experiment:
 
     Attributes:
         base: plain data of the scenario, defaults and robot written out, `fixed` fields set.
-        plants: which plants run.
+        plants: which plants run; none: the scenario is only planned.
         periods: simulated time in periods of the gait or the reference; None: the scenario's duration_s.
         robots: name → plain data of each robot that the field `robot` takes.
         trajectories: whether they are kept.
@@ -73,6 +74,8 @@ class Experiment:
         """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
         whole: Any = self.robots.get(str(value), value) if name == "robot" else value
         where = parts(name)
+        if name == "planner.kind":
+            document = _planned_by(document, value)
         if len(where) == 3 and where[0] == "robot" and not isinstance(whole, Mapping):
             # A number that the robot does not have yet has no record either.
             unit = units_of(str(where[1])).get(str(where[2]))
@@ -128,6 +131,15 @@ class Sweep:
             "versions": self.versions,
         }
         return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+def _planned_by(document: Any, kind: Value) -> Any:
+    """Return plain data of a scenario without what another kind of planner knows nothing of."""
+    planner = document.get("planner")
+    if not isinstance(planner, Mapping) or kind not in PLANNER_FILES:
+        return document
+    known = PLANNER_FILES[str(kind)].model_fields
+    return {**document, "planner": {key: each for key, each in planner.items() if key in known}}
 
 
 def parts(name: str) -> Loc:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.files import atomic_write
 from srs_twin.sweep.points import Sweep
-from srs_twin.sweep.task import Row
+from srs_twin.sweep.task import PLAN, PLAN_TIME, Row
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,6 +21,7 @@ RESULTS = "results.parquet"
 
 _NUMBERS = re.compile(r"(_\d+)?(_period_\d+)?$")
 
+_FIRST_OF_PLANS = ("plan_found", "plan_length_m", "plan_s")
 _FIRST = ("com_speed_m_s", "yaw_rate_rad_s", "mean_bend_amplitude_rad", "com_speed_rel", "shape_rms_body")
 
 
@@ -28,7 +29,8 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
     """Return one row a point, ordered by key.
 
     Columns: ``key``, the varied fields by their dotted names, ``status``, ``reason``, ``exit_code``, the
-    metrics as ``<plant>.<metric>`` and ``comparison.<metric>`` (null where there is none), ``wall_s``.
+    metrics as ``<plant>.<metric>`` and ``comparison.<metric>``, of what is only planned as
+    ``plan.<metric>`` (null where there is none), ``wall_s``.
 
     Args:
         sweep: whose rows they are.
@@ -67,7 +69,8 @@ def digest(rows: Sequence[Row]) -> str:
     """Return the SHA-256 of rows, hex: whatever their order, wall times left out."""
     total = hashlib.sha256()
     for row in sorted(rows, key=lambda row: row.key):
-        content = [row.key, row.status, row.values, row.reason, row.exit_code]
+        values = {name: value for name, value in row.values.items() if name != PLAN_TIME}
+        content = [row.key, row.status, values, row.reason, row.exit_code]
         total.update(json.dumps(content, sort_keys=True).encode())
     return total.hexdigest()
 
@@ -78,7 +81,8 @@ def spans(found: pa.Table) -> dict[str, tuple[float, float, float]]:
 
     spans = {}
     for name in found.column_names:
-        if name.partition(".")[2] in _FIRST:
+        owner, _, metric = name.partition(".")
+        if metric in (_FIRST_OF_PLANS if owner == PLAN else _FIRST):
             values = found.column(name).drop_null().to_numpy()
             if len(values):
                 spans[name] = (float(values.min()), float(np.median(values)), float(values.max()))
@@ -90,7 +94,8 @@ def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
     if sweep.metrics is not None:
         return sweep.metrics
     published = sweep.beside.metrics if sweep.beside else ()
-    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *_FIRST)))
+    first = _FIRST if sweep.experiment.plants else _FIRST_OF_PLANS
+    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *first)))
 
 
 def shown_columns(sweep: Sweep, found: pa.Table) -> pa.Table:
@@ -113,7 +118,8 @@ def _expected(sweep: Sweep) -> dict[str, None]:
     named = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
     wanted = [name for name in named if name is not None and name not in sweep.fields]
     owners = {
-        name: ("comparison",) if name in COMPARISON_UNITS else sweep.experiment.plants for name in wanted
+        name: ("comparison",) if name in COMPARISON_UNITS else sweep.experiment.plants or (PLAN,)
+        for name in wanted
     }
     return dict.fromkeys(f"{owner}.{name}" for name in wanted for owner in owners[name])
 

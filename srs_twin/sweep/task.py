@@ -9,18 +9,24 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from srs_twin.comparison.compare import compare
+from srs_twin.comparison.following import plan_metrics
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.errors import SrsError
+from srs_twin.errors import InputError, SrsError
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.following import FollowSettings
 from srs_twin.scenario.plants_file import PLANTS
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 
 DONE, FAILED = "done", "failed"
+PLAN = "plan"
+"""Whose metrics those of a scenario are that is only planned."""
+PLAN_TIME = f"{PLAN}.plan_s"
 
 # Wall times of two runs are never the same: one column has them all.
 _TIMES = ("wall_s", "realtime_factor")
+_planned_before: set[str] = set()
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,8 @@ class Row:
     Attributes:
         key: of the point.
         status: "done" or "failed".
-        values: ``<plant>.<metric>`` and ``comparison.<metric>`` → number, None where there is none.
+        values: ``<plant>.<metric>``, ``comparison.<metric>`` and ``plan.<metric>`` → number, None where
+            there is none.
         wall_s: what it took, s.
         reason: why it failed.
         exit_code: what that failure means on the command line; 0 where there is none.
@@ -47,13 +54,15 @@ class Row:
 
 
 def run_point(experiment: Experiment, point: Point) -> Row:
-    """Run the plants of a point and measure them; what a point does wrong becomes a failed row."""
+    """Run the plants of a point, or only plan it, and measure; what it does wrong becomes a failed row."""
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
     values: dict[str, float | None] = {}
     reason, exit_code = None, 0
     try:
         scenario = parse_scenario(experiment.document(point.changes))
+        if not experiment.plants:
+            values |= _flat(PLAN, _planned(scenario))
         for plant in experiment.plants:
             trajectories[plant] = _run(scenario, plant)
             values |= _flat(plant, plant_metrics(trajectories[plant]))
@@ -73,6 +82,23 @@ def _run(scenario: Scenario, plant: str) -> Trajectory:
         scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
         pose=scenario.pose, seed=scenario.seed, record_hz=scenario.record_hz,
     )  # fmt: skip
+
+
+def _planned(scenario: Scenario) -> dict[str, Any]:
+    """Return the metrics of a plan, and its wall time.
+
+    Raises:
+        InputError: there is nothing to plan, or the planner cannot.
+    """
+    if not isinstance(scenario.controller, FollowSettings):
+        raise InputError("there is no planner; give planner, and controller.kind: follow")
+    planner = scenario.controller.planner
+    if planner.kind not in _planned_before:
+        # What is loaded and compiled once a process is in no point's time.
+        planner.plan_from(planner.problem.start)
+        _planned_before.add(planner.kind)
+    found = planner.plan()
+    return plan_metrics(found.found, found.segments, found.expanded) | {"plan_s": found.seconds}
 
 
 def _begun(error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajectory]) -> dict[str, Trajectory]:

@@ -49,7 +49,7 @@ def metric_label(metric: str) -> str:
         if name.endswith(ending):
             name = name.removesuffix(ending) + (words if known in COMPARISON_UNITS else ", relative")
             break
-    title = {"wall": "time to compute"}.get(
+    title = {"wall": "time to compute", "plan": "time to plan"}.get(
         name, _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
     )
     return _with_unit(title + place, "" if unit == "1" else unit)

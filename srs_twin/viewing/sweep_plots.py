@@ -34,15 +34,15 @@ from srs_twin.viewing.sweep_panels import (
     say,
     span,
 )
-from srs_twin.viewing.sweep_table import COMPARISON, SweepTable, Values, group_means
+from srs_twin.viewing.sweep_table import COMPARISON, PLAN, SweepTable, Values, group_means
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 FORMATS = (".png", ".svg")
 _MOST_LINES = 12
-_MARKERS = {"analytical": "s", "twin": "o", COMPARISON: "D"}
-_COMPARISON_COLOR = "#222222"
+_MARKERS = {"analytical": "s", "twin": "o", COMPARISON: "D", PLAN: "o"}
+_NO_PLANT_COLOR = "#222222"
 
 
 @dataclass(frozen=True)
@@ -166,15 +166,18 @@ def _line(request: PlotRequest, rows: SweepTable, owners: list[str], beside: Bes
     drawn = 0
     for owner in owners:
         values = rows.metric(request.metric, owner)
-        for group in groups:
+        for i, group in enumerate(groups):
+            # Smaller and smaller, for lines of names that lie upon each other.
+            size = (3.5 if few else 2.0) + (2.0 * (len(groups) - 1 - i) if by.names and few else 0.0)
             place, height = _means(x.numbers, values.numbers, by.numbers == group)
             drawn += int(np.isfinite(height).sum())
             axes.plot(
-                place, height, color=colors.get(group, _color(owner)), linestyle=style_of(owner).dash,
-                linewidth=1.3 if few else 0.9, marker=_MARKERS[owner], markersize=3.5 if few else 2.0,
+                place, height, color=colors.get(group, _color(owner)), linestyle=_dash(owner),
+                linewidth=1.3 if few else 0.9, marker=_MARKERS[owner], markersize=size,
             )  # fmt: skip
     _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
-    samples = [_sample(owner, plain=bool(request.by)) for owner in owners]
+    # Lines of plans are told apart by what they vary over alone.
+    samples = [_sample(owner, plain=bool(request.by)) for owner in owners if owner != PLAN]
     if beside is not None and request.x in beside.at and request.metric in beside.metrics:
         samples.append(_draw_published(axes, beside, request, x, by, colors if few else {}))
     legend_above(axes, samples)
@@ -246,7 +249,7 @@ def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
         drawn += len(order)
     x = rows.values(request.x, owners[0])
     _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
-    legend_above(axes, [_sample(owner, line=False, plain=bool(given)) for owner in owners])
+    legend_above(axes, [_sample(owner, line=False, plain=bool(given)) for owner in owners if owner != PLAN])
     if given and few:
         _name_groups(figure, axes, given[0], groups, colors)
     elif given:
@@ -280,7 +283,7 @@ def _colors(groups: np.ndarray, by: Values, *, few: bool) -> dict[float, str]:
 
 def _sample(owner: str, *, line: bool = True, plain: bool = False) -> Line2D:
     """Return what the legend shows of an owner."""
-    dash = style_of(owner).dash if line else "none"
+    dash = _dash(owner) if line else "none"
     color = "0.3" if plain else _color(owner)
     return Line2D(
         [], [], color=color, linestyle=dash, marker=_MARKERS[owner], markersize=4, label=_name(owner)
@@ -292,4 +295,8 @@ def _name(owner: str) -> str:
 
 
 def _color(owner: str) -> str:
-    return _COMPARISON_COLOR if owner == COMPARISON else style_of(owner).color
+    return _NO_PLANT_COLOR if owner in (COMPARISON, PLAN) else style_of(owner).color
+
+
+def _dash(owner: str) -> str:
+    return "-" if owner == PLAN else style_of(owner).dash

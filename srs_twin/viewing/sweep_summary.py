@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.viewing.sweep_table import COMPARISON, SweepTable, Values
+from srs_twin.viewing.sweep_table import COMPARISON, PLAN, SweepTable, Values
 
 MOST_RUNS = 200
 """Beyond so many runs there is no row a run."""
@@ -104,7 +104,7 @@ def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], s
     for metric in dict.fromkeys(metrics):
         for owner in rows.holders(metric):
             values = rows.metric(metric, owner)
-            heading = values.label if owner == COMPARISON else f"{values.label}, {owner}"
+            heading = values.label if owner in (COMPARISON, PLAN) else f"{values.label}, {owner}"
             found.append(_Column(heading, values.numbers))
     if len(found) <= _MOST_COLUMNS:
         return found, ""

@@ -16,8 +16,8 @@ from srs_twin.viewing.labels import field_label, metric_label
 if TYPE_CHECKING:
     import pyarrow as pa
 
-COMPARISON = "comparison"
-OWNERS = ("analytical", "twin", COMPARISON)
+COMPARISON, PLAN = "comparison", "plan"
+OWNERS = ("analytical", "twin", COMPARISON, PLAN)
 Value = bool | int | float | str
 _EXACT = 1e15  # up to where whole numbers, such as seeds, are written out
 _SAME = 1e-9  # of the greatest value: what two ways of writing a number may differ by
@@ -88,7 +88,7 @@ class SweepTable:
         return [name for name in self.columns if name not in _ABOUT_ROWS and not name.startswith(prefixes)]
 
     def owners(self, metric: str) -> list[str]:
-        """Return whose metric it is: plants, or the comparison.
+        """Return whose metric it is: plants, the comparison, or a plan that nobody followed.
 
         Raises:
             UnknownNameError: nobody's.

@@ -88,7 +88,7 @@ def test_an_element_of_a_list(tmp_path):
         (", count: 4", "", "5:3: vary: supply.pressure_kpa: a range needs a count here, or sampling: latin"),
         ("count: 4", "count: 4, scale: log, form: 2", "6:65: vary.supply.pressure_kpa.form: unknown key"),
         ("plants: [analytical]", "plants: [twins]", "2:10: plants[0]: must be one of analytical, twin, not"),
-        ("plants: [analytical]", "plants: []", "2:9: plants: must be a list"),
+        ("plants: [analytical]", "plants: []", "2:9: plants: none, but the scenario has no planner"),
         ("duration_s: 2", "duration: 2", "3:9: fixed.duration: unknown key; did you mean duration_s?"),
         ("duration_s: 2", "duration_s: x", "3:21: fixed.duration_s: must be a number from 0.001 to 3600, no"),
         ("duration_s: 2", "title: x", "3:9: fixed.title: says how results are named or judged"),

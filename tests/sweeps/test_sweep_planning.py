@@ -1,0 +1,110 @@
+"""Sweeps where nothing moves: the planners on the same worlds, their metrics as columns of one table."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import pyarrow.parquet as pq
+import pytest
+from small import here, write
+
+from srs_twin.errors import InputFileError
+from srs_twin.planning import Primitives, Problem, load_footprint, plan
+from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep.results import digest
+
+WORLDS = """\
+scenario: plan_fig54_8
+plants: []
+fixed: {world.goal.radius_m: 0.02}
+vary:
+  planner.kind: [greedy, best_first]
+  world.random.count: [3, 12]
+  seed: [0, 1, 2]
+"""
+PICTURE = "plots: [{kind: line, x: world.random.count, metric: plan_found, by: planner.kind}]\n"
+
+
+def table(text, folder):
+    with open_sweep(load_sweep(write(folder, text)), folder / "out") as opened:
+        opened.run(here, opened.missing())
+        return pq.read_table(folder / "out/results.parquet").to_pylist() if opened.finish() else []
+
+
+def test_rows_are_the_plans_of_the_planners_themselves(tmp_path):
+    rows = table(WORLDS + PICTURE, tmp_path)
+    assert len(rows) == 12 and {row["status"] for row in rows} == {"done"}
+    body, arcs = load_footprint("gen2_section52"), Primitives(21, math.pi / 3, 0.2)
+    for row in rows:
+        kind, world = row["planner.kind"], fig54_world(row["world.random.count"], row["seed"])
+        asked = Problem(FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None)
+        answer = plan(asked, planner=kind)
+        assert row["plan.plan_found"] == answer.found and row["plan.plan_nodes"] == answer.expanded
+        if answer.found:
+            # The file's angles have six decimals.
+            assert row["plan.plan_length_m"] == pytest.approx(answer.length, abs=1e-4)
+        assert 0 < row["plan.plan_s"] < row["wall_s"]
+    assert not [name for name in rows[0] if name.startswith(("analytical.", "twin.", "comparison."))]
+    assert (tmp_path / "out/plots/1_line_plan_found.png").read_bytes().startswith(b"\x89PNG")
+    assert "plan found" in (tmp_path / "out/report.html").read_text("utf-8")
+
+
+def test_the_digest_does_not_know_how_long_planning_took(tmp_path):
+    with open_sweep(load_sweep(write(tmp_path, WORLDS)), tmp_path / "out") as opened:
+        rows = [done.result for done in here(opened.sweep.experiment, opened.missing()[:4])]
+    slower = [replace(row, values={**row.values, "plan.plan_s": 9.0}) for row in rows]
+    longer = [replace(row, values={**row.values, "plan.plan_nodes": 9.0}) for row in rows]
+    assert digest(rows) == digest(slower) != digest(longer)
+
+
+def test_a_planner_that_is_not_installed_fails_its_rows_and_can_be_left_out(tmp_path, srs_twin):
+    text = WORLDS.replace("best_first]", "ompl]").replace("[0, 1, 2]", "[0]")
+    (tmp_path / "ompl.py").write_text("raise ImportError('not installed')\n")
+    write(tmp_path, text)
+    hidden = {"PYTHONPATH": str(tmp_path)}
+    done = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path, **hidden)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "2 failed: planner ompl needs the extra of that name: pip install 'srs-twin[ompl]'" in done.stderr
+    assert "2 of 4 runs done, 2 failed" in done.stdout
+    without = ("--without", "planner.kind=ompl")
+    left = srs_twin("sweep", "small.yaml", "--out", "left", *without, cwd=tmp_path, **hidden)
+    assert left.returncode == 0, left.stderr
+    assert "2 of 4 runs done, 0 failed" in left.stdout
+    assert json.loads((tmp_path / "left/sweep.json").read_text())["failed"] == 0
+
+
+@pytest.mark.parametrize(
+    ("without", "says"),
+    [
+        ("planner.kin=ompl", "unknown varied field 'planner.kin'; did you mean planner.kind?"),
+        ("planner.kind=gredy", "unknown value of planner.kind 'gredy'; did you mean greedy?"),
+    ],
+)
+def test_what_cannot_be_left_out_is_said(without, says, tmp_path, srs_twin):
+    write(tmp_path, WORLDS)
+    done = srs_twin("sweep", "small.yaml", "--without", without, cwd=tmp_path)
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            "scenario: gen2_straight\nplants: []\nvary: {seed: [0, 1]}\n",
+            "plants: none, but the scenario has no planner: there is nothing to do",
+        ),
+        (WORLDS + "metrics: [com_speed_m_s]\n", "unknown metric 'com_speed_m_s'"),
+        (WORLDS + "metrics: [path_rms_m]\n", "unknown metric 'path_rms_m'"),
+        (WORLDS + "periods: 5\n", "periods: nothing runs where plants is []"),
+        (WORLDS + "trajectories: true\n", "trajectories: there are none where plants is []"),
+        (WORLDS.replace("greedy, ", "gready, "), "gready"),
+        (WORLDS + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n", "is of plants"),
+    ],
+)  # fmt: skip
+def test_what_a_plan_does_not_have_is_said(text, says, tmp_path):
+    with pytest.raises(InputFileError) as caught:
+        load_sweep(write(tmp_path, text))
+    assert says in str(caught.value)
