@@ -140,7 +140,7 @@ def _try(frontier, node, move, moves, target, around, guide, cell, sector, weigh
     if owner >= 0 and frontier.nodes[owner, 3] <= cost + _BETTER:
         return
     left, right, lasting = wider(left, right, lasting, moves.changes[frontier.links[node, 1], move])
-    if not _free(x, y, heading, move, length, left, right, moves, around):
+    if not move_free(x, y, heading, move, length, left, right, moves, around):
         return
     bound = rest(to_x, to_y, to_heading, target)
     if cost + bound >= best:
@@ -177,7 +177,8 @@ def wider(left, right, lasting, change):  # type: ignore[no-untyped-def]  # noqa
 
 
 @compiled
-def _free(x, y, heading, move, length, left, right, moves, around):  # type: ignore[no-untyped-def]
+def move_free(x, y, heading, move, length, left, right, moves, around):  # type: ignore[no-untyped-def]
+    """Say whether the arc of a move is free with edges wider by `left` and `right`, m."""
     left, right = moves.left[move] + left, moves.right[move] + right
     return not blocked(
         x, y, heading, moves.curvatures[move], length, moves.ahead, moves.behind, left, right,
@@ -219,7 +220,7 @@ def passes(x, y, heading, path, before, left, right, lasting, moves, around):  #
         if length > 0:
             move = moves.turns[1 + int(path[piece])]
             left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
-            if not _free(x, y, heading, move, length, left, right, moves, around):
+            if not move_free(x, y, heading, move, length, left, right, moves, around):
                 return False
             x, y, heading = along(x, y, heading, moves.curvatures[move], length)
             lasting, before = max(0.0, lasting - length), move

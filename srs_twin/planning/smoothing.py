@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from srs_twin.compiled import compiled
-from srs_twin.planning.best_first import Moves, passes
+from srs_twin.planning.best_first import Moves, move_free, passes, wider
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import shortest, word
 from srs_twin.planning.swept import along
@@ -20,11 +20,11 @@ _WORTH = 1e-4
 
 
 def shortened(start: Pose, path: Pieces, moves: Moves, around: Surroundings, radius: float) -> Pieces:
-    """Return a path with the same ends, free (transients aside) and not longer.
+    """Return a path with the same ends, free and not longer.
 
     Args:
         start: where it begins.
-        path: a free path.
+        path: a free path, its curvatures among those of the moves.
         moves: what the snake can do.
         around: the world.
         radius: of Dubins paths, m.
@@ -48,22 +48,49 @@ def _cut(start: Pose, path: Pieces, moves: Moves, around: Surroundings, radius: 
     done: Pieces = []
     k = 0
     while k < len(path):
-        last = _farthest(poses, places, k, moves, around, radius)
-        if last > k:
+        last = len(path)
+        while (last := int(_farthest(poses, places, k, last, moves, around, radius))) > k:
             x, y, heading = map(float, poses[last])
             cut = shortest(Pose(*map(float, poses[k])), x, y, heading, radius)
-            done += zip(cut.curvatures, cut.lengths, strict=True)
+            cuts = list(zip(cut.curvatures, cut.lengths, strict=True))
+            # A change of offset is felt on what follows it, so a cut is judged with the rest of the path.
+            if not moves.changes.any() or _passes(start, [*done, *cuts, *path[last:]], moves, around):
+                done += cuts
+                break
+            last -= 1
         else:
             done.append(path[k])
         k = max(last, k + 1)
     return done
 
 
+def _passes(start: Pose, path: Pieces, moves: Moves, around: Surroundings) -> bool:
+    """Say whether a path is free, transients included."""
+    pieces = [(c, length) for c, length in path if length > 0]
+    which = np.array([int(np.argmin(abs(moves.curvatures - c))) for c, _ in pieces])
+    lengths = np.array([length for _, length in pieces])
+    return bool(_all_free(start.x, start.y, start.heading, which, lengths, moves, around))
+
+
 @compiled
-def _farthest(poses, places, k, moves, around, radius):  # type: ignore[no-untyped-def]
-    """Return the last pose to which a free short cut leads from pose k, or k."""
+def _all_free(x, y, heading, which, lengths, moves, around):  # type: ignore[no-untyped-def]
+    """Say whether arcs laid end to end are free; a piece is all along as wide as it is anywhere."""
+    before, left, right, lasting = len(moves.curvatures), 0.0, 0.0, 0.0
+    for k in range(len(which)):
+        move, length = which[k], lengths[k]
+        left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
+        if not move_free(x, y, heading, move, length, left, right, moves, around):
+            return False
+        x, y, heading = along(x, y, heading, moves.curvatures[move], length)
+        lasting, before = max(0.0, lasting - length), move
+    return True
+
+
+@compiled
+def _farthest(poses, places, k, until, moves, around, radius):  # type: ignore[no-untyped-def]
+    """Return the last pose, `until` at most, to which a free short cut leads from pose k, or k."""
     x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
-    for last in range(len(places) - 1, k, -1):
+    for last in range(until, k, -1):
         path = word(x, y, heading, poses[last, 0], poses[last, 1], poses[last, 2], False, radius)
         if path[3] + path[4] + path[5] < places[last] - places[k] - 1e-9:
             if passes(x, y, heading, path, len(moves.curvatures), 0.0, 0.0, 0.0, moves, around):
