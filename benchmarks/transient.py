@@ -9,11 +9,13 @@ that it is behind a snake which changes its curvature at once, over the change o
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 
 import numpy as np
 from grid import table
 
 from srs_twin.control.base import Controller
+from srs_twin.planning.swept import along
 from srs_twin.rollout import rollout
 from srs_twin.scenario import load_scenario, parse_scenario
 
@@ -43,8 +45,43 @@ class Step(Controller):
         return self._gait.step(state)
 
 
-def measured(name: str, plant: str, before: float, after: float, duration: float) -> list[str]:
-    """Return a row: ℓ and the curvature over time, of one change."""
+@dataclass(frozen=True)
+class Turned:
+    """One run in which the offset changed once, in means over a gait period.
+
+    Attributes:
+        periods: time after the change, in periods, shape (n,).
+        curvature: over one period about each time, 1/m, shape (n,).
+        lag: of the turn, as a length, m.
+        speed: along the path, m/s.
+        com: x and y of the period mean at `com_periods`, m, shape (m, 2).
+        com_periods: shape (m,).
+    """
+
+    periods: np.ndarray
+    curvature: np.ndarray
+    lag: float
+    speed: float
+    com: np.ndarray
+    com_periods: np.ndarray
+
+    def path(self, length: float) -> np.ndarray:
+        """Return the path from the change on, so long (m), in its own frame there, shape (k, 2)."""
+        at, still = (int(np.argmin(abs(self.com_periods - k))) for k in (0.0, -1.0))
+        steps = np.diff(self.com, axis=0)
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+        way -= way[at]
+        # Means at the change hear of it already: the steady arc before is carried on to there. And it is the
+        # direction of the path, not of the body: a snake that turns slides.
+        x, y = self.com[still + 1] - self.com[still - 1]
+        old = self.curvature[(self.periods > -4) & (self.periods < -1)].mean()
+        place = along(*self.com[still], np.arctan2(y, x), old, -way[still])
+        c, s = np.cos(place[2]), np.sin(place[2])
+        return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[way[at:] <= length]
+
+
+def turned(name: str, plant: str, before: float, after: float, duration: float) -> Turned:
+    """Run a scenario whose offset changes at half time."""
     document = copy.deepcopy(dict(load_scenario(name).document)) | {"expect": [], "duration_s": duration}
     document["controller"]["offset"] = before
     document["controller"]["frequency_hz"] = FREQUENCY.get(name, document["controller"]["frequency_hz"])
@@ -60,17 +97,23 @@ def measured(name: str, plant: str, before: float, after: float, duration: float
         return (sums[count:] - sums[:-count]) / count
 
     heading, com, time = mean(run["heading"]), mean(run.com), run.time[count:] - period / 2
-    turned, way = heading[count:] - heading[:-count], np.hypot(*(com[count:] - com[:-count]).T)
-    curvature, middle = turned / way, time[count:] - period / 2
+    turn, way = heading[count:] - heading[:-count], np.hypot(*(com[count:] - com[:-count]).T)
+    curvature, middle = turn / way, time[count:] - period / 2
     first = curvature[(middle > 6 * period) & (middle < at - 2 * period)].mean()
     last = curvature[middle > at + 6 * period].mean()
     speed = float(way.mean() / period)
     early = np.interp(at - 2 * period, time, heading) + first * speed * 2 * period
     late = heading[-1] - last * speed * (time[-1] - at)
-    lag = (early - late) / (last - first)
-    seen = np.interp(at + SHOWN * period, middle, curvature)
-    return [f"{name}, {plant}", f"{before:g} to {after:g}", f"{1e3 * lag:.0f}", f"{lag / speed:.2f}",
-            *(f"{each:.2f}" for each in seen)]  # fmt: skip
+    lag = float((early - late) / (last - first))
+    return Turned((middle - at) / period, curvature, lag, speed, com, (time - at) / period)
+
+
+def measured(name: str, plant: str, before: float, after: float, duration: float) -> list[str]:
+    """Return a row: the lag and the curvature over time, of one change."""
+    run = turned(name, plant, before, after, duration)
+    seen = np.interp(SHOWN, run.periods, run.curvature)
+    return [f"{name}, {plant}", f"{before:g} to {after:g}", f"{1e3 * run.lag:.0f}",
+            f"{run.lag / run.speed:.2f}", *(f"{each:.2f}" for each in seen)]  # fmt: skip
 
 
 def main() -> None:

@@ -86,7 +86,7 @@ class GivenFile(_PlannerFile):
     step_m: float = quantity("Length of each step", "m", 0.001, 100.0)
 
 
-PLANNER_FILES = {
+PLANNER_FILES: dict[str, type[_PlannerFile]] = {
     "best_first": BestFirstFile, "greedy": GreedyFile, "ompl": OmplFile, "given": GivenFile,
 }  # fmt: skip
 """Kind → keys that a planner of this kind has."""

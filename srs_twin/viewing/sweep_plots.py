@@ -298,5 +298,5 @@ def _color(owner: str) -> str:
     return _NO_PLANT_COLOR if owner in (COMPARISON, PLAN) else style_of(owner).color
 
 
-def _dash(owner: str) -> str:
+def _dash(owner: str) -> Literal["-", "--", "-.", ":"]:
     return "-" if owner == PLAN else style_of(owner).dash
