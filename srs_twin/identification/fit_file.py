@@ -29,8 +29,9 @@ Number = Annotated[float, between(-1e12, 1e12)]
 Count = Annotated[int, between(0, 10**9)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Long = Annotated[str, Field(max_length=1000)]
+Averages = Annotated[dict[str, Number], Field(max_length=20)]
 Share = Annotated[float, between(-1.0, 1.0)]
-Method = Literal["pulls", "coasting", "actuator", "static", "locomotion"]
+Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets"]
 
 _DIGITS = 9
 _NUMBERS = ("value", "standard_error", "low", "high")
@@ -45,6 +46,8 @@ class DataEntry(Strict):
     samples: Count = Field(description="How many, 0 to 1e9.")
     from_s: Number | None = Field(None, description="Where the part that was used begins, s (default: all).")
     to_s: Number | None = Field(None, description="Where it ends, s (default: all).")
+    measured: Averages | None = Field(None, description="Averages of it, by name with unit.")
+    predicted: Averages | None = Field(None, description="The same of the plant with what was found.")
 
     def data_set(self) -> DataSet:
         """Return the entry as the fits have it."""
@@ -136,6 +139,7 @@ def fit_file(
     command: str,
     versions: Mapping[str, str],
     data: Sequence[DataSet],
+    averages: Mapping[str, tuple[dict[str, float], dict[str, float]]] | None = None,
 ) -> FitFile:
     """Return what is written of an estimate.
 
@@ -148,11 +152,13 @@ def fit_file(
         command: how it was made, to be typed again.
         versions: package → version.
         data: all data with their roles.
+        averages: name of data → what was measured, and what the plant gives with what was found.
 
     Raises:
         InputError: data that are of both roles.
     """
     keep_apart(data)
+    shown = {each.name: (averages or {}).get(each.name, (None, None)) for each in data}
     rows = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
     matrix = estimate.correlation[np.ix_(rows, rows)]
     return FitFile(
@@ -160,7 +166,7 @@ def fit_file(
         data=[
             DataEntry(
                 name=each.name, sha256=each.sha256, role=each.role, samples=each.samples,
-                from_s=each.start, to_s=each.end,
+                from_s=each.start, to_s=each.end, measured=shown[each.name][0], predicted=shown[each.name][1],
             )
             for each in data
         ],

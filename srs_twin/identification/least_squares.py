@@ -47,6 +47,7 @@ def least_squares(
     *,
     step: float = 1e-4,
     coarse: float | None = None,
+    tolerance: float | None = None,
     starts: int = 1,
     seed: int = 0,
     held: Values | None = None,
@@ -60,6 +61,8 @@ def least_squares(
         unknowns: what is looked for.
         step: of the differences, in z; larger for models that are not smooth.
         coarse: a larger step with which a search that has ended is tried anew, for models with kinks.
+        tolerance: share of the sum of squares, or of z, below which a step ends the search; default what
+            suits the step of the differences.
         starts: how many searches; the first from the unknowns' starts, others from the best of many
             points drawn about it.
         seed: of these draws.
@@ -69,7 +72,7 @@ def least_squares(
     Raises:
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
     """
-    search = _Search(residuals, tuple(unknowns), step, coarse, watch)
+    search = _Search(residuals, tuple(unknowns), step, coarse, tolerance, watch)
     ends = [search.run(start) for start in _starts(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
     return _estimate(search, best, ends, held or {})
@@ -93,9 +96,11 @@ class _Search:
         unknowns: tuple[Unknown, ...],
         step: float,
         coarse: float | None,
+        tolerance: float | None,
         watch: Watch | None,
     ) -> None:
         self.unknowns, self.step, self._coarse, self._residuals = unknowns, step, coarse, residuals
+        self._tolerance = max(1e-12, 1e-3 * step**2) if tolerance is None else tolerance
         self._watch, self._runs, self._least = watch, 0, np.inf
         if not unknowns:
             raise InputError("a fit needs at least one unknown")
@@ -149,10 +154,9 @@ class _Search:
         # Half a second to import: only for who fits.
         from scipy import optimize
 
-        tolerance = max(1e-12, 1e-3 * self.step**2)
         found = optimize.least_squares(
             self.weighted, start, lambda z: self.jacobian(z, step), (self.low, self.high), "trf",
-            ftol=tolerance, xtol=tolerance, gtol=1e-15, max_nfev=100,
+            ftol=self._tolerance, xtol=self._tolerance, gtol=1e-15, max_nfev=100,
         )  # fmt: skip
         return _End(found.x, float(found.cost), found.status > 0)
 

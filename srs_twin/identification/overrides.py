@@ -14,6 +14,7 @@ from srs_twin.spec import RobotSpec
 _PA_PER_KPA = 1e3
 _SPREADS = {
     "gain": "gain_spread", "tau_fill": "tau_spread", "tau_vent": "tau_spread", "bias_rad": "bias_spread_rad",
+    "sensor_bias_rad": "sensor_bias_spread_rad",
 }  # fmt: skip
 
 
@@ -63,8 +64,8 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
     """Return the records of a robot file that a parameter decides, by key."""
     if section == "modules":
         name = re.sub(r"(_plus|_minus)?_\d+$", "", key)
-        values = spec.modules.array("bias" if name == "bias_rad" else name).tolist()
-        return {name: {"value": values, "unit": "rad" if name == "bias_rad" else "1"}}
+        values = spec.modules.array(name.removesuffix("_rad")).tolist()
+        return {name: {"value": values, "unit": "rad" if name.endswith("_rad") else "1"}}
     if section == "mass":
         masses = list(spec.mass.connectors)
         alike = len(set(masses)) == 1

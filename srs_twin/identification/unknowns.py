@@ -3,7 +3,8 @@
 A name is `section.key` of a robot file, with the number of a connector or segment behind it where the file
 has a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``, ``modules.bias_rad_1``. Values are in the
 unit that the key names. ``mass.connectors_kg`` alone is the mean, and scales all masses, the wheels' too.
-``actuator.bend_rad`` is the bend under the robot's nominal supply pressure.
+``actuator.bend_rad`` is the bend under the robot's nominal supply pressure; ``modules.sensor_bias_rad`` is
+one number for the sensors of all modules.
 
 What is searched is not the value but its coordinate z: ln(value), or value/scale where values may be 0 or
 change sign. One unit of z, a factor e or one scale, is a difference that matters.
@@ -218,6 +219,14 @@ def _lightest(spec: RobotSpec) -> float:
     return 2.01 * spec.mass.wheel / WHEEL_SHARE
 
 
+def _mean_sensor_bias(spec: RobotSpec, k: int) -> float:
+    return float(spec.modules.array("sensor_bias").mean())
+
+
+def _put_sensor_bias(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+    return replace(spec, variation=replace(spec.modules, sensor_bias=(value,) * spec.segments))
+
+
 def _put_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     return replace(spec, actuator=replace(spec.actuator, gain=value / spec.supply.nominal))
 
@@ -255,4 +264,5 @@ _FIELDS: dict[str, _Field] = {
     "modules.tau_vent_plus": _module("tau_vent", 0, "1", 0.11, 9.0),
     "modules.tau_vent_minus": _module("tau_vent", 1, "1", 0.11, 9.0),
     "modules.bias_rad": _module("bias", None, "rad", -0.99, 0.99, scale=0.3),
+    "modules.sensor_bias_rad": _Field("rad", -0.99, 0.99, _mean_sensor_bias, _put_sensor_bias, scale=0.3),
 }
