@@ -43,6 +43,11 @@ class LiveSnake:
         held: whether time stands still.
     """
 
+    state: SnakeState
+    command: GaitCommand
+    held: bool
+    _gait: CommandedGait
+
     def __init__(self, spec: RobotSpec) -> None:
         """Lay a robot down, with a gait in the middle of its limits.
 
