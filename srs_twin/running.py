@@ -16,6 +16,7 @@ import numpy as np
 
 from srs_twin import __version__
 from srs_twin.comparison.compare import Comparison, compare
+from srs_twin.comparison.measured import MeasuredDifference
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.documents import dump_yaml
@@ -34,7 +35,11 @@ PLANTS = ("analytical", "twin")
 METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
 REPORT, RECORDING = "report.html", "recording.rrd"
 # metrics.json first: as long as it stands, the folder is complete.
+MEASURED = "measured"
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
+_OF_REPLAYS = (*PRODUCTS, f"{MEASURED}.parquet")
+
+_RECORDED = "recorded"  # `pneumatics.recorded`, which costs a kernel to import
 
 Progress = Callable[[str, float], None]
 Explain = Callable[..., "Attribution"]
@@ -115,14 +120,16 @@ class PreparedRun:
             except DivergedError as error:
                 unexplained.append(error)
         # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
-        with replaced(self.folder, PRODUCTS) as fresh:
+        with replaced(self.folder, _OF_REPLAYS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(self.scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
                 trajectory.to_parquet(fresh / f"{kind}.parquet")
+            if (measured := self.scenario.measured) is not None:
+                measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
                 return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-            measured = self._measure(fresh, trajectories, walls, attribution)
-        return replace(measured, unexplained=tuple(unexplained))
+            result = self._measure(fresh, trajectories, walls, attribution)
+        return replace(result, unexplained=tuple(unexplained))
 
     def _warm_up(self, kind: str) -> None:
         """Let a plant vent for a tick: kernels that are not compiled yet are no part of a run's time."""
@@ -139,6 +146,10 @@ class PreparedRun:
         )  # fmt: skip
         if progress is not None:
             progress(kind, 1.0)
+        if plant.describe().get("pneumatics", {}).get("kind") == _RECORDED:
+            # Nobody knows what air the robot drew.
+            columns = {name: each for name, each in trajectory.columns.items() if name != "air"}
+            return replace(trajectory, columns=columns)
         return trajectory
 
     def _located(self, kind: str, error: DivergedError) -> DivergedError:
@@ -170,18 +181,28 @@ class PreparedRun:
             "comparison": comparison.metrics if comparison else None,
             "events": {k: _notable(t) for k, t in trajectories.items()},
         }
+        differences: dict[str, MeasuredDifference] = {}
+        if scenario.measured is not None:
+            differences = {k: MeasuredDifference.of(scenario.measured, t) for k, t in trajectories.items()}
+            for kind, difference in differences.items():
+                metrics["plants"][kind] |= difference.metrics
+            metrics["plants"][MEASURED] = plant_metrics(scenario.measured)
+            metrics["residuals"] = {k: difference.document() for k, difference in differences.items()}
         if attribution is not None:
             metrics["attribution"] = attribution.document()
         outcomes = tuple(expectation.check(metrics) for expectation in scenario.expect)
         metrics["expectations"] = [asdict(outcome) for outcome in outcomes]
         metrics["versions"] = versions()
+        shown = dict(trajectories)
+        if scenario.measured is not None:
+            shown[MEASURED] = scenario.measured
         write_report(
-            fresh / REPORT, scenario_title=scenario.title, spec=spec, trajectories=trajectories,
-            metrics=metrics, comparison=comparison, attribution=attribution,
+            fresh / REPORT, scenario_title=scenario.title, spec=spec, trajectories=shown,
+            metrics=metrics, comparison=comparison, attribution=attribution, measured=differences,
         )  # fmt: skip
         write_recording(
-            fresh / RECORDING, spec=spec, trajectories=trajectories, comparison=comparison,
-            title=scenario.title, world=scenario.world,
+            fresh / RECORDING, spec=spec, trajectories=shown, comparison=comparison,
+            title=scenario.title, world=scenario.world, measured=differences,
         )  # fmt: skip
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
         return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)

@@ -12,7 +12,7 @@ from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, 
 from srs_twin.comparison.following import FOLLOWING_UNITS
 from srs_twin.comparison.gait_window import GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
-from srs_twin.comparison.metrics import LIST_METRIC_UNITS, METRIC_UNITS, plant_metrics
+from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
 from srs_twin.comparison.reading import READING_UNITS
 from srs_twin.comparison.tracking import TRACKING_UNITS
 from srs_twin.errors import InputError
@@ -205,7 +205,7 @@ def test_gait_metrics_are_null_where_no_gait_can_be_seen(snake):
     found = plant_metrics(snake.trajectory(), wall_s=2.0)
     learning = LEARNING_UNITS.keys() | LEARNING_LIST_UNITS.keys()
     others = TRACKING_UNITS.keys() | READING_UNITS.keys() | FOLLOWING_UNITS.keys()
-    others |= learning | {"final_bend_rad"}
+    others |= MEASURED_UNITS.keys() | learning | {"final_bend_rad"}
     assert {name for name, value in found.items() if value is None} == GAIT_METRICS | others
     assert found["path_length_m"] >= 0
 

@@ -33,6 +33,8 @@ def main(argv: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except Exception as error:  # the outermost edge: what nobody foresaw becomes one line and exit code 4
+        if _interrupted(error):
+            sys.exit(INTERRUPTED)
         show_traceback(error)
         print(_internal(error), file=sys.stderr)
         sys.exit(SrsError.exit_code)
@@ -42,6 +44,13 @@ def show_traceback(error: Exception) -> None:
     """Print an error's traceback to stderr where somebody asked for it."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         traceback.print_exception(error)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Say whether an interrupt is behind an error: modules in C that are just loading make one of it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _internal(error: Exception) -> str:

@@ -17,6 +17,7 @@ from srs_twin.cli import (
     plan,
     play,
     render,
+    replay,
     run,
     schema,
     sweep,
@@ -35,6 +36,7 @@ app = typer.Typer(
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
 app.command("plan")(plan.plan)
+app.command("replay")(replay.replay)
 app.command("sweep")(sweep.sweep)
 app.command("view")(view.view)
 app.command("play")(play.play)

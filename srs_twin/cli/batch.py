@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +16,9 @@ from srs_twin.cli.case import Case, Ended, simulate
 from srs_twin.cli.counting import Counting
 from srs_twin.cli.progress import Progress
 from srs_twin.errors import InputError, SrsError
+
+if TYPE_CHECKING:
+    from srs_twin.scenario import Scenario
 
 EXPECTATION_FAILED = 1
 RUNS = Path("runs")
@@ -79,6 +82,28 @@ def run_all(
     finally:
         if report is not None:
             write_junit(report, cases)
+    if code:
+        raise typer.Exit(code)
+
+
+def run_loaded(scenario: Scenario, folder: Path, *, check: bool, quiet: bool) -> None:
+    """Run one scenario that is loaded already.
+
+    Args:
+        scenario: what to run.
+        folder: for its files.
+        check: let failed expectations decide the exit code.
+        quiet: print errors only.
+
+    Raises:
+        InputError: a plant, a controller or the folder cannot be had; nothing was simulated.
+        typer.Exit: with the exit code, where it is not 0.
+    """
+    from srs_twin.running import prepare
+
+    case = Case(scenario.name, scenario, folder)
+    prepare(*case.order)
+    code = _run_all([case], simulate, 1, check=check, quiet=quiet)
     if code:
         raise typer.Exit(code)
 

@@ -30,6 +30,10 @@ _PLANT_ROWS = {
     "mechanical_power_w": ("mechanical power", "W"),
     "cost_of_transport": ("cost of transport", "1"),
     "pneumatic_power_w": ("power of the air", "W"),
+    "measured_shape_rms_m": ("shape, from measured", "m"),
+    "measured_path_rms_m": ("path, from measured", "m"),
+    "measured_bend_rms_rad": ("bends, from measured", "rad"),
+    "measured_heading_rms_rad": ("heading, from measured", "rad"),
     "realtime_factor": ("real-time factor", "1"),
 }
 # The same of a run whose bends follow a reference, or of one on a bench.

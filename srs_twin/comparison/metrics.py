@@ -22,6 +22,16 @@ from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
 from srs_twin.comparison.turning import turning_radius
 from srs_twin.trajectory import Trajectory
 
+# Metrics of a plant against what was measured of the robot: plant less measured, as in `compare`.
+MEASURED_UNITS = {
+    "measured_com_speed_rel": "1",
+    "measured_yaw_rate_abs": "rad/s",
+    "measured_shape_rms_m": "m",
+    "measured_path_rms_m": "m",
+    "measured_bend_rms_rad": "rad",
+    "measured_heading_rms_rad": "rad",
+}
+
 # Metrics of a plant that are one number each: what an expectation can name.
 METRIC_UNITS = {
     "com_speed_m_s": "m/s",
@@ -38,6 +48,7 @@ METRIC_UNITS = {
     **LEARNING_UNITS,
     **READING_UNITS,
     **FOLLOWING_UNITS,
+    **MEASURED_UNITS,
     "wall_s": "s",
     "realtime_factor": "1",
 }
@@ -91,6 +102,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     `learning.learning_metrics`; they are None without. A run on a bench without a reference has
     ``final_bend_rad``, the first segment's bend at its end. A run with a sensor that is not ideal has
     `reading.reading_metrics`; one that followed a plan `following.following_metrics`.
+    What is said against a measured robot (`measured_…`) is None here; see `measured.MeasuredDifference`.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
@@ -119,6 +131,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **(learning_metrics(trajectory) if is_learning(trajectory) else dict.fromkeys(_LEARNING)),
         **reading_metrics(trajectory),
         **following_metrics(trajectory),
+        **dict.fromkeys(MEASURED_UNITS),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
         "valve_switches": trajectory.metadata.get("valve_switches"),

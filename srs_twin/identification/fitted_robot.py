@@ -11,9 +11,9 @@ from srs_twin.documents import Document, dump_yaml
 from srs_twin.errors import InputError
 from srs_twin.files import atomic_write
 from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.identification.overrides import robot_override
+from srs_twin.identification.overrides import fitted, robot_override
 from srs_twin.robot_file import RobotFile
-from srs_twin.robots import resolve_robot
+from srs_twin.robots import load_robot_file, resolve_robot
 
 
 def overrides_of(
@@ -34,9 +34,11 @@ def overrides_of(
     if not loaded:
         raise InputError("fits are wanted; none was given")
     block: dict[str, Any] = {}
+    spec = load_robot_file(loaded[0].robot).spec()
     for path, fit in zip(fits, loaded, strict=True):
         _same_robot(str(path), fit, base or loaded[0].robot)
-        block = _merged(block, robot_override(fit, weak=weak))
+        block = _merged(block, robot_override(fit, weak=weak, over=spec))
+        spec = fitted(fit, spec, weak=weak)
     return block
 
 

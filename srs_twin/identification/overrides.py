@@ -18,7 +18,7 @@ _SPREADS = {
 }  # fmt: skip
 
 
-def robot_override(fit: FitFile, *, weak: bool = True) -> dict[str, Any]:
+def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None) -> dict[str, Any]:
     """Return the block that gives a scenario's robot what a fit found: base, and records by section.
 
     What is not identifiable stays as the base has it.
@@ -26,19 +26,19 @@ def robot_override(fit: FitFile, *, weak: bool = True) -> dict[str, Any]:
     Args:
         fit: what was found; its robot becomes the base.
         weak: whether what is only weakly identified is taken as well.
+        over: the base with what other fits found, whose lists keep the elements that this one did not look
+            for; None: the base.
 
     Raises:
         InputError: no such base robot, one that draws at random what was fitted, or nothing was found.
     """
     file = load_robot_file(fit.robot)
-    taken = [
-        each for each in fit.parameters if each.verdict == "identified" or (weak and each.value is not None)
-    ]
+    taken = _taken(fit, weak)
     if not taken:
         raise InputError(f"{fit.name}: nothing in it is identified, so there is nothing to change a robot by")
     values = {each.name: each.value for each in taken if each.value is not None}
     held = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
-    spec = with_values(file.spec(), held | values)
+    spec = with_values(file.spec() if over is None else over, held | values)
     block: dict[str, Any] = {"base": fit.robot}
     for each in taken:
         section, key = each.name.split(".", 1)
@@ -58,6 +58,18 @@ def robot_override(fit: FitFile, *, weak: bool = True) -> dict[str, Any]:
                 "on; take that out first"
             )
     return block
+
+
+def fitted(fit: FitFile, over: RobotSpec, *, weak: bool = True) -> RobotSpec:
+    """Return a robot with what a fit found; arguments as in `robot_override`."""
+    return with_values(over, {each.name: each.value for each in _taken(fit, weak) if each.value is not None})
+
+
+def _taken(fit: FitFile, weak: bool) -> list[ParameterEntry]:
+    """Return the parameters that change a robot."""
+    return [
+        each for each in fit.parameters if each.verdict == "identified" or (weak and each.value is not None)
+    ]
 
 
 def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from srs_twin.robot_file import PA_PER_KPA, RobotFile
 from srs_twin.scenario.air_file import PneumaticsFile
@@ -24,7 +24,11 @@ from srs_twin.scenario.settings import (
     SensorSettings,
     TwinSettings,
 )
+from srs_twin.trajectory import Trajectory
 from srs_twin.world import World
+
+if TYPE_CHECKING:
+    from srs_twin.identification.recording import Recording
 
 L_PER_MIN = 60_000.0
 ML = 1e6
@@ -46,9 +50,10 @@ def build(
     layout: str,
     warnings: tuple[str, ...],
     world: World,
+    recording: Recording | None = None,
 ) -> Scenario:
     """Return the scenario of a file that has passed all checks."""
-    start, title, supply_pa = file.start, file.title or name, supply(file, robot)
+    title, supply_pa, pose = file.title or name, supply(file, robot), _start(file, recording)
     pneumatics, pneumatics_document = _pneumatics(file.pneumatics)
     sensor, sensor_document = sensors(file.sensor)
     allow_overpressure = file.allow_overpressure or file.supply.allow_overpressure
@@ -62,6 +67,8 @@ def build(
         "sensor": sensor_document,
         "allow_overpressure": allow_overpressure,
     }
+    if not file.bench:
+        document["start"] = dict(zip(("x_m", "y_m", "heading_rad"), pose, strict=True))
     for kind, plant in document["plants"].items():
         plant["tick_s"] = tick_of(file, kind)
         for key in NOT_ON_A_BENCH[kind] if file.bench else ():
@@ -81,14 +88,33 @@ def build(
         faults=tuple(fault.make() for fault in file.faults),
         bench=file.bench,
         controller=controller,
-        pose=(start.x_m, start.y_m, start.heading_rad),
+        pose=pose,
         world=world,
         plants=_plants(file),
+        measured=None if recording is None else _measured(recording.trajectory, file.duration_s),
         gap_factor=file.comparison.gap_factor,
         expect=tuple(_expectation(each) for each in file.expect),
         document=document,
         warnings=warnings,
     )
+
+
+def _start(file: ScenarioFile, recording: Recording | None) -> tuple[float, float, float]:
+    """Return where the snake lies at first: as the file says, or as it was measured."""
+    if recording is None or "start" in file.model_fields_set:
+        return file.start.x_m, file.start.y_m, file.start.heading_rad
+    from srs_twin.identification.takes import start_pose
+
+    x, y, heading = start_pose(recording)
+    return x, y, math.remainder(heading, 2 * math.pi)
+
+
+def _measured(trajectory: Trajectory, duration: float) -> Trajectory:
+    """Return a recorded motion on the clock of the run, as long as the run."""
+    time = trajectory.time - trajectory.time[0]
+    kept = time <= duration + 1e-9
+    columns = {name: column[kept] for name, column in trajectory.columns.items()} | {"time": time[kept]}
+    return replace(trajectory, columns=columns)
 
 
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
+from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.steady import HoldValves
 from srs_twin.documents import Document
 from srs_twin.errors import InputError, TimeStepError, whole_steps
 from srs_twin.pneumatics.bending import largest_bend
 from srs_twin.robot_file import RobotFile
 from srs_twin.scenario.control import ControllerSettings, LearningSettings, controller_settings
-from srs_twin.scenario.control_file import FollowFile, LearningFile
+from srs_twin.scenario.control_file import FollowFile, LearningFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
 from srs_twin.scenario.settings import SensorSettings, default_tick
 
+if TYPE_CHECKING:
+    from srs_twin.identification.recording import Recording
+
+_LONGER = 1e-6  # s: rounding
 _ROUNDED = 1.001
 """A pressure stated with three digits may be that much above the limit that it means: 48.3 kPa, 7 psi."""
 
@@ -26,6 +32,7 @@ def check(document: Document, file: ScenarioFile) -> None:
     _check_expectations(document, file)
     _check_gap_factor(document, file)
     _check_following(document, file)
+    _check_replay(document, file)
 
 
 def overpressure(document: Document, robot: RobotFile) -> list[str]:
@@ -125,14 +132,18 @@ def check_sensor(document: Document, settings: SensorSettings, robot: RobotFile)
 
 
 def checked_controller(
-    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float
+    document: Document,
+    file: ScenarioFile,
+    robot: RobotFile,
+    supply_pa: float,
+    recording: Recording | None = None,
 ) -> tuple[ControllerSettings, str, list[str]]:
     """Return the controller, the layout of its valves and warnings; report why it cannot be had."""
     spec = robot.spec()
     limit = largest_bend(spec, supply_pa)
     given = file.controller.gait if isinstance(file.controller, FollowFile) else file.controller
     try:
-        settings = controller_settings(given, limit)
+        settings = controller_settings(given, limit, recording)
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
         # What else is wrong is said as well.
@@ -197,6 +208,38 @@ def _check_following(document: Document, file: ScenarioFile) -> None:
         document.report(("planner",), "nothing goes anywhere on a bench; take one out", at_key=True)
     if planner.kind != "given" and world.goal is None:
         document.report(("planner",), f"kind: {planner.kind} needs world.goal", at_key=True)
+
+
+def _check_replay(document: Document, file: ScenarioFile) -> None:
+    """A recording is what a replay replays, on the floor."""
+    replays = isinstance(file.controller, ReplayFile)
+    if replays and file.recording is None:
+        document.report(("controller",), "kind: replay has nothing to replay; give recording as well")
+    if file.recording is not None and not replays:
+        document.report(("recording",), "nobody replays it; set controller.kind: replay", at_key=True)
+    if file.recording is not None and file.bench:
+        document.report(("recording",), "is of a robot on the floor; take out bench", at_key=True)
+    for i, each in enumerate(file.expect):
+        if each.metric in MEASURED_UNITS and file.recording is None:
+            document.report(("expect", i, "metric"), f"{each.metric} needs recording")
+
+
+def check_recording(document: Document, file: ScenarioFile, recording: Recording) -> list[str]:
+    """Report what of a scenario the recording does not allow; return warnings."""
+    from srs_twin.identification.takes import starts_at_rest
+
+    time, log = recording.trajectory.time, recording.valves
+    span = float(time[-1] - time[0])
+    if file.duration_s > span + _LONGER:
+        document.report(("duration_s",), f"{file.duration_s:g} s is longer than the recording's {span:.4g} s")
+    if log is not None and log.kind == "pressure" and "pneumatics" in file.model_fields_set:
+        document.report(
+            ("pneumatics",), "the recording holds pressures, which chambers then have; take it out",
+            at_key=True,
+        )  # fmt: skip
+    if starts_at_rest(recording):
+        return []
+    return ["recording: it begins while chambers hold air; the plants begin straight and at rest"]
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.scenario.control_file import (
@@ -15,6 +17,7 @@ from srs_twin.scenario.control_file import (
     HoldFile,
     LearningFile,
     ReferenceFile,
+    ReplayFile,
     SineFile,
     SquareFile,
     StaircaseFile,
@@ -23,6 +26,9 @@ from srs_twin.scenario.control_file import (
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
+    from srs_twin.identification.recording import Recording
+    from srs_twin.pneumatics import Pneumatics, Schedule
+    from srs_twin.spec import RobotSpec
 
 
 @dataclass(frozen=True)
@@ -154,15 +160,71 @@ class LearningSettings:
         )  # fmt: skip
 
 
-ControllerSettings = GaitSettings | LearningSettings | DirectSettings | IterativeSettings | HoldSettings
+@dataclass(frozen=True)
+class ReplaySettings:
+    """Recorded valves, or recorded pressures.
+
+    Attributes:
+        kind: "valve" or "pressure".
+        frequency: of the gait that was recorded, Hz.
+        sha256: of the log.
+        schedule: of the valves from the start of the run on; all venting where pressures were recorded.
+        time: of the pressures, s from the start of the run, shape (rows,); empty for valves.
+        pressure: gauge, shape (rows, segments, 2), Pa.
+    """
+
+    kind: str
+    frequency: float | None
+    sha256: str
+    schedule: Schedule = field(compare=False, repr=False)
+    time: np.ndarray = field(compare=False, repr=False)
+    pressure: np.ndarray = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, recording: Recording) -> ReplaySettings:
+        """Return what a recording that was joined with its log commanded."""
+        from srs_twin.identification.takes import commands
+        from srs_twin.pneumatics import Schedule
+
+        log, trajectory = recording.valves, recording.trajectory
+        assert log is not None, "it was joined with its log"
+        about = log.kind, trajectory.metadata.get("gait_frequency_hz"), log.sha256
+        if log.kind == "valve":
+            schedule = commands(recording, log.source)
+            return cls(*about, schedule, np.zeros(0), np.zeros((0, *log.values.shape[1:])))
+        vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)
+        span = float(trajectory.time[-1] - trajectory.time[0])
+        return cls(*about, Schedule(span, np.zeros(1), vented), log.time - trajectory.time[0], log.values)
+
+    def make(self) -> Controller:
+        """Return a fresh controller."""
+        from srs_twin.control.replay import Replay
+
+        return Replay(self.schedule, self.frequency)
+
+    def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics | None:
+        """Return chambers that hold the recorded pressures; None where valves were recorded."""
+        if self.kind == "valve":
+            return None
+        from srs_twin.pneumatics.recorded import RecordedPressures
+
+        return RecordedPressures(robot, self.time, self.pressure, supply_pa=supply_pa, layout=layout)
 
 
-def controller_settings(given: DrivingFile, limit: float) -> ControllerSettings:
+ControllerSettings = (
+    GaitSettings | LearningSettings | DirectSettings | IterativeSettings | HoldSettings | ReplaySettings
+)
+
+
+def controller_settings(
+    given: DrivingFile, limit: float, recording: Recording | None = None
+) -> ControllerSettings:
     """Return what a file says of its controller.
 
     Args:
         given: the file's section.
         limit: the largest bend of the segments, rad.
+        recording: what is replayed.
 
     Raises:
         InputError: a reference beyond the limit that is to be refused.
@@ -174,6 +236,9 @@ def controller_settings(given: DrivingFile, limit: float) -> ControllerSettings:
             given.frequency_hz, given.offset, given.target_rad, given.k_per_rad, given.free_periods,
             given.carrier_hz, given.on_fault, given.phase_rad, given.phase_step_rad,
         )  # fmt: skip
+    if isinstance(given, ReplayFile):
+        assert recording is not None, "a replay without a recording was reported"
+        return ReplaySettings.of(recording)
     if isinstance(given, HoldFile):
         return HoldSettings(given.plus, given.minus)
     reference = _reference(given.reference).within(limit, given.beyond_range)

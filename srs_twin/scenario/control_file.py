@@ -116,6 +116,12 @@ class HoldFile(Strict):
     minus: Literal["fill", "hold", "vent"] = section("Valves of the - chambers.", "vent")
 
 
+class ReplayFile(Strict):
+    """Valves that were recorded, or chambers that hold recorded pressures; the scenario needs a recording."""
+
+    kind: Literal["replay"] = section(_KIND)
+
+
 class LearningFile(Strict):
     """Iterative learning control of a gait: the duty of each chamber, learnt once a period (Eq. 32)."""
 
@@ -211,5 +217,5 @@ FOLLOWERS = {"bearing": ("gain_per_rad", "node_m", "near_m"), "path": ("lookahea
 """Keys that belong to one follower only."""
 
 
-DrivingFile = GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile
+DrivingFile = GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile | ReplayFile
 ControllerFile = Annotated[DrivingFile | FollowFile, Field(discriminator="kind")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -57,3 +57,11 @@ class ExpectationFile(Strict):
         if self.near == 0 and self.rel is not None:
             raise ValueError("a relative tolerance of 0 allows nothing else; use abs")
         return self
+
+
+class ExpectationsFile(Strict):
+    """Expectations alone, for `srs-twin replay --expect`."""
+
+    expect: Annotated[list[ExpectationFile], Field(min_length=1, max_length=200)] = section(
+        "What must come out."
+    )

@@ -13,6 +13,7 @@ from srs_twin.scenario.faults_file import FaultFile
 from srs_twin.scenario.fields import quantity, section
 from srs_twin.scenario.planner_file import PlannerFile
 from srs_twin.scenario.plants_file import AnalyticalFile, PlantsFile, TwinFile
+from srs_twin.scenario.recording_file import RecordingFile
 from srs_twin.scenario.sensor_file import SensorFile
 from srs_twin.scenario.world_file import StartFile, WorldFile
 from srs_twin.validation import Strict
@@ -68,6 +69,10 @@ class ScenarioFile(Strict):
     )
     controller: ControllerFile = section("What commands the valves.")
     start: StartFile = section("Where the snake lies at first.", StartFile())
+    recording: RecordingFile | None = section(
+        "What was measured of the robot, to replay and to hold the plants against (controller.kind: replay).",
+        None,
+    )
     planner: PlannerFile | None = section("How the way to the goal is found (controller.kind: follow).", None)
     world: WorldFile = section("Obstacles, bounds and goal.", WorldFile())
     plants: PlantsFile = section(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import Document, load_yaml
 from srs_twin.errors import InputError, InputFileError
@@ -17,12 +17,13 @@ from srs_twin.scenario.checks import (
     check,
     check_damping,
     check_faults,
+    check_recording,
     check_sensor,
     checked_controller,
     overpressure,
 )
 from srs_twin.scenario.control import ControllerSettings, GaitSettings, LearningSettings
-from srs_twin.scenario.control_file import FollowFile
+from srs_twin.scenario.control_file import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.following import FollowSettings, follow_settings
 from srs_twin.scenario.route_finding import planner_settings
@@ -30,6 +31,9 @@ from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.surroundings import start_of, world_of
 from srs_twin.validation import validate
 from srs_twin.world import World
+
+if TYPE_CHECKING:
+    from srs_twin.identification.recording import Recording
 
 
 def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
@@ -57,7 +61,7 @@ def _scenario(document: Document, name: str) -> Scenario:
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
     controller: ControllerSettings | FollowSettings | None = None
-    layout, world = "", World()
+    layout, world, recording = "", World(), None
     if file:
         world = _world(document, file)
         check(document, file)
@@ -65,16 +69,40 @@ def _scenario(document: Document, name: str) -> Scenario:
             check_damping(document, file, robot)
             check_faults(document, file, robot)
             check_sensor(document, sensors(file.sensor)[0], robot)
-            driving, layout, said = checked_controller(document, file, robot, supply(file, robot))
-            warnings += said
-            controller = _followed(document, file, driving, world)
+            recording = _recording(document, file, robot)
+            if recording is not None:
+                warnings += check_recording(document, file, recording)
+            if recording is not None or not isinstance(file.controller, ReplayFile):
+                driving, layout, said = checked_controller(
+                    document, file, robot, supply(file, robot), recording
+                )
+                warnings += said
+                controller = _followed(document, file, driving, world)
     document.finish(foreign)
     assert file is not None and robot is not None and controller is not None, "no problem was reported"
     if file.planner is None and (world.goal or world.bounds):
         warnings.append(
             "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
         )
-    return build(file, robot, file.name or name, controller, layout, tuple(warnings), world)
+    return build(file, robot, file.name or name, controller, layout, tuple(warnings), world, recording)
+
+
+def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Recording | None:
+    """Return what is replayed; report why it cannot be read."""
+    given = file.recording
+    if given is None or file.bench:
+        return None
+    from srs_twin.identification.takes import Reading, logs_of
+
+    reading = Reading(
+        given.up, given.layout, given.head, given.longest_gap_s, given.offset_s, given.gait_frequency_hz
+    )
+    (log,) = logs_of([given.motion], [given.valves] if given.valves else [])
+    try:
+        return reading.take(given.motion, log, robot.spec(file.seed))
+    except InputError as error:
+        document.report(("recording",), str(error))
+        return None
 
 
 def _world(document: Document, file: ScenarioFile) -> World:

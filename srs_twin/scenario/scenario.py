@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics.faults import StuckValve
-from srs_twin.scenario.control import ControllerSettings, LearningSettings
+from srs_twin.scenario.control import ControllerSettings, LearningSettings, ReplaySettings
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.following import FollowSettings
 from srs_twin.scenario.settings import (
@@ -21,6 +21,7 @@ from srs_twin.scenario.settings import (
 )
 from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
 from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
 from srs_twin.world import World
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ class Scenario:
         expect: what must come out.
         document: plain data of a file that loads as an equal scenario, defaults and robot written out.
         warnings: what a person should know before believing the results.
+        measured: what was recorded of the robot, on the clock of the run; None where nothing is replayed.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Scenario:
     expect: tuple[Expectation, ...]
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
+    measured: Trajectory | None = field(default=None, compare=False, repr=False)
 
     def build_plant(self, kind: str, *, robot: RobotSpec | None = None, **changes: Any) -> Plant:
         """Return a plant, fresh and at rest; one that the file does not name gets its defaults.
@@ -114,7 +117,11 @@ class Scenario:
         return TwinSnake(robot, supply_pa=self.supply_pa, **arguments)
 
     def _chambers(self, robot: RobotSpec) -> Pneumatics:
-        chambers = self.pneumatics.make(robot, self.supply_pa, self.layout)
+        chambers = None
+        if isinstance(self.controller, ReplaySettings):
+            chambers = self.controller.chambers(robot, self.supply_pa, self.layout)
+        if chambers is None:
+            chambers = self.pneumatics.make(robot, self.supply_pa, self.layout)
         chambers.stuck = tuple(fault for fault in self.faults if isinstance(fault, StuckValve))
         return chambers
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.following import plan_metrics
+from srs_twin.comparison.measured import MeasuredDifference
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError, SrsError
 from srs_twin.rollout import rollout
@@ -65,7 +66,10 @@ def run_point(experiment: Experiment, point: Point) -> Row:
             values |= _flat(PLAN, _planned(scenario))
         for plant in experiment.plants:
             trajectories[plant] = _run(scenario, plant)
-            values |= _flat(plant, plant_metrics(trajectories[plant]))
+            metrics = plant_metrics(trajectories[plant])
+            if scenario.measured is not None:
+                metrics |= MeasuredDifference.of(scenario.measured, trajectories[plant]).metrics
+            values |= _flat(plant, metrics)
         if len(trajectories) == 2:
             analytical, twin = (trajectories[plant] for plant in PLANTS)
             values |= _flat("comparison", compare(analytical, twin, gap_factor=scenario.gap_factor).metrics)

@@ -26,6 +26,7 @@ class Layout:
         period: of the gait, s; plots show a few of them around the cursor. None: they show the whole run.
         compared: whether there are differences of the plants to plot.
         root: entity above all of them, where several runs are in one recording.
+        measured: whether there are differences from a measured robot.
     """
 
     plants: Sequence[str]
@@ -36,6 +37,7 @@ class Layout:
     period: float | None
     compared: bool
     root: str = ""
+    measured: bool = False
 
     @property
     def world(self) -> str:
@@ -56,6 +58,8 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
     body = [plot("body/speed", "CoM speed, forward (m/s)"), plot("body/heading", "Heading (rad)")]
     if layout.compared:
         body.append(plot("comparison", "Difference of the plants (mm)"))
+    if layout.measured:
+        body.append(plot("measured", "Distance from the measured robot (mm)"))
     return rrb.Blueprint(
         rrb.Horizontal(
             scene_view(layout),

@@ -18,6 +18,7 @@ from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.following_plot import following_plot
 from srs_twin.viewing.html import Markup, element, folded, page, picture, table
 from srs_twin.viewing.learning_plot import learning_plot
+from srs_twin.viewing.measured_plot import measured_plot
 from srs_twin.viewing.plan_view import plan_view
 from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
 from srs_twin.viewing.reading_plot import reading_plot
@@ -26,6 +27,7 @@ from srs_twin.viewing.why import why_section
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison
+    from srs_twin.comparison.measured import MeasuredDifference
     from srs_twin.comparison.shares import Attribution
 
 # How the names of metrics end, longest first, and what is said instead.
@@ -92,6 +94,7 @@ def write_report(
     metrics: Mapping[str, Any],
     comparison: Comparison | None = None,
     attribution: Attribution | None = None,
+    measured: Mapping[str, MeasuredDifference] | None = None,
 ) -> None:
     """Write the report of one run; it needs nothing from outside itself.
 
@@ -103,6 +106,7 @@ def write_report(
         metrics: what stands in metrics.json.
         comparison: adds the plot of differences over time.
         attribution: adds why the plants differ.
+        measured: plant → how far it is from the measured robot; adds the plot of it.
 
     Raises:
         InputError: there is no trajectory, or one of them is empty.
@@ -118,6 +122,7 @@ def write_report(
         *_expectations(metrics.get("expectations") or ()),
         *(why_section(attribution) if attribution is not None else []),
         element("h2", "Plots"),
+        *_measured(measured),
         *_pictures(trajectories, spec, comparison),
         element("h2", "How to read this"),
         *(element("p", sentence) for sentence in _reading(trajectories)),
@@ -209,6 +214,13 @@ def _pictures(
     if comparison is not None and len(comparison.time):
         made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
     return made
+
+
+def _measured(differences: Mapping[str, MeasuredDifference] | None) -> list[Markup]:
+    """Return the plot of how far the plants are from the measured robot, where one was."""
+    if not differences:
+        return []
+    return [picture(measured_plot(differences), "How far each plant is from what was measured, over time.")]
 
 
 def _settings(

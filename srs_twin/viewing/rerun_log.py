@@ -2,7 +2,8 @@
 
 Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
 `world/<plant>/{body/segment_j, connectors, wheels, trail, com, contact}`,
-`module/<j>/{bend, pressure}/<plant>`, `body/{speed, heading}/<plant>`, `comparison/{shape, path}`.
+`module/<j>/{bend, pressure}/<plant>`, `body/{speed, heading}/<plant>`, `comparison/{shape, path}`,
+`measured/{shape, path}/<plant>`.
 The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
 as the views' names say.
 """
@@ -30,6 +31,7 @@ from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison
+    from srs_twin.comparison.measured import MeasuredDifference
 
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
@@ -44,6 +46,7 @@ def write_recording(
     comparison: Comparison | None = None,
     title: str = "",
     world: World | None = None,
+    measured: Mapping[str, MeasuredDifference] | None = None,
 ) -> None:
     """Write `recording.rrd`: both snakes on the floor, and their signals side by side in plots.
 
@@ -54,23 +57,29 @@ def write_recording(
         comparison: gives the plots of shape and path difference.
         title: the recording's name in the viewer.
         world: whose obstacles stand on the floor; None: there are none.
+        measured: plant → how far it is from the measured robot; gives plots of it.
 
     Raises:
         InputError: there is no trajectory, or one of them is empty.
     """
     check_drawable(trajectories)
-    Path(path).write_bytes(_recorded(spec, trajectories, comparison, title, world or World()))
+    recorded = _recorded(spec, trajectories, comparison, title, world or World(), measured or {})
+    Path(path).write_bytes(recorded)
     # A stream that nobody refers to any more keeps its threads and what went through it until it is told.
     rr.bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def _recorded(
-    spec: RobotSpec, trajectories: Mapping[str, Trajectory], comparison: Comparison | None, title: str,
+    spec: RobotSpec,
+    trajectories: Mapping[str, Trajectory],
+    comparison: Comparison | None,
+    title: str,
     world: World,
-) -> bytes:  # fmt: skip
+    measured: Mapping[str, MeasuredDifference],
+) -> bytes:
     log = rr.RecordingStream(APPLICATION)
     low, high = _extent(trajectories, spec)
-    layout = _layout(trajectories, spec, comparison is not None)
+    layout = _layout(trajectories, spec, comparison is not None, bool(measured))
     # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
     recording = log.memory_recording()
     send_blueprint(log, run_blueprint(layout))
@@ -93,6 +102,12 @@ def _recorded(
             (("shape", comparison.shape_error), ("path", comparison.path_error))
         ):
             _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
+    for index, (plant, difference) in enumerate(measured.items()):
+        for name, error in (
+            ("shape", difference.comparison.shape_error), ("path", difference.comparison.path_error),
+        ):  # fmt: skip
+            path, style = f"measured/{name}/{plant}", style_of(plant, index)
+            _send_series(log, path, difference.comparison.time, 1e3 * error, style)
     content: bytes = recording.drain_as_bytes()
     log.disconnect()
     return content
@@ -124,7 +139,9 @@ def thinned(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
 
 
-def _layout(trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool) -> Layout:
+def _layout(
+    trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: bool
+) -> Layout:
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     return Layout(
         plants=list(trajectories),
@@ -134,6 +151,7 @@ def _layout(trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: b
         body_length=spec.geometry.body_length,
         period=gait_period(followed),
         compared=compared,
+        measured=measured,
     )
 
 

@@ -1,0 +1,157 @@
+"""`srs-twin replay`: a recorded run of the robot, with both plants under the same valves beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from srs_twin.cli.batch import RUNS, CheckOption, QuietOption, run_loaded
+from srs_twin.cli.fitting import (
+    GapOption,
+    HeadOption,
+    LayoutOption,
+    OffsetOption,
+    PressureOption,
+    RobotOption,
+    UpOption,
+    say_read,
+)
+from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.robot_file import RobotFile
+
+_TICK = 0.02  # s
+_LONGEST = 3600.0  # s, of a scenario
+
+
+def replay(
+    motion: Annotated[str, typer.Argument(metavar="MOTION", help="What cameras saw: Motive or plain CSV.")],
+    robot: RobotOption,
+    valves: Annotated[
+        str | None,
+        typer.Option(
+            "--valves", metavar="LOG", help="Valves or pressures. [default: NAME.valves.csv beside it]"
+        ),
+    ] = None,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option("--fit", metavar="FIT", help="What a fit of this robot found; repeatable."),
+    ] = None,
+    expect: Annotated[
+        str | None,
+        typer.Option(
+            "--expect", metavar="FILE.yaml", help="Expectations, as a scenario has them: `expect: …`."
+        ),
+    ] = None,
+    check: CheckOption = False,
+    pressure: PressureOption = None,
+    plants: Annotated[
+        str, typer.Option("--plants", metavar="LIST", help="analytical, twin or both.")
+    ] = "analytical,twin",
+    model: Annotated[str, typer.Option("--model", help="Of the analytical plant.")] = "complete",
+    law: Annotated[str, typer.Option("--law", help="Of the analytical plant's floor.")] = "wheel",
+    offset: OffsetOption = None,
+    frequency: Annotated[
+        float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
+    ] = None,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    out: Annotated[
+        str | None, typer.Option("--out", metavar="DIR", help="Folder for the files. [default: runs/MOTION]")
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Drive both plants as the robot was driven, and measure how far each is from it.
+
+    The folder's scenario.resolved.yaml is the same replay as a scenario, for `srs-twin run`.
+    """
+    from srs_twin.files import results_name
+    from srs_twin.scenario import parse_scenario
+
+    snake = _robot(robot, fit or [])
+    recording = _given(
+        motion=motion, valves=valves, offset_s=offset, gait_frequency_hz=frequency, up=up, layout=layout,
+        head=head, longest_gap_s=longest_gap,
+    )  # fmt: skip
+    name = results_name(Path(motion))
+    document = {
+        "name": name,
+        "title": f"{Path(motion).name} replayed, {snake.name}",
+        "robot": snake.model_dump(mode="json", exclude_none=True),
+        "duration_s": _duration(recording, snake, quiet),
+        "controller": {"kind": "replay"},
+        "recording": recording,
+        "plants": _plants(plants, model, law),
+        "expect": [] if expect is None else _expectations(expect),
+    }
+    if pressure is not None:
+        document["supply"] = {"pressure_kpa": pressure}
+    scenario = parse_scenario(document, name="replay")
+    run_loaded(scenario, Path(out) if out else RUNS / name, check=check, quiet=quiet)
+
+
+def _given(**settings: object) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if value is not None}
+
+
+def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
+    """Return a robot with what fits found of it."""
+    from srs_twin.documents import Document
+    from srs_twin.identification.fitted_robot import overrides_of
+    from srs_twin.robots import load_robot_file, resolve_robot
+
+    if not fits:
+        return load_robot_file(robot)
+    document = Document("--fit", overrides_of(fits, base=robot))
+    found = resolve_robot(document, document.data, prefix=())
+    document.finish()
+    assert found is not None, "a robot without a problem was resolved"
+    return found
+
+
+def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float:
+    """Return how many whole ticks the recording lasts, s, and say what was read."""
+    from srs_twin.identification.recording import LONGEST_GAP
+    from srs_twin.identification.takes import Reading, logs_of
+
+    known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
+    motion, valves = recording["motion"], recording.get("valves")
+    (log,) = logs_of([motion], [valves] if valves else [])
+    take = Reading(**{"longest_gap_s": LONGEST_GAP} | known).take(motion, log, robot.spec())
+    say_read(quiet, take.summary.text(), "")
+    time = take.trajectory.time
+    return round(math.floor(min(float(time[-1] - time[0]), _LONGEST) / _TICK + 1e-6) * _TICK, 6)
+
+
+def _plants(names: str, model: str, law: str) -> dict[str, Any]:
+    settings: dict[str, Any] = {"analytical": {"model": model, "friction": law}, "twin": {}}
+    wanted = [each.strip() for each in names.split(",")]
+    for each in wanted:
+        if each not in settings:
+            raise InputError(f"--plants: '{each}' is unknown; allowed: analytical, twin, or analytical,twin")
+    return {name: settings[name] for name in settings if name in wanted}
+
+
+def _expectations(path: str) -> list[Any]:
+    """Return the expectations of a file.
+
+    Raises:
+        InputFileError: everything that is wrong with it.
+    """
+    from srs_twin.documents import load_yaml
+    from srs_twin.files import existing
+    from srs_twin.scenario.expectation_file import ExpectationsFile
+    from srs_twin.validation import validate
+
+    document = load_yaml(existing(Path(path)))
+    file = validate(ExpectationsFile, document, document.data)
+    document.finish()
+    assert file is not None, "expectations without a problem were checked"
+    return [each.model_dump(mode="json", exclude_none=True) for each in file.expect]

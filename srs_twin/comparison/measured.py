@@ -1,0 +1,70 @@
+"""How far a plant is from what was measured of the robot: by signal, over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from srs_twin.comparison.compare import Comparison, compare
+from srs_twin.comparison.metrics import MEASURED_UNITS
+from srs_twin.comparison.sampling import interpolant
+from srs_twin.trajectory import Trajectory
+
+_PREFIX = "measured_"
+_MOST_ROWS = 50
+
+
+@dataclass(frozen=True)
+class MeasuredDifference:
+    """A plant's difference from a measured motion.
+
+    Attributes:
+        comparison: plant less measured, see `compare`.
+        heading_error: rad, shape (T,).
+    """
+
+    comparison: Comparison
+    heading_error: np.ndarray
+
+    @classmethod
+    def of(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
+        """Compare a plant with what was measured, at the times of the latter.
+
+        Raises:
+            InputError: as `compare`.
+        """
+        found = compare(measured, run)
+        seen = np.isin(measured.time, found.time)
+        off = interpolant(run, run["heading"])(found.time) - measured["heading"][seen]
+        return cls(found, off - 2 * np.pi * np.round(off[0] / (2 * np.pi)))
+
+    @property
+    def metrics(self) -> dict[str, float | None]:
+        """Metrics of the plant, by the names in `MEASURED_UNITS`."""
+        return {name: self.comparison.metrics[name.removeprefix(_PREFIX)] for name in MEASURED_UNITS}
+
+    def signals(self) -> dict[str, np.ndarray]:
+        """Return the differences over time: shape and path as distances (m), heading, bends (rad)."""
+        bends = {f"bend_{j}_rad": each for j, each in enumerate(self.comparison.bend_error.T, start=1)}
+        distances = {"shape_m": self.comparison.shape_error, "path_m": self.comparison.path_error}
+        return distances | {"heading_rad": self.heading_error} | bends
+
+    def document(self) -> dict[str, Any]:
+        """Return what metrics.json says: of each signal the RMS as a whole and in equal parts of the time."""
+        time = self.comparison.time
+        edges = np.linspace(0, len(time), min(_MOST_ROWS, len(time)) + 1).round().astype(int)
+        parts = list(zip(edges[:-1], edges[1:], strict=True))
+        signals = self.signals()
+        return {
+            "rms": {name: _rms(values) for name, values in signals.items()},
+            "over_time": {
+                "time_s": [round(float(time[a:b].mean()), 6) for a, b in parts],
+                **{name: [_rms(values[a:b]) for a, b in parts] for name, values in signals.items()},
+            },
+        }
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,254 @@
+"""Replays: recorded valves or pressures drive the plants, which are held against what was measured."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from recorded import SPEC
+from ruamel.yaml import YAML
+
+from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, load_scenario, rollout
+from srs_twin.cli import main
+from srs_twin.comparison.measured import MeasuredDifference
+from srs_twin.control.replay import Replay
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.identification.synthetic import Take, write_motive
+from srs_twin.identification.unknowns import with_values
+from srs_twin.pneumatics import LagPneumatics, Schedule
+from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.scenario import parse_scenario
+
+EXAMPLE = ROOT / "calibration/examples/my_snake"
+SUPPLY = 48e3
+PRESSURES = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
+
+
+def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressures]:
+    """Return the bends that valves give, and chambers with the pressures that they gave every `step` s."""
+    valves = LagPneumatics(spec, supply_pa=SUPPLY)
+    log = np.arange(0.0, schedule.span + step / 2, step)
+    logged = LagPneumatics(spec, supply_pa=SUPPLY).advance(schedule, np.minimum(log, schedule.span))
+    bends = valves.advance(schedule, times).bend
+    return bends, RecordedPressures(spec, log, logged.pressure, supply_pa=SUPPLY)
+
+
+def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
+    """With pressures of their own the lag τ₂ alone is left; the error falls with the sampling."""
+    spec = with_values(
+        SPEC, {"modules.gain_plus_2": 1.2, "modules.bias_rad_3": 0.1, "actuator.tau_mode_s": 0.02}
+    )
+    gait = Gait(2.0, 0.1)
+    gait.reset(spec, 0.02)
+    schedule, times = gait.script(2.0), np.linspace(0.0, 2.0, 401)
+    off = []
+    for step in (0.008, 0.004, 0.002):
+        bends, chambers = recorded_of(spec, schedule, times, step)
+        off.append(np.abs(chambers.advance(schedule, times).bend - bends).max())
+    assert off[-1] < 2e-3 and off[0] > 1.8 * off[1] > 1.8 * 1.8 * off[2] * 0.9
+    # Rates are the derivatives of bends, also across stretches and where bends flatten.
+    spec = with_values(spec, {"actuator.bend_limit_rad": 1.2})
+    _, chambers = recorded_of(spec, schedule, times, 0.002)
+    first = chambers.advance(schedule.part(0.0, 0.9), np.linspace(0.0, 0.9, 9001))
+    second = chambers.advance(schedule.part(0.9, 2.0), np.linspace(0.0, 1.1, 11001))
+    assert first.bend[-1] == pytest.approx(second.bend[0], abs=1e-12)
+    for name, rate in (("bend", "bend_rate"), ("bend_rate", "bend_acceleration")):
+        slope = np.gradient(getattr(second, name), 1e-4, axis=0)[2:-2]
+        assert np.median(np.abs(slope - getattr(second, rate)[2:-2])) < 1e-3 * np.abs(slope).max()
+    assert (first.air == 0).all()
+
+
+def test_recorded_pressures_that_cannot_be():
+    time = np.array([0.0, 1.0])
+    with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
+        RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
+    with pytest.raises(InputError, match="must be finite and their times rise"):
+        RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
+
+
+def test_both_plants_obey_recorded_pressures():
+    """The run that the valves gave comes back from its pressures alone, on either plant."""
+    for plant in (AnalyticalSnake, TwinSnake):
+        truth = rollout(
+            plant(SPEC, supply_pa=SUPPLY), Gait(2.0), 1.0, record_hz=500 if plant is AnalyticalSnake else 1000
+        )
+        pressure = np.stack([truth[name] for name in PRESSURES], axis=1).reshape(-1, 4, 2)
+        chambers = RecordedPressures(SPEC, truth.time, pressure, supply_pa=SUPPLY)
+        vented = Replay(Schedule(1.0, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8)))
+        again = rollout(plant(SPEC, supply_pa=SUPPLY, pneumatics=chambers), vented, 1.0, record_hz=100)
+        last = again.com[-1] - truth.com[-1]
+        assert np.hypot(*last) < 0.01 * np.hypot(*(truth.com[-1] - truth.com[0])), plant.name
+        assert again["pressure_plus_2"][-1] == pytest.approx(truth["pressure_plus_2"][-1])
+
+
+@pytest.fixture(scope="module")
+def perfect(tmp_path_factory):
+    """A folder with a recording without noise of the analytical plant, that lay elsewhere, and its logs."""
+    folder = tmp_path_factory.mktemp("perfect")
+    plant = AnalyticalSnake(SPEC, supply_pa=48.3e3, friction="wheel")
+    rest = Schedule(0.4, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8))
+    gait = Gait(2.0, 0.1)
+    gait.reset(SPEC, 0.02)
+    whole = rest.then(gait.script(2.6))
+    # What pressures do between the samples of a log is a straight line: at 100 Hz that costs 2 % of the way.
+    truth = rollout(plant, Replay(whole), 3.0, pose=(1.0, -2.0, 2.5), record_hz=1000)
+    write_motive(truth, Take(layout="pair", noise=0.0, digits=4, rate_hz=100), folder / "take.csv")
+    head = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
+    log = np.column_stack([whole.starts + 5.0, whole.states.reshape(-1, 8)])
+    log = np.vstack([log, [8.0, *log[-1, 1:]]])
+    (folder / "take.valves.csv").write_text(
+        head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in log)
+    )
+    rows = np.column_stack([truth.time + 5.0, *(truth[name] for name in PRESSURES)])
+    (folder / "pressures.csv").write_text(
+        ",".join(["time", *PRESSURES]) + "\n" + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in rows)
+    )
+    return folder
+
+
+def replayed(folder, **changes):
+    document = {
+        "robot": "gen2", "duration_s": 2.9, "controller": {"kind": "replay"},
+        "recording": {"motion": str(folder / "take.csv"), "offset_s": -5.0},
+        "plants": {"analytical": {"friction": "wheel"}},
+    }  # fmt: skip
+    return parse_scenario(document | changes)
+
+
+@pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
+def test_the_robot_itself_leaves_no_residual(perfect, log):
+    scenario = replayed(
+        perfect,
+        recording={"motion": str(perfect / "take.csv"), "valves": str(perfect / log), "offset_s": -5.0},
+    )
+    assert scenario.pose == pytest.approx((1.0, -2.0, 2.5), abs=1e-3)
+    assert scenario.measured is not None and scenario.measured.time[0] == 0.0
+    run = rollout(
+        scenario.build_plant("analytical"), scenario.build_controller(), 2.9, pose=scenario.pose,
+        record_hz=scenario.record_hz,
+    )  # fmt: skip
+    found = MeasuredDifference.of(scenario.measured, run)
+    # The centre of mass went 0.5 m; sliding friction amplifies what is left of rounding.
+    assert found.metrics["measured_path_rms_m"] < 2e-3
+    assert found.metrics["measured_shape_rms_m"] < 1e-5
+    assert found.metrics["measured_bend_rms_rad"] < 1e-4
+    assert found.metrics["measured_heading_rms_rad"] < 0.02
+    heavier = scenario.build_plant("analytical", robot=with_values(SPEC, {"friction.mu_n": 0.3}))
+    other = rollout(heavier, scenario.build_controller(), 2.9, pose=scenario.pose)
+    worse = MeasuredDifference.of(scenario.measured, other)
+    assert worse.metrics["measured_path_rms_m"] > 5 * found.metrics["measured_path_rms_m"]
+    told = found.document()
+    assert told["rms"]["path_m"] == pytest.approx(found.metrics["measured_path_rms_m"])
+    parts = np.array(told["over_time"]["path_m"])
+    assert np.sqrt((parts**2).mean()) == pytest.approx(told["rms"]["path_m"], rel=0.02)
+    assert len(parts) == len(told["over_time"]["time_s"]) == 50
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"recording": None}, "controller: kind: replay has nothing to replay"),
+        ({"controller": {"kind": "gait", "frequency_hz": 2.0}}, "recording: nobody replays it"),
+        ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
+        ({"recording": {"motion": "none.csv"}}, r"recording: none.valves.csv: no such file"),
+        ({"robot": "gen4_module"}, r"recording: .*gen4_module has 1 segments"),
+        ({"bench": True}, "recording: is of a robot on the floor"),
+        ({"valves": {"layout": "in_out"}}, None),
+    ],
+)
+def test_what_a_replay_needs(perfect, changes, message):
+    changes = {key: value for key, value in changes.items() if value is not None}
+    if message is None:
+        assert replayed(perfect, **changes).layout == "in_out"
+        return
+    if "recording" not in changes and message.startswith("controller"):
+        with pytest.raises(InputFileError, match=message):
+            parse_scenario({"robot": "gen2", "duration_s": 1.0, "controller": {"kind": "replay"}})
+        return
+    with pytest.raises(InputFileError, match=message):
+        replayed(perfect, **changes)
+
+
+def test_chambers_cannot_be_asked_for_where_pressures_are_recorded(perfect):
+    recording = {
+        "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
+    }  # fmt: skip
+    with pytest.raises(InputFileError, match="pneumatics: the recording holds pressures"):
+        replayed(perfect, recording=recording, pneumatics={"leak_per_s": 1.0})
+
+
+def test_a_measured_metric_needs_a_recording():
+    expect = [{"metric": "measured_shape_rms_m", "plant": "twin", "below": 0.01}]
+    with pytest.raises(InputFileError, match=r"expect\[0\].metric: measured_shape_rms_m needs recording"):
+        parse_scenario({
+            "robot": "gen2", "duration_s": 1.0, "controller": {"kind": "gait", "frequency_hz": 2.0},
+            "expect": expect,
+        })  # fmt: skip
+
+
+def test_the_resolved_scenario_is_the_same(perfect):
+    scenario = replayed(perfect)
+    again = parse_scenario(scenario.document, name=scenario.name)
+    assert again == scenario and again.pose == scenario.pose
+    assert (again.measured["bend_1"] == scenario.measured["bend_1"]).all()
+
+
+def test_replay_from_the_command_line(tmp_path, srs_twin):
+    expect = tmp_path / "expect.yaml"
+    text = "expect:\n  - {metric: measured_shape_rms_m, plant: analytical, below: LIMIT}\n"
+    expect.write_text(text.replace("LIMIT", "0.02"))
+    words = [
+        "replay", str(EXAMPLE / "walk_check.csv"), "-r", "gen2", "--plants", "analytical,twin", "--expect",
+        "expect.yaml", "--check", "--longest-gap", "0.3",
+    ]  # fmt: skip
+    done = srs_twin(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "runs/walk_check"
+    metrics = json.loads((run / "metrics.json").read_text("utf-8"))
+    assert list(metrics["plants"]) == ["analytical", "twin", "measured"]
+    assert metrics["plants"]["measured"]["com_speed_m_s"] == pytest.approx(0.166, abs=0.01)
+    assert set(metrics["residuals"]) == {"analytical", "twin"}
+    assert metrics["residuals"]["twin"]["rms"]["shape_m"] == pytest.approx(
+        metrics["plants"]["twin"]["measured_shape_rms_m"]
+    )
+    assert "shape, from measured" in done.stdout and "met    analytical measured_shape_rms_m" in done.stdout
+    report = (run / "report.html").read_text("utf-8")
+    assert "How far each plant is from what was measured" in report
+    assert b"world/measured/connectors" in (run / "recording.rrd").read_bytes()
+    assert "measured.parquet" in {path.name for path in run.iterdir()}
+
+    # The folder's scenario is the same replay; a limit that is missed decides the exit code.
+    resolved = run / "scenario.resolved.yaml"
+    document = YAML(typ="safe").load(resolved)
+    assert document["controller"] == {"kind": "replay"} and document["recording"]["longest_gap_s"] == 0.3
+    again = load_scenario(resolved)
+    assert again.name == "walk_check" and again.robot == load_robot("gen2")
+    resolved.write_text(resolved.read_text().replace("below: 0.02", "below: 0.0001"))
+    missed = srs_twin("run", str(resolved), "--check", "--out", "x", "-q", cwd=tmp_path)
+    assert missed.returncode == 1 and "MISSED analytical measured_shape_rms_m" in missed.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["none.csv"], "none.valves.csv: no such file"),
+        (["w.csv", "--valves", "none.csv"], "none.csv: no such file"),
+        (["w.csv", "--plants", "twn"], "--plants: 'twn' is unknown; allowed: analytical, twin"),
+        (["w.csv", "--expect", "e.yaml"], "e.yaml:1:19: expect[0].metric"),
+        (["w.csv", "--fit", "none.yaml"], "none.yaml: no such file"),
+        (["w.csv", "--offset", "1e6"], "frames in common"),
+        (["w.csv", "--pressure", "-3"], "supply.pressure_kpa"),
+        (["w.csv", "--up", "w"], "up 'w' is unknown"),
+    ],
+)
+def test_replays_that_cannot_be(tmp_path, monkeypatch, capsys, words, message):
+    for name in ("walk_check.csv", "walk_check.valves.csv"):
+        (tmp_path / name.replace("walk_check", "w")).write_bytes((EXAMPLE / name).read_bytes())
+    (tmp_path / "e.yaml").write_text("expect: [{metric: speed, plant: twin, below: 1}]\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["replay", *words, "-r", "gen2"])
+    assert end.value.code == 2 and message in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()

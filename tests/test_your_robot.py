@@ -1,0 +1,95 @@
+"""docs/your-robot.md works as printed, and finds the numbers that its recordings were made with."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+import shutil
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from srs_twin import load_robot
+from srs_twin.cli import main
+from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.unknowns import unknowns
+
+PAGE = (ROOT / "docs/your-robot.md").read_text("utf-8")
+COMMANDS = [
+    line
+    for text in re.findall(r"^```sh runnable\n(.*?)^```$", PAGE, re.M | re.S)
+    for line in text.splitlines()
+]
+RECORDINGS = "calibration/examples/my_snake"
+MADE = runpy.run_path(str(ROOT / "docs/your_robot.py"))
+HIDDEN = MADE["HIDDEN"]
+
+
+@pytest.fixture(scope="module")
+def walked_through(tmp_path_factory):
+    """A folder in which all commands of the page were run, in their order."""
+    folder = tmp_path_factory.mktemp("user")
+    shutil.copytree(ROOT / RECORDINGS, folder / RECORDINGS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command in COMMANDS:
+            words = shlex.split(command)
+            assert words[0] == "srs-twin"
+            with pytest.raises(SystemExit) as end:
+                main(words[1:])
+            assert end.value.code == 0, command
+    return folder
+
+
+def test_what_was_hidden_lies_in_the_intervals(walked_through):
+    seen = set()
+    for name in ("my_friction", "my_gains", "my_lags", "my_body"):
+        fit = load_fit(walked_through / f"calibration/fits/{name}.yaml")
+        for each in fit.parameters:
+            if each.value is not None:
+                assert each.low <= HIDDEN[each.name] <= each.high, (name, each)
+                seen.add(each.name)
+            else:
+                assert each.name not in HIDDEN, each
+        assert {each.role for each in fit.data} == {"fit", "validation"}
+        assert fit.quality.validation_rms is not None
+    # The stiffness needs the twin, which takes minutes.
+    assert set(HIDDEN) - seen == {"bending.stiffness_nm_per_rad"}
+
+
+def test_the_robot_of_the_page_is_the_hidden_one(walked_through):
+    robot = load_robot(walked_through / "calibration/robots/my_snake.yaml")
+    found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
+    for unknown in unknowns(robot, found):
+        near = {"friction": 0.02, "modules": 0.01, "actuator": 0.05}[unknown.name.partition(".")[0]]
+        assert unknown.start == pytest.approx(HIDDEN[unknown.name], rel=near, abs=0.005), unknown.name
+
+
+def test_the_replay_is_nearer_to_the_robot_than_the_one_it_began_with(walked_through, monkeypatch):
+    monkeypatch.chdir(walked_through)
+    with pytest.raises(SystemExit):
+        main(["replay", f"{RECORDINGS}/walk_check.csv", "-r", "gen2", "--plants", "analytical", "-q",
+              "--out", "before"])  # fmt: skip
+    after, before = (
+        json.loads((walked_through / run / "metrics.json").read_text("utf-8"))["plants"]["analytical"]
+        for run in ("runs/walk_check", "before")
+    )
+    for metric in ("measured_shape_rms_m", "measured_bend_rms_rad"):
+        assert after[metric] < 0.8 * before[metric], metric
+
+
+def test_the_script_makes_these_recordings():
+    folder = ROOT / RECORDINGS
+    assert MADE["pulls"](1) == (folder / "pulls.csv").read_text("utf-8")
+    robot = MADE["hidden_robot"]()
+    log = MADE["log"](MADE["walk"](robot, 1.6, 0.25))
+    assert log == (folder / "walk_left.valves.csv").read_text("utf-8")
+    rows = np.genfromtxt(folder / "held.csv", delimiter=",", skip_header=1)
+    gains = np.array([HIDDEN[f"modules.gain_plus_{j}"] for j in range(1, 5)])
+    biases = np.array([HIDDEN[f"modules.bias_rad_{j}"] for j in range(1, 5)])
+    free = robot.actuator.gain * 24e3 * gains + biases
+    assert rows[2, 8:] == pytest.approx(free, abs=0.02)
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 2e6
