@@ -10,6 +10,8 @@ from pathlib import Path
 
 from conftest import ROOT
 
+PROGRAMS = ("srs-twin ", "uv ")
+
 
 @dataclass(frozen=True)
 class Block:
@@ -63,10 +65,14 @@ class Page:
 
     @property
     def commands(self) -> list[str]:
-        """Every line that a reader is to type, without its comment."""
-        shell = "".join(block.text for block in self.blocks if block.language in ("", "sh"))
-        lines = [line.partition(" # ")[0].strip() for line in shell.replace("\\\n", " ").splitlines()]
-        return [line for line in lines if line]
+        """Every line that a reader is to type, without comments; in blocks without a language may be output."""
+        found = []
+        for block in self.blocks:
+            if block.language in ("", "sh"):
+                joined = block.text.replace("\\\n", " ").splitlines()
+                lines = [line.partition(" # ")[0].strip() for line in joined]
+                found += [line for line in lines if line and (block.language or line.startswith(PROGRAMS))]
+        return found
 
     @property
     def mentions(self) -> list[str]:

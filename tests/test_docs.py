@@ -165,7 +165,7 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
     else:
         assert keys <= set(ScenarioFile.model_fields)
         with path.open("w", encoding="utf-8") as file:
-            yaml.dump({**FRAGMENT, **document}, file)
+            yaml.dump(document if {"robot", "controller"} <= keys else {**FRAGMENT, **document}, file)
         assert load_scenario(str(path))
 
 
