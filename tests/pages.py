@@ -65,7 +65,7 @@ class Page:
 
     @property
     def commands(self) -> list[str]:
-        """Every line that a reader is to type, without comments; in blocks without a language may be output."""
+        """Every line that a reader is to type, without comments; blocks of no language may be output."""
         found = []
         for block in self.blocks:
             if block.language in ("", "sh"):

@@ -16,9 +16,7 @@ from typer.exceptions import TyperException
 from srs_twin import load_robot, load_scenario
 from srs_twin.cli.app import command
 from srs_twin.files import shipped_names
-from srs_twin.robot_file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.sweep.file import SweepFile
 from srs_twin.sweep.loading import load_sweep
 
 BY_PATH = {page.path: page for page in PAGES}
@@ -27,7 +25,7 @@ BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
 # What else a reader types. A new program here needs a look at whether it can be checked.
 OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
-SWEEP = ROOT / "scenarios/sweeps/fig41.yaml"
+SCENARIO = set(ScenarioFile.model_fields)
 FRAGMENT = {"robot": "gen2", "duration_s": 5.0, "controller": {"kind": "gait", "frequency_hz": 2.0}}
 
 
@@ -143,30 +141,25 @@ def yaml_blocks():
 
 @pytest.mark.parametrize(("page", "block"), yaml_blocks(), ids=name_of)
 def test_yaml_loads(page, block, tmp_path, monkeypatch):
-    """Whole files as they are; parts of scenarios and sweeps within one."""
+    """Whole files as they are; parts over the file that the fence names (`yaml over PATH`), or a scenario."""
     monkeypatch.chdir(tmp_path)
+    for folder in ("calibration", "scenarios"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
     for each in page.blocks:
         if each.file:
             (tmp_path / each.file).write_text(each.text, "utf-8")
     yaml = YAML(typ="safe", pure=True)
     document = yaml.load(block.text.replace("{…}", "{}"))
-    keys = set(document)
     path = tmp_path / "printed.yaml"
-    if {"scenario", "vary"} <= keys:
-        path.write_text(block.text, "utf-8")
-        assert load_sweep(str(path)) and keys <= set(SweepFile.model_fields)
-    elif {"geometry", "mass"} <= keys:
-        path.write_text(block.text, "utf-8")
-        assert load_robot(str(path)) and keys <= set(RobotFile.model_fields)
-    elif keys <= set(SweepFile.model_fields) - set(ScenarioFile.model_fields):
-        with path.open("w", encoding="utf-8") as file:
-            yaml.dump({**yaml.load(SWEEP.read_text("utf-8")), **document}, file)
-        assert load_sweep(str(path))
+    if block.mark.startswith("over "):
+        base = yaml.load((ROOT / block.mark.removeprefix("over ")).read_text("utf-8"))
     else:
-        assert keys <= set(ScenarioFile.model_fields)
-        with path.open("w", encoding="utf-8") as file:
-            yaml.dump(document if {"robot", "controller"} <= keys else {**FRAGMENT, **document}, file)
-        assert load_scenario(str(path))
+        base = {} if set(document) >= {"robot", "controller"} or not set(document) <= SCENARIO else FRAGMENT
+    printed = {**base, **document}
+    with path.open("w", encoding="utf-8") as file:
+        yaml.dump(printed, file)
+    load = load_sweep if "vary" in printed else load_robot if "geometry" in printed else load_scenario
+    assert load(str(path))
 
 
 EXAMPLES = [page for page in PAGES if any(block.mark == "runnable" for block in page.blocks)]
