@@ -1,0 +1,195 @@
+"""From measures to orders: what has to be run, each under a key, so that rows share runs that are kept."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from srs_twin.files import data_root
+from srs_twin.reproduction.claims import Measure, Setting, Value
+from srs_twin.running import versions
+from srs_twin.scenario import load_scenario
+from srs_twin.sweep import load_sweep
+from srs_twin.sweep.points import NOT_PHYSICS, Experiment, Point, Sweep
+
+# Parts of the package that no number of a run goes through.
+_NO_PHYSICS = {"attribution", "cli", "doctor", "envs", "reproduction", "running.py", "viewing"}
+_DATA = ("calibration/footprints", "calibration/robots")
+
+Document = dict[str, Any]
+Alter = Callable[[Document], Document]
+
+
+@dataclass(frozen=True)
+class Order:
+    """Something that a worker runs.
+
+    Attributes:
+        key: SHA-256 of everything that decides the results, hex.
+        experiment: the whole scenario; None of a computation.
+        law: name of the computation; None of a run.
+        arguments: of the computation.
+    """
+
+    key: str
+    experiment: Experiment | None = None
+    law: str | None = None
+    arguments: Mapping[str, Setting] = field(default_factory=dict)
+
+    @property
+    def point(self) -> Point:
+        """The run as a point of a sweep that varies nothing."""
+        return Point(self.key, {})
+
+
+class Orders:
+    """Makes the orders of measures; runs that several rows need are one order."""
+
+    def __init__(self, alter: Alter | None = None) -> None:
+        """Start without any.
+
+        Args:
+            alter: changes the plain data of every scenario that is run (tests put faults in with it).
+        """
+        self.made: dict[str, Order] = {}
+        self._alter = alter
+        self._experiments: dict[tuple[str, float | None], Experiment] = {}
+        self._sweeps: dict[str, Sweep] = {}
+        self._of: dict[str, tuple[str, ...]] = {}
+
+    def of(self, measure: Measure, changes: Mapping[str, Setting] | None = None) -> tuple[Order, ...]:
+        """Return what a measure needs to be run: one order, or one a point of its sweep.
+
+        Args:
+            measure: of a claim.
+            changes: fields of the scenario that are otherwise, besides the measure's own.
+
+        Raises:
+            InputError: the scenario or sweep cannot be used.
+        """
+        more = {**measure.changes, **(changes or {})}
+        same = json.dumps([measure.kind, measure.name, more, measure.periods, dict(measure.where)])
+        if same not in self._of:
+            self._of[same] = tuple(order.key for order in self._made(measure, more))
+        return tuple(self.made[key] for key in self._of[same])
+
+    def sweep(self, name: str) -> Sweep:
+        """Return a sweep, loaded once.
+
+        Raises:
+            InputError: it cannot be used.
+        """
+        if name not in self._sweeps:
+            self._sweeps[name] = load_sweep(name)
+        return self._sweeps[name]
+
+    def points(self, measure: Measure) -> tuple[Point, ...]:
+        """Return the points of a measure's sweep that count, in the order of their orders."""
+        return tuple(each for each in self.sweep(measure.name).points if _counts(each.changes, measure.where))
+
+    def _made(self, measure: Measure, more: Mapping[str, Setting]) -> Iterator[Order]:
+        if measure.kind == "law":
+            yield self._kept(computation(measure.name, more))
+        elif measure.kind == "scenario":
+            yield self._run(self._experiment(measure.name, measure.periods), more, keep=True)
+        else:
+            experiment = self.sweep(measure.name).experiment
+            for point in self.points(measure):
+                yield self._run(experiment, {**point.changes, **more}, keep=False)
+
+    def _run(self, experiment: Experiment, more: Mapping[str, Setting], *, keep: bool) -> Order:
+        document: Document = experiment.document(more)  # type: ignore[arg-type]
+        if self._alter is not None:
+            document = self._alter(document)
+        plants = experiment.plants
+        what = {
+            "scenario": {k: v for k, v in document.items() if k not in NOT_PHYSICS},
+            "plants": plants,
+            "versions": _versions(),
+            "source": source_digest(),
+        }
+        whole = Experiment(document, plants, trajectories=keep)
+        return self._kept(Order(_digest(what), whole))
+
+    def _kept(self, order: Order) -> Order:
+        """Return the order of this key that there is; it keeps trajectories if one of them is to."""
+        before = self.made.get(order.key)
+        keeps = order.experiment is not None and order.experiment.trajectories
+        if before is None or (keeps and before.experiment and not before.experiment.trajectories):
+            self.made[order.key] = order
+        return self.made[order.key]
+
+    def _experiment(self, name: str, periods: float | None) -> Experiment:
+        if (name, periods) not in self._experiments:
+            scenario = load_scenario(name)
+            found = Experiment(scenario.document, tuple(scenario.plants), periods)
+            self._experiments[name, periods] = found
+        return self._experiments[name, periods]
+
+
+def computation(name: str, arguments: Mapping[str, Setting]) -> Order:
+    """Return the order of a computation."""
+    what = {
+        "law": name,
+        "arguments": dict(arguments),
+        "versions": _versions(),
+        "source": source_digest(computations=True),
+    }
+    return Order(_digest(what), law=name, arguments=dict(arguments))
+
+
+def lasting(orders: Iterable[Order]) -> list[Order]:
+    """Return orders with those first that simulate the longest: nobody waits for one at the end."""
+
+    def seconds(order: Order) -> float:
+        if order.experiment is None:
+            return math.inf
+        base = order.experiment.base
+        step = base["plants"].get("twin", {}).get("timestep_s", 0.001)
+        return float(base["duration_s"]) / step
+
+    return sorted(orders, key=seconds, reverse=True)
+
+
+@cache
+def source_digest(*, computations: bool = False) -> str:
+    """Return the SHA-256 of the package's sources and of the data that runs read by name, hex.
+
+    Args:
+        computations: count those of the reproduction as well; no number of a run goes through them.
+    """
+    package = Path(__file__).resolve().parents[1]
+    sources = [
+        path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in _NO_PHYSICS
+    ]
+    sources += [path for folder in _DATA for path in (data_root() / folder).rglob("*.yaml")]
+    sources += [Path(__file__).with_name("computations.py")] if computations else []
+    found = hashlib.sha256()
+    for path in sorted(sources):
+        found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return found.hexdigest()
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return versions()
+
+
+def _counts(place: Mapping[str, Value], where: Mapping[str, Value]) -> bool:
+    return all(_same(place[name], value) for name, value in where.items())
+
+
+def _same(one: Value, other: Value) -> bool:
+    if isinstance(one, str) or isinstance(other, str):
+        return one == other
+    return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
+
+
+def _digest(what: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()

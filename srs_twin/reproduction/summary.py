@@ -1,0 +1,167 @@
+"""The rows in words: how many are met, cells of tables, the Markdown of README and documents."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from srs_twin.reproduction.baseline import Baseline
+from srs_twin.reproduction.claims import COLUMNS, Claim
+from srs_twin.reproduction.outcomes import EXPLAINED, MET, MISSED, Judged, Outcome
+
+USES = ("law", "holdout", "shape", "fit")
+"""In the order in which they are told; what may be fitted last, for it is no prediction."""
+
+TITLES = {
+    "law": "Laws",
+    "holdout": "Predictions (never used to calibrate)",
+    "shape": "Orders and trends",
+    "fit": "May be used to calibrate: no predictions",
+}
+
+_NOTHING = "–"
+
+
+def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
+    """Return claims with the outcomes of the baseline."""
+    return tuple(Judged(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
+
+
+def count(rows: Sequence[Judged], column: str, uses: Sequence[str] = USES) -> dict[str, int]:
+    """Return how many rows of a column are "met", "explained" and "missed", and "all" of them."""
+    verdicts = [
+        row.outcomes[column].verdict for row in rows if row.claim.use in uses and column in row.outcomes
+    ]
+    return {name: verdicts.count(name) for name in (MET, EXPLAINED, MISSED)} | {"all": len(verdicts)}
+
+
+def summary_line(rows: Sequence[Judged]) -> str:
+    """Return in one line how many rows each plant meets, predictions and fitted rows apart."""
+    parts = []
+    for column, name in (("twin", "The twin"), ("analytical", "the analytical model")):
+        told = []
+        for use, words in (("law", "laws"), ("holdout", "predictions"), ("shape", "orders and trends")):
+            found = count(rows, column, (use,))
+            told.append(f"{found[MET]} of {found['all']} {words}")
+        fitted = count(rows, column, ("fit",))
+        parts.append(
+            f"{name} meets {', '.join(told)} (and {fitted[MET]} of {fitted['all']} that may be fitted)"
+        )
+    alone = count(rows, "alone")
+    return f"{'; '.join(parts)}. Of {alone['all']} rows that need no plant {alone[MET]} are met."
+
+
+def published(claim: Claim) -> str:
+    """Return the published value, or the rule of a row that has none."""
+    if claim.value is None:
+        return "order"
+    sign = {"below": "≤ ", "above": "≥ "}.get(claim.rule, "")
+    return f"{sign}{short(claim.value)}"
+
+
+def cell(outcome: Outcome | None) -> str:
+    """Return what came out, as text: one number, or those of an ordering; a dash where there is none."""
+    if outcome is None:
+        return _NOTHING
+    if math.isfinite(outcome.value):
+        return short(outcome.value)
+    known = [value for value in outcome.values if math.isfinite(value)]
+    if len(known) < len(outcome.values) or not known:
+        return _NOTHING
+    return " > ".join(map(short, known)) if outcome.verdict == MET else ", ".join(map(short, known))
+
+
+def short(value: float) -> str:
+    """Return a number with three significant digits; whole ones in full."""
+    if value == 0:
+        return "0"
+    return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.3g}"
+
+
+def percent(outcome: Outcome | None) -> str:
+    """Return the relative error as text, empty where there is none."""
+    if outcome is None or not math.isfinite(outcome.error) or abs(outcome.error) > 10:
+        return ""
+    return f"{100 * outcome.error:+.0f} %"
+
+
+def verdict(row: Judged) -> str:
+    """Return the verdict of a row in one word, or one for each plant where they differ."""
+    found = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
+    return found[0] if len(set(found)) == 1 else ", ".join(found) or _NOTHING
+
+
+def markdown(rows: Sequence[Judged]) -> str:
+    """Return the tables of docs/reproduction.md: a section a use, and under it why rows are missed."""
+    parts = []
+    for use in USES:
+        chosen = [row for row in rows if row.claim.use == use]
+        lines = [
+            f"### {TITLES[use]}",
+            "",
+            _counted(chosen),
+            "",
+            "| row | statement | published | analytical | twin |",
+            "| --- | --- | --- | --- | --- |",
+            *map(_line, chosen),
+        ]
+        why = list(dict.fromkeys(_reasons(chosen)))
+        parts += [
+            "\n".join(lines),
+            *(["\n".join(["Missed, and why as far as known:", "", *why])] if why else []),
+        ]
+    return "\n\n".join(parts)
+
+
+def _counted(rows: Sequence[Judged]) -> str:
+    told = []
+    for column, name in (("twin", "twin"), ("analytical", "analytical"), ("alone", "without a plant")):
+        found = count(rows, column)
+        if found["all"]:
+            told.append(f"{name} {found[MET]} of {found['all']} met, {found[EXPLAINED]} explained")
+    return f"{'; '.join(told)}."
+
+
+def _line(row: Judged) -> str:
+    claim = row.claim
+    unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
+    cells = [_marked(row.outcomes.get(name)) for name in ("analytical", "twin")]
+    if "alone" in row.outcomes:
+        cells = [_marked(row.outcomes["alone"]), ""]
+    says = f"{claim.says} ({claim.source})"
+    return (
+        "| "
+        + " | ".join([f"`{claim.id}`", says, f"{published(claim)}{unit}", *cells]).replace("\n", " ")
+        + " |"
+    )
+
+
+def _marked(outcome: Outcome | None) -> str:
+    if outcome is None:
+        return ""
+    mark = {MET: "", EXPLAINED: "*", MISSED: "**"}[outcome.verdict]
+    return f"{mark}{cell(outcome)}{mark}"
+
+
+def _reasons(rows: Sequence[Judged]) -> list[str]:
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        for column, outcome in row.outcomes.items():
+            if outcome.verdict != MET:
+                why = outcome.why or "not known"
+                found.setdefault((row.claim.id, f"{outcome.verdict}: {why}"), []).append(column)
+    return [f"- `{name}` ({', '.join(columns)}) {why}" for (name, why), columns in found.items()]
+
+
+def between(page: str, name: str, text: str) -> str:
+    """Return a page with a text between its marks of this name.
+
+    Args:
+        page: with ``<!-- name: begin -->`` and ``<!-- name: end -->``.
+        name: of the marks.
+        text: what is to stand there.
+    """
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, _, rest = page.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n{text}\n{end}{after}"

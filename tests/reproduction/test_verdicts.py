@@ -1,0 +1,178 @@
+"""Verdicts from numbers that are given: rules, combinations, causes, and what is worse than the baseline."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.errors import InputError
+from srs_twin.reproduction import Judged, Outcome, judge
+from srs_twin.reproduction.baseline import Baseline, load_baseline, write_baseline
+from srs_twin.reproduction.claims import Cause, Claim, Measure
+from srs_twin.reproduction.outcomes import combined, taken
+from srs_twin.reproduction.runs import Order
+from srs_twin.reproduction.summary import count, summary_line
+from srs_twin.sweep.task import DONE, Row
+
+
+def claim(rule="near", value=1.0, low=0.9, high=1.1, names=("a",), **more):
+    """Return a row whose measures are scenarios of these names."""
+    measures = tuple(Measure("scenario", name, "m") for name in names)
+    given = {"use": "shape", "combine": "value", "columns": ("analytical", "twin"), "causes": ()} | more
+    return Claim(
+        id="row", source="", robot=None, says="", rule=rule, measures=measures, value=value, unit="1",
+        low=low, high=high, quick=False, **given,
+    )  # fmt: skip
+
+
+class Numbers:
+    """Store and orders in one: a run's values are looked up by the scenario's name and its changes."""
+
+    def __init__(self, values):
+        self._values, self.made, self.run_names = values, {}, []
+
+    def of(self, measure, changes=None):
+        key = " ".join([measure.name, *map(str, (changes or {}).items())])
+        self.made[key] = Order(key)
+        return (self.made[key],)
+
+    def missing(self, orders):
+        return list(orders)
+
+    def run(self, orders, **_):
+        self.run_names += [order.key for order in orders]
+
+    def row(self, key):
+        found = self._values.get(key)
+        return None if found is None else Row(key, DONE, {"analytical.m": found[0], "twin.m": found[1]})
+
+    def failure(self, key):
+        return "" if key in self._values else "it diverged"
+
+
+def judged(row, values):
+    numbers = Numbers(values)
+    ((found),) = (judge([row], numbers, numbers),)
+    return found[0].outcomes, numbers.run_names
+
+
+def test_plants_are_judged_by_themselves_and_bounds_are_allowed():
+    found, _ = judged(claim(), {"a": (0.9, 0.89)})
+    assert (found["analytical"].verdict, found["twin"].verdict) == ("met", "missed")
+    assert found["twin"].error == pytest.approx(-0.11)
+
+
+def test_a_run_without_a_number_is_missed_and_says_why():
+    found, _ = judged(claim(), {})
+    assert found["twin"].verdict == "missed" and "it diverged" in found["twin"].why
+    found, _ = judged(claim(), {"a": (None, 1.0)})
+    assert (found["analytical"].verdict, found["twin"].verdict) == ("missed", "met")
+
+
+def test_an_ordering_needs_each_above_the_next():
+    row = claim("ordering", None, names=("a", "b", "c"))
+    found, _ = judged(row, {"a": (3, 3), "b": (2, 2), "c": (1, 2)})
+    assert (found["analytical"].verdict, found["twin"].verdict) == ("met", "missed")
+
+
+SWITCH = Cause("an estimate", ("twin",), switch="compliance", changes={"k": 1})
+DOCS = Cause("it is known", ("analytical",), docs="docs/models.md")
+
+
+def test_a_cause_must_be_shown():
+    row = claim(causes=(SWITCH, DOCS))
+    shown, ran = judged(row, {"a": (2, 2), "a ('k', 1)": (9, 1.05)})
+    assert shown["twin"].verdict == "explained" and "compliance" in shown["twin"].why
+    assert shown["analytical"].verdict == "explained" and "docs/models.md" in shown["analytical"].why
+    assert ran == ["a", "a ('k', 1)"]
+    not_shown, _ = judged(row, {"a": (2, 2), "a ('k', 1)": (9, 1.5)})
+    assert not_shown["twin"].verdict == "missed" and "not met either" in not_shown["twin"].why
+
+
+def test_a_cause_that_is_only_supposed_explains_nothing():
+    found, ran = judged(claim(causes=(Cause("an estimate", ("twin",)),)), {"a": (2, 2)})
+    assert found["twin"].verdict == "missed" and found["twin"].why == "supposed: an estimate"
+    assert (found["analytical"].why, ran) == ("", ["a"])
+
+
+def test_nothing_is_explained_that_is_met():
+    found, ran = judged(claim(causes=(SWITCH,)), {"a": (1, 1)})
+    assert found["twin"].verdict == "met" and ran == ["a"]
+
+
+numbers = st.floats(-1e6, 1e6).filter(lambda x: abs(x) > 1e-6)
+
+
+@given(numbers, numbers)
+def test_combinations(a, b):
+    assert combined("ratio", (a, b)) == a / b
+    assert combined("excess", (a, b)) == pytest.approx((a - b) / b, rel=1e-9, abs=1e-9)
+    assert combined("difference", (a, b)) == a - b
+    assert combined("unevenness", (a, -a)) == 0
+    assert combined("unevenness", (a, a)) == pytest.approx(2)
+    assert math.isnan(combined("ratio", (a, 0.0)))
+
+
+def test_what_is_taken_of_several():
+    values = np.array([1.0, 2.0, 4.0])
+    assert [taken(how, values) for how in ("most", "least", "mean")] == [4, 1, pytest.approx(7 / 3)]
+    assert taken("spread", values) == pytest.approx(3 / (7 / 3))
+    assert all(
+        math.isnan(taken(how, np.array([1.0, math.nan]))) for how in ("most", "least", "mean", "spread")
+    )
+
+
+def rows(**verdicts):
+    outcomes = {
+        column: Outcome(verdict, (0.123456,), 0.123456, math.nan) for column, verdict in verdicts.items()
+    }
+    return (Judged(claim(), outcomes),)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "worse"),
+    [
+        ("met", "explained", 1), ("met", "missed", 1), ("explained", "missed", 1), ("missed", "met", 0),
+        ("met", "met", 0),
+    ],
+)  # fmt: skip
+def test_worse_than_the_baseline(before, now, worse, tmp_path):
+    path = write_baseline(rows(twin=before), tmp_path / "baseline.json")
+    found = load_baseline(path).worse(rows(twin=now, analytical="missed"))
+    assert found == [f"row, twin: {now}, was {before}"][:worse]
+    assert load_baseline(path).outcomes["row"]["twin"].value == 0.1235
+
+
+def test_a_row_that_is_new_is_not_worse():
+    assert Baseline({}, {}).worse(rows(twin="missed")) == []
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"rows": {"a": 1}, "versions": {}}', '{"rows": 3}'])
+def test_no_baseline(text, tmp_path):
+    path = tmp_path / "baseline.json"
+    with pytest.raises(InputError, match="cannot be read"):
+        load_baseline(path)
+    path.write_text(text)
+    with pytest.raises(InputError, match="not a baseline; --write-baseline writes one"):
+        load_baseline(path)
+
+
+def test_fitted_rows_are_no_predictions():
+    outcomes = {"twin": Outcome("met", (1.0,), 1.0, 0.0)}
+    fitted, held = (Judged(claim(use=use), outcomes) for use in ("fit", "holdout"))
+    assert count([fitted, held], "twin", ("holdout",)) == {"met": 1, "explained": 0, "missed": 0, "all": 1}
+    line = summary_line([fitted, held])
+    assert "1 of 1 predictions" in line and "(and 1 of 1 that may be fitted)" in line
+
+
+def test_what_is_written_is_json(tmp_path):
+    path = write_baseline(
+        (Judged(claim(), {"twin": Outcome("missed", (math.nan,), math.nan, math.inf)}),), tmp_path / "b"
+    )
+    found = json.loads(path.read_text("utf-8"))["rows"]["row"]["twin"]
+    assert (found["values"], found["value"], found["error"]) == ([None], None, None)
