@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -262,7 +263,7 @@ class RobotSpec:
         """Number of bending segments, N − 1."""
         return self.geometry.segments
 
-    @property
+    @cached_property
     def modules(self) -> Modules:
         """What is each module's own."""
         return self.variation or Modules.alike(self.segments)

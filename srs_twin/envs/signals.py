@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,11 +44,6 @@ def high(signals: Signals) -> np.ndarray:
 def numbered(count: int, name: str, unit: str, low: float, high: float, what: str) -> list[Signal]:
     """Return a signal of each segment or obstacle; # in the name is its number, from 1."""
     return [Signal(name.replace("#", str(k)), unit, low, high, what) for k in range(1, count + 1)]
-
-
-def packed(signals: Signals, values: Sequence[float]) -> np.ndarray:
-    """Return values within the bounds of their signals, float32 of shape (signals,)."""
-    return np.clip(np.array(values, dtype=np.float32), low(signals), high(signals))
 
 
 def taken(signals: Signals, action: object) -> list[float]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.envs.signals import Signals, packed, taken
+from srs_twin.envs.signals import Signals, high, low, taken
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
@@ -90,6 +90,7 @@ class Episode(ABC):
         """Begin; a subclass sets up what it needs first, for this asks for the first observation."""
         self.twin, self.state = twin, state
         self._task = task
+        self._bounds = low(task.observations), high(task.observations)
         self._steps, self._most = 0, round(task.limit_s / task.step_s)
         self.first = Outcome(self._told(), 0.0, False, False, self._info())
 
@@ -120,7 +121,10 @@ class Episode(ABC):
         return Outcome(self._told(), reward, terminated, truncated, self._info())
 
     def _told(self) -> np.ndarray:
-        return packed(self._task.observations, self._observed())
+        """Return the observation: float32, within its bounds."""
+        least, most = self._bounds
+        seen: np.ndarray = np.minimum(np.maximum(np.array(self._observed(), dtype=np.float32), least), most)
+        return seen
 
     @abstractmethod
     def _valves(self, action: list[float]) -> np.ndarray:
