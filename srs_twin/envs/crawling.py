@@ -22,9 +22,9 @@ from srs_twin.control.camera import Camera, Frames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.control.readings import LARGEST_READING, Readings
 from srs_twin.envs.signals import Signal, Signals, numbered
-from srs_twin.envs.task import Episode, Task
+from srs_twin.envs.task import Episode, Task, twin_settings
 from srs_twin.envs.variation import Variation
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, whole_steps
 from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
@@ -111,11 +111,18 @@ class CrawlTask(Task):
             **twin: as `TwinSnake` takes it.
 
         Raises:
-            InputError: a robot, fit or range that cannot be.
+            UnknownNameError: a setting that the twin does not take.
+            InputError: a robot, fit, range or time limit that cannot be, or a camera that is too slow.
         """
+        whole_steps("limit_s", limit_s, "step", STEP_S)
+        if camera.rate_hz * STEP_S < 1 - 1e-9:
+            raise InputError(
+                f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g} s; "
+                f"it must be {1 / STEP_S:g} Hz or more"
+            )
         self.name, self.place, self.limit_s = name, place, limit_s
         self._variation = Variation.of(robot, fit=fit, ranges=ranges)
-        self._twin, self._camera = {"sensor": sensor, **twin}, camera
+        self._twin, self._camera = {"sensor": sensor, **twin_settings(twin)}, camera
         self.robot = self._variation.file.spec()
         self.limits = GaitLimits.of(self.robot)
         self.actions = gait_signals(self.limits)

@@ -19,9 +19,9 @@ from srs_twin.control.iterative_smc import CARRIER_HZ
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.readings import LARGEST_READING, Readings
 from srs_twin.envs.signals import Signal
-from srs_twin.envs.task import Episode, Task
+from srs_twin.envs.task import Episode, Task, twin_settings
 from srs_twin.envs.variation import Variation
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, whole_steps
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.sensing import Sensor
 from srs_twin.spec import RobotSpec
@@ -66,10 +66,12 @@ class ModuleTask(Task):
             **twin: as `TwinSnake` takes it.
 
         Raises:
-            InputError: a robot of more segments, a fit or a range that cannot be.
+            UnknownNameError: a setting that the twin does not take.
+            InputError: a robot of more segments, a fit, range or time limit that cannot be.
         """
+        whole_steps("limit_s", limit_s, "step", STEP_S)
         self._variation = Variation.of(robot, fit=fit, ranges=ranges)
-        self._twin, self.limit_s = {"sensor": sensor, "timestep": TIMESTEP_S, **twin}, limit_s
+        self._twin, self.limit_s = {"sensor": sensor, "timestep": TIMESTEP_S, **twin_settings(twin)}, limit_s
         spec = self._variation.file.spec()
         if spec.segments != 1:
             raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")

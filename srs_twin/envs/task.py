@@ -8,16 +8,20 @@ tell, noise included; reward and `info` may know more. An episode ends where the
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any
 
 import numpy as np
 
 from srs_twin.envs.signals import Signals, high, low, taken
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError, InputError, UnknownNameError, whole_steps
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.world import Goal
+
+_TASKS_OWN = {"spec", "tick", "supply_pa", "base", "world"}
 
 TIME_UP = "time_up"
 DIVERGED = "diverged"
@@ -72,6 +76,19 @@ class Task(ABC):
         """
 
 
+def twin_settings(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings that go on to `TwinSnake`; a task sets some of its arguments itself.
+
+    Raises:
+        UnknownNameError: one that it does not take.
+    """
+    allowed = set(signature(TwinSnake).parameters) - _TASKS_OWN
+    for name in given:
+        if name not in allowed:
+            raise UnknownNameError("setting of the task or its twin", name, allowed)
+    return dict(given)
+
+
 class Episode(ABC):
     """One try.
 
@@ -91,7 +108,7 @@ class Episode(ABC):
         self.twin, self.state = twin, state
         self._task = task
         self._bounds = low(task.observations), high(task.observations)
-        self._steps, self._most = 0, round(task.limit_s / task.step_s)
+        self._steps, self._most = 0, whole_steps("limit_s", task.limit_s, "step", task.step_s)
         self.first = Outcome(self._told(), 0.0, False, False, self._info())
 
     def step(self, action: object) -> Outcome:

@@ -97,11 +97,13 @@ class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Let the actions hold for a step of the task, shape (environments, actions).
 
         Raises:
-            InputError: not one action an environment, or as `SnakeEnv.step` raises it.
+            InputError: not one action of finite numbers an environment; nothing has moved then.
         """
-        if len(actions) != self.num_envs:
+        given, wanted = np.asarray(actions, dtype=float), self.action_space.shape
+        if given.shape != wanted or not np.isfinite(given).all():
             raise InputError(
-                f"actions: {len(actions)} were given for {self.num_envs} environments; give one each"
+                f"actions of shape {given.shape} are not allowed; give finite numbers of shape {wanted}, "
+                f"an action for each of {self.num_envs} environments"
             )
         told = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
         terminated, truncated = (np.array([each[i] for each in told]) for i in (2, 3))

@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from srs_twin import Gait, InputError, TwinSnake, rollout
+from srs_twin.control.camera import Camera
 from srs_twin.envs import TASKS
 from srs_twin.envs.crawling import OPEN, CrawlTask, Field
 from srs_twin.envs.single import SnakeEnv
@@ -186,6 +187,22 @@ def test_what_is_done_out_of_turn_is_refused():
         SnakeEnv("Module", robot="gen2")
 
 
+@pytest.mark.parametrize(
+    ("task", "settings", "words"),
+    [
+        ("GoTo", {"time_step": 0.002}, "unknown setting .*'time_step'; did you mean timestep"),
+        ("Module", {"supply_pa": 1e3}, "unknown setting .*'supply_pa'"),
+        ("GoTo", {"limit_s": 0.25}, "limit_s 0.25 s is no multiple of step 0.1 s"),
+        ("Module", {"limit_s": -1.0}, "limit_s -1.0 s is not allowed"),
+        ("Obstacles", {"camera": Camera(5.0)}, "camera of 5 Hz is too slow .* 10 Hz or more"),
+        ("GoTo", {"robot": "gen5"}, "unknown robot 'gen5'"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_when_the_environment_is_made(task, settings, words):
+    with pytest.raises(InputError, match=words):
+        SnakeEnv(task, **settings)
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_many_side_by_side_are_what_each_is_alone(task):
     """Gymnasium's own vector of single environments says the same, over ends and new beginnings too."""
@@ -208,5 +225,10 @@ def test_a_vector_refuses_what_does_not_fit_it():
     with pytest.raises(InputError, match="3 were given for 2 environments"):
         envs.reset(seed=[1, 2, 3])
     envs.reset(seed=0)
-    with pytest.raises(InputError, match="1 were given for 2 environments"):
-        envs.step(np.zeros((1, 2)))
+    before = [float(env.episode.state.time) for env in envs.envs]
+    for actions in (np.zeros((1, 2)), np.zeros(4), np.array([[0.0, 0.0], [0.0, np.nan]])):
+        with pytest.raises(
+            InputError, match=r"give finite numbers of shape \(2, 2\), an action for each of 2"
+        ):
+            envs.step(actions)
+    assert [float(env.episode.state.time) for env in envs.envs] == before
