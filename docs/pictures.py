@@ -3,22 +3,31 @@
     uv run python docs/pictures.py
 
 `plan.png`, `why.png` and those of sweeps need nothing; `hero.png` is a screenshot of Rerun's viewer and
-needs a Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers).
+needs a Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers); `web.png` is the
+page in a browser (chromium, chromium-driver); `strobe.png` is drawn by MuJoCo (libegl1, libgl1-mesa-dri).
 """
 
 from __future__ import annotations
 
+import sys
 import tempfile
+import threading
 from pathlib import Path
 
 from srs_twin import load_scenario
 from srs_twin.attribution import explain
-from srs_twin.running import run_scenario
+from srs_twin.running import RunResult, run_scenario
+from srs_twin.scenario import Scenario
 from srs_twin.sweep import load_sweep, open_sweep
 from srs_twin.sweep.engines import local
 from srs_twin.viewing.plan_view import hero_figure
 from srs_twin.viewing.screenshot import screenshots
+from srs_twin.viewing.strobe import write_strobe
 from srs_twin.viewing.waterfall import waterfall
+from srs_twin.viewing.web import served
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import browser  # noqa: E402
 
 IMAGES = Path(__file__).parent / "images"
 MOMENT_S = 3.3
@@ -42,8 +51,22 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         result = run_scenario(scenario, Path(folder))
         hero_figure(dict(result.trajectories), scenario.robot).savefig(IMAGES / "plan.png", dpi=110)
-        (picture,) = screenshots(result.folder / "recording.rrd", [MOMENT_S])
-        (IMAGES / "hero.png").write_bytes(picture)
+        look(scenario, result)
+
+
+def look(scenario: Scenario, result: RunResult) -> None:
+    """Make the pictures of a run in Rerun's viewer, in a browser, and by MuJoCo."""
+    recording = result.folder / "recording.rrd"
+    (picture,) = screenshots(recording, [MOMENT_S])
+    (IMAGES / "hero.png").write_bytes(picture)
+    with served([recording]) as (address, serve), browser.chromium(1280, 800) as chromium:
+        threading.Thread(target=serve, daemon=True).start()
+        chromium.get(address)
+        page, _ = browser.picture(chromium, lambda shown: bool((shown.max(axis=-1) > 200).mean() > 0.2))
+        # It goes on playing; the second picture has the plots too.
+        page, _ = browser.picture(chromium, lambda shown: True)
+        (IMAGES / "web.png").write_bytes(page)
+    write_strobe(IMAGES / "strobe.png", scenario, result.trajectories["twin"])
 
 
 if __name__ == "__main__":

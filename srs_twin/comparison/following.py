@@ -222,16 +222,46 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+@dataclass(frozen=True)
+class Touch:
+    """A contact with an obstacle.
+
+    Attributes:
+        begin: s.
+        end: s.
+        force: the largest on any connector, N.
+        connector: where that was, 1 at the head.
+    """
+
+    begin: float
+    end: float
+    force: float
+    connector: int
+
+
+def touches(trajectory: Trajectory) -> list[Touch]:
+    """Return a run's contacts with obstacles, in order; none where there was nothing to touch."""
+    if not trajectory.has("obstacle_force_x"):
+        return []
+    force = np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
+    rows = np.flatnonzero(force.max(axis=1) > TOUCH_N)
+    apart = np.flatnonzero(np.diff(trajectory.time[rows]) > _APART_S) + 1
+    found = []
+    for each in np.split(rows, apart) if len(rows) else []:
+        row, connector = np.unravel_index(force[each].argmax(), force[each].shape)
+        begin, end = trajectory.time[each[[0, -1]]]
+        found.append(Touch(float(begin), float(end), float(force[each][row, connector]), int(connector) + 1))
+    return found
+
+
 def _contacts(trajectory: Trajectory) -> dict[str, Any]:
     if not trajectory.has("obstacle_force_x"):
         return {"contacts": None, "contact_time_s": None}
     force = np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
-    touching = force.max(axis=1) > TOUCH_N
-    at = trajectory.time[touching]
     steps = np.diff(trajectory.time, prepend=trajectory.time[0])
     return {
-        "contacts": int(touching.any()) + int((np.diff(at) > _APART_S).sum()),
-        "contact_time_s": float(steps[touching].sum()),
+        "contacts": len(touches(trajectory)),
+        "contact_time_s": float(steps[force.max(axis=1) > TOUCH_N].sum()),
     }
 
 

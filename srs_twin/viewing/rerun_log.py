@@ -1,8 +1,9 @@
 """Write a finished run as a Rerun recording, whole columns at once; nothing is logged while it simulates.
 
 Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
-`world/<plant>/{body/segment_j, connectors, wheels, trail, com, contact}`,
-`module/<j>/{bend, pressure}/<plant>`, `body/{speed, heading}/<plant>`, `comparison/{shape, path}`,
+`world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`,
+`module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`, `follow/{cross_track, offset}/<plant>`,
+`events/<plant>` (text), `body/{speed, heading}/<plant>`, `comparison/{shape, path}`,
 `measured/{shape, path}/<plant>`.
 The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
 as the views' names say.
@@ -11,6 +12,7 @@ as the views' names say.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,10 +25,18 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.blueprint import TIMELINE, Layout, run_blueprint
 from srs_twin.viewing.checks import check_drawable
 from srs_twin.viewing.colors import REFERENCE, Style, style_of
+from srs_twin.viewing.event_log import events_of, send_events
+from srs_twin.viewing.module_log import send_modules
 from srs_twin.viewing.obstacle_scene import send_contacts, send_obstacles
 from srs_twin.viewing.plan_scene import send_plan
 from srs_twin.viewing.scene import Entities, line_height, send_snake
-from srs_twin.viewing.signals import forward_speed, gait_period, period_speed, pressure_difference
+from srs_twin.viewing.signals import (
+    forward_speed,
+    gait_period,
+    kind_of,
+    period_speed,
+    pressure_difference,
+)
 from srs_twin.world import World
 
 if TYPE_CHECKING:
@@ -36,6 +46,11 @@ if TYPE_CHECKING:
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
 """Shapes are kept at most this often; plots keep every sample."""
+
+# The viewer may be dark or light: black would not be seen in one of them.
+_REFERENCE = replace(REFERENCE, color="#8a8a8a")
+# Signal of a follower, its entity, and shown over SI.
+_FOLLOWED = (("cross_track", "cross_track", 1e3), ("offset_commanded", "offset", 1.0))
 
 
 def write_recording(
@@ -96,6 +111,8 @@ def _recorded(
         send_snake(entities, scene, spec.geometry, style, ghost=ghost)
         send_contacts(log, f"world/{plant}/contact", run, line_height(spec.geometry))
         _send_signals(log, plant, run, style)
+        send_modules(log, plant, run, style)
+        send_events(log, plant, run, style)
     send_plan(log, trajectories)
     if comparison is not None:
         for index, (name, error) in enumerate(
@@ -152,6 +169,8 @@ def _layout(
         period=gait_period(followed),
         compared=compared,
         measured=measured,
+        kind=kind_of(trajectories),
+        events=any(map(events_of, trajectories.values())),
     )
 
 
@@ -180,7 +199,10 @@ def _send_signals(log: rr.RecordingStream, plant: str, run: Trajectory, style: S
             _send_series(log, f"module/{j + 1}/pressure/{plant}", run.time, 1e-3 * pressures[:, j], style)
     if run.has("reference_1"):
         for j, asked in enumerate(run.stack("reference").T, start=1):
-            _send_series(log, f"module/{j}/bend/reference", run.time, asked, REFERENCE)
+            _send_series(log, f"module/{j}/bend/reference", run.time, asked, _REFERENCE)
+    for name, entity, factor in _FOLLOWED:
+        if run.has(name):
+            _send_series(log, f"follow/{entity}/{plant}", run.time, factor * run[name], style)
     _send_series(log, f"body/heading/{plant}", run.time, run["heading"], style)
     period = gait_period(run)
     time, speed = (run.time, forward_speed(run)) if period is None else period_speed(run, period)

@@ -13,7 +13,7 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.blueprint import TIMELINE
 from srs_twin.viewing.colors import Style, pressure_colors
 from srs_twin.viewing.signals import pressure_difference
-from srs_twin.viewing.tubes import body_line, wheel_centres
+from srs_twin.viewing.tubes import body_line, wheel_centres, wheel_turns
 
 PIECES = 6
 """Capsules an arc; at 90° each stands for 15°, where the rounded ends still hide the corners."""
@@ -21,6 +21,7 @@ Rgba = tuple[int, int, int, int]
 _GHOST_ALPHA = 120
 _PLATES: Rgba = (70, 74, 82, 255)
 _WHEELS: Rgba = (28, 30, 34, 255)
+_SPOKES: Rgba = (200, 202, 206, 255)
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ def send_snake(to: Entities, snake: Trajectory, geometry: Geometry, style: Style
     plates, wheels = (ghostly, ghostly) if ghost else (_PLATES, _WHEELS)
     _send_connectors(to, snake, geometry, [(*style.rgb, plates[3])] + [plates] * (geometry.connectors - 1))
     _send_wheels(to, snake, geometry, wheels)
+    if not ghost:
+        _send_spokes(to, snake, geometry)
     _send_trail(to, snake, style)
 
 
@@ -130,6 +133,21 @@ def _send_wheels(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgb
     axle = np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
     centres = _at_height(wheel_centres(snake, geometry), radius)
     to.moving("wheels", rr.Cylinders3D.columns(centers=centres, quaternions=_along(axle)), count)
+
+
+def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
+    """Log a bar across each wheel, a little wider than that, by which one sees it turn."""
+    radius, count = geometry.wheel_radius, 2 * geometry.connectors
+    half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
+    to.fixed("spokes", rr.Boxes3D.from_fields(half_sizes=[half], colors=[_SPOKES], fill_mode="solid"))
+    yaw, turn = snake.stack("theta")[:, :, None] / 2, wheel_turns(snake, geometry) / 2
+    c, s = np.cos(yaw), np.sin(yaw)
+    pose = [-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)]
+    poses = rr.Boxes3D.columns(
+        centers=_at_height(wheel_centres(snake, geometry), radius),
+        quaternions=np.stack(pose, axis=-1).reshape(-1, 4).astype(np.float32),
+    )
+    to.moving("spokes", poses, count)
 
 
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:

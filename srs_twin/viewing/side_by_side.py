@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from srs_twin.errors import InputError
 from srs_twin.files import atomic_write
-from srs_twin.viewing.blueprint import TIMELINE, Layout, plot, scene_view
+from srs_twin.viewing.blueprint import Layout, side_by_side_blueprint
 from srs_twin.viewing.rerun_log import APPLICATION, send_blueprint
 from srs_twin.viewing.viewer import verify_recording
 
@@ -96,7 +95,7 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
         parts.append(_Part(name, tuple(chunks)))
     log = rr.RecordingStream(APPLICATION)
     memory = log.memory_recording()
-    send_blueprint(log, _blueprint(parts))
+    send_blueprint(log, side_by_side_blueprint({part.name: part.layout() for part in parts}))
     log.send_recording_name(" | ".join(recordings))
     for part in parts:
         log.send_chunks([chunk.with_entity_path(f"/{part.root}{chunk.entity_path}") for chunk in part.chunks])
@@ -105,21 +104,3 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
     with atomic_write(path) as beside:
         beside.write_bytes(content)
     rr.bindings.flush_and_cleanup_orphaned_recordings()
-
-
-def _blueprint(parts: list[_Part]) -> rrb.Blueprint:
-    columns = []
-    for part in parts:
-        body = rrb.Tabs(
-            plot(f"{part.root}/body/speed", "CoM speed, forward (m/s)"),
-            plot(f"{part.root}/body/heading", "Heading (rad)"),
-            plot(f"{part.root}/module/1/bend", "Bend of module 1 (rad)"),
-        )
-        scene = scene_view(part.layout(), name=part.name)
-        columns.append(rrb.Vertical(scene, body, row_shares=[3, 1]))
-    return rrb.Blueprint(
-        rrb.Grid(*columns, grid_columns=min(3, len(columns))),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-    )

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Literal
+
 import numpy as np
 
+from srs_twin.comparison.following import following
+from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.sines import frequency_of
 from srs_twin.trajectory import Trajectory
+
+Kind = Literal["gait", "bench", "learning", "following"]
 
 
 def pressure_difference(trajectory: Trajectory) -> np.ndarray:
@@ -13,6 +20,16 @@ def pressure_difference(trajectory: Trajectory) -> np.ndarray:
     if not (trajectory.has("pressure_plus") and trajectory.has("pressure_minus")):
         return np.full_like(trajectory.stack("bend"), np.nan)
     return trajectory.stack("pressure_plus") - trajectory.stack("pressure_minus")
+
+
+def kind_of(trajectories: Mapping[str, Trajectory]) -> Kind:
+    """Return what kind of experiment runs are of: it decides which plots matter."""
+    runs = trajectories.values()
+    if any(run.has("reference_1") for run in runs):
+        return "bench"
+    if any(following(run) is not None for run in runs):
+        return "following"
+    return "learning" if any(map(is_learning, runs)) else "gait"
 
 
 def gait_period(trajectory: Trajectory) -> float | None:

@@ -24,3 +24,12 @@ def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     left = np.stack([-np.sin(theta), np.cos(theta)], axis=-1)
     side = np.array([1.0, -1.0])[:, None] * geometry.half_track
     return trajectory.position[:, :, None] + side * left[:, :, None]
+
+
+def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
+    """Return how far each wheel has rolled without slip, shape (samples, N, 2), rad, forward positive."""
+    centres, theta = wheel_centres(trajectory, geometry), trajectory.stack("theta")
+    middle = (theta[1:] + theta[:-1]) / 2
+    ahead = np.stack([np.cos(middle), np.sin(middle)], axis=-1)[:, :, None]
+    rolled = (np.diff(centres, axis=0) * ahead).sum(axis=-1) / geometry.wheel_radius
+    return np.concatenate([np.zeros((1, *rolled.shape[1:])), np.cumsum(rolled, axis=0)])

@@ -1,0 +1,43 @@
+"""How long a ten-second run takes to be written as a recording of both snakes, and how large that is.
+
+    uv run python benchmarks/recording.py
+
+The goal is half a second and five megabytes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+from srs_twin import compare, load_scenario, rollout
+from srs_twin.viewing.rerun_log import write_recording
+
+SCENARIO = "gen2_straight"
+TIMES = 7
+
+
+def main() -> None:
+    """Simulate once, write several times, print the median and the least."""
+    scenario = load_scenario(SCENARIO)
+    runs = {
+        kind: rollout(scenario.build_plant(kind), scenario.build_controller(), scenario.duration)
+        for kind in ("analytical", "twin")
+    }
+    comparison = compare(runs["analytical"], runs["twin"])
+    walls = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.rrd"
+        for _ in range(TIMES):
+            begun = time.perf_counter()
+            write_recording(path, spec=scenario.robot, trajectories=runs, comparison=comparison)
+            walls.append(time.perf_counter() - begun)
+        size = path.stat().st_size
+    walls.sort()
+    print(f"{SCENARIO}, {scenario.duration:g} s: median {walls[TIMES // 2]:.3f} s, least {walls[0]:.3f} s,")
+    print(f"{size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()
