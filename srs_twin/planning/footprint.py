@@ -187,6 +187,34 @@ class Footprint:
         )
         return left, right, max(t.length for t in same)
 
+    def lag(self, before: float, after: float) -> tuple[float, float]:
+        """Return how late (m) the path turns after a change of offset, and how long (m) the arc between is.
+
+        Of the measured jumps, linear in how large the change is, that of the nearest size beyond them;
+        (0, 0) where none is known. `shaping` has the law.
+        """
+        change = after - before
+        known: dict[float, list[tuple[float, float]]] = {}
+        for t in self.transients:
+            turned = self._curvature(t.after) - self._curvature(t.before)
+            if (t.after - t.before) * change > 0 and t.dheading * turned < 0:
+                late, square = -t.dheading / turned, 2 * t.dy / turned
+                # Shorter than it is late cannot be: then all of it is lateness.
+                known.setdefault(round(abs(t.after - t.before), 9), []).append(
+                    (late, max(square / late, late))
+                )
+        if not known:
+            return 0.0, 0.0
+        sizes = sorted(known)
+        late, long = (
+            float(np.interp(abs(change), sizes, [np.mean(known[size], axis=0)[k] for size in sizes]))
+            for k in (0, 1)
+        )
+        return late, long
+
+    def _curvature(self, offset: float) -> float:
+        return float(np.interp(offset, self.offsets, self.curvatures))
+
 
 def problems(footprint: Footprint) -> list[tuple[str, str]]:
     """Return (field, message) of all that a footprint cannot be."""

@@ -56,6 +56,10 @@ class BestFirstFile(_SearchFile):
     weight: float = quantity("Of the bound; above 1 faster and longer", "", 1.0, 100.0, 1.0)
     levels: int = quantity("Resolutions to try", "", 1, 5, 4)
     smooth: bool = section("Shorten the path afterwards.", True)
+    shape_changes: bool = section(
+        "Plan the way that changes of offset take, as the footprint has it measured, not jumps of curvature.",
+        False,
+    )
     improve: bool = section("Go on to finer levels for shorter paths while the budget lasts.", False)
 
 

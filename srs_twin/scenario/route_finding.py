@@ -11,7 +11,7 @@ from srs_twin.scenario.planner_file import BestFirstFile, GivenFile, GreedyFile,
 from srs_twin.world import Goal, Pose, World
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Footprint, Plan, Problem, Settings
+    from srs_twin.planning import Footprint, Plan, Problem, Segment, Settings
 
 GIVEN = "given"
 
@@ -30,6 +30,7 @@ class PlannerSettings:
         settings: how hard to try.
         pieces: (curvature, length) of the path, 1/m and m, where it is given.
         run_up: straight beginning of the first plan, m.
+        shaped: whether the way of each change of offset is in the path.
     """
 
     kind: str
@@ -40,6 +41,7 @@ class PlannerSettings:
     settings: Settings
     pieces: tuple[tuple[float, float], ...] = ()
     run_up: float = 0.0
+    shaped: bool = False
 
     def plan(self) -> Plan:
         """Return the plan.
@@ -48,6 +50,14 @@ class PlannerSettings:
             InputError: start or goal cannot be, or the extra `ompl` is missing.
         """
         return _plan(self)
+
+    def plan_anew(self) -> Plan:
+        """Return the plan, made now: its time is that of this machine now.
+
+        Raises:
+            InputError: as `plan`.
+        """
+        return _plan.__wrapped__(self)
 
     def plan_from(self, pose: Pose) -> Plan:
         """Return a plan from another pose.
@@ -61,21 +71,31 @@ class PlannerSettings:
 @lru_cache(maxsize=16)
 def _plan(settings: PlannerSettings) -> Plan:
     """Plan once: the file's check, both plants and the report ask for the same."""
-    from srs_twin.planning import Outcome, Plan, plan
+    from srs_twin.planning import Outcome, Plan
     from srs_twin.planning.collision import Checker
     from srs_twin.planning.problem import path_of
 
     if settings.kind == GIVEN:
         start, footprint = settings.problem.start, settings.problem.footprint
         return Plan(Outcome.FOUND, "the path is given", path_of(start, list(settings.pieces), footprint))
-    if settings.run_up == 0:
-        return plan(settings.problem, settings.settings, planner=settings.kind)
     problem = settings.problem
+    if settings.run_up == 0:
+        return _found(settings, problem, ())
     (first,) = path_of(problem.start, [(0.0, settings.run_up)], problem.footprint)
     if hit := Checker(problem.world, problem.footprint).blocker(problem.start, settings.run_up):
         raise InputError(f"the straight beginning of {settings.run_up:g} m touches {hit}; run_up_m sets it")
-    found = plan(replace(problem, start=first.end), settings.settings, planner=settings.kind)
-    return replace(found, segments=(first, *found.segments)) if found.found else found
+    return _found(settings, replace(problem, start=first.end), (first,))
+
+
+def _found(settings: PlannerSettings, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
+    """Return the plan behind a fixed beginning."""
+    from srs_twin.planning import plan
+    from srs_twin.planning.shaping import plan_shaped
+
+    if settings.shaped:
+        return plan_shaped(problem, settings.settings, begin)
+    found = plan(problem, settings.settings, planner=settings.kind)
+    return replace(found, segments=(*begin, *found.segments)) if found.found else found
 
 
 def planner_settings(given: PlannerFile, footprint: Footprint, start: Pose, world: World) -> PlannerSettings:
@@ -106,6 +126,7 @@ def planner_settings(given: PlannerFile, footprint: Footprint, start: Pose, worl
     return PlannerSettings(
         given.kind, footprint, given.turn_share, given.margin_m, problem, _settings(given), pieces,
         0.0 if isinstance(given, GivenFile) else given.run_up_m,
+        isinstance(given, BestFirstFile) and given.shape_changes,
     )  # fmt: skip
 
 

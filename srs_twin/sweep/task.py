@@ -99,9 +99,9 @@ def _planned(scenario: Scenario) -> dict[str, Any]:
     planner = scenario.controller.planner
     if planner.kind not in _planned_before:
         # What is loaded and compiled once a process is in no point's time.
-        planner.plan_from(planner.problem.start)
+        planner.plan_anew()
         _planned_before.add(planner.kind)
-    found = planner.plan()
+    found = planner.plan_anew()
     return plan_metrics(found.found, found.segments, found.expanded) | {"plan_s": found.seconds}
 
 

@@ -1,0 +1,111 @@
+"""Shaped changes of offset: against the jumps that were measured, and plans that have them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plan_sampling import TOUCH, deepest, joints, misses
+
+from srs_twin.planning import Problem, Settings, load_footprint
+from srs_twin.planning.problem import Segment, path_of
+from srs_twin.planning.shaping import plan_shaped, shaped
+from srs_twin.planning.swept import along
+from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.world import Bounds, Circle, Goal, Pose, World
+
+LEARNT, OPEN = load_footprint("gen4_ilc"), load_footprint("gen2_gait")
+START = Pose(0.0, 0.0, 0.0)
+FIELD = World((Circle(0.9, 0.05, 0.1), Circle(1.7, -0.25, 0.12)), Bounds((-0.5, 3.0), (-1.0, 1.0)))
+GOAL = Goal(2.4, 0.3, 0.0, 0.05)
+
+
+def curvature(footprint, offset):
+    return footprint.curvatures[footprint.offsets.index(offset)]
+
+
+@pytest.mark.parametrize("t", LEARNT.transients, ids=lambda t: f"{t.before:g} to {t.after:g}")
+def test_the_settled_path_is_the_one_that_was_measured(t):
+    """The jump itself, from where the command takes effect, against the shaped arcs; it is 71 mm at most."""
+    old, new = (curvature(LEARNT, offset) for offset in (t.before, t.after))
+    path = shaped(path_of(START, [(old, 1.0), (new, 1.0)], LEARNT), LEARNT)
+    assert len(path) == 3
+    command, settled = path[1].start, path[2]
+    c, s = math.cos(command.heading), math.sin(command.heading)
+    jumped = Pose(
+        command.x + c * t.dx - s * t.dy, command.y + s * t.dx + c * t.dy, command.heading + t.dheading
+    )
+    # Where the measured arc is after as much turning as the shaped path has done since.
+    x, y, heading = along(jumped.x, jumped.y, jumped.heading, new, path[1].length)
+    if new:
+        x, y, heading = along(x, y, heading, new, (settled.start.heading - heading) / new)
+    assert settled.start.heading == pytest.approx(heading, abs=0.02)
+    beside = math.cos(heading) * (settled.start.y - y) - math.sin(heading) * (settled.start.x - x)
+    assert abs(beside) < 0.012
+
+
+def test_a_shaped_change_keeps_the_heading_and_turns_no_tighter():
+    planned = path_of(START, [(1.0, 0.8), (-1.5, 0.8), (0.0, 0.5)], LEARNT)
+    path = shaped(planned, LEARNT)
+    assert path[-1].end.heading == pytest.approx(planned[-1].end.heading)
+    assert sum(s.length for s in path) == pytest.approx(sum(s.length for s in planned))
+    assert max(abs(s.curvature) for s in path) <= 1.5
+    steps = [abs(b.curvature - a.curvature) for a, b in zip(path, path[1:], strict=False)]
+    assert max(steps) < 2.5 - 0.5
+
+
+def test_mirrored_paths_have_mirrored_shapes():
+    ways = []
+    for side in (1.0, -1.0):
+        path = shaped(path_of(START, [(side, 0.8), (-side * 1.5, 0.8), (0.0, 0.5)], OPEN), OPEN)
+        ways.append(np.array([(side * s.curvature, s.length) for s in path]))
+    assert ways[0] == pytest.approx(ways[1])
+
+
+def test_changes_without_room_or_measurement_stay_as_they_are():
+    short = path_of(START, [(1.0, 0.1), (-1.0, 0.1)], LEARNT)
+    assert shaped(short, LEARNT) == short
+    long = path_of(START, [(1.0, 0.8), (-1.0, 0.8)], LEARNT)
+    assert shaped(long, replace(LEARNT, transients=())) == long
+    assert shaped((), LEARNT) == ()
+
+
+def test_a_shaped_plan_is_free_and_arrives():
+    body = LEARNT.reduced(0.8, 0.03)
+    problem = Problem(Pose(0.4, 0.0, 0.0), GOAL, FIELD, body)
+    begin = (Segment(START, 0.0, 0.4, 0.0, 0.18),)
+    answer = plan_shaped(problem, Settings(), begin)
+    assert answer.found and answer.reason == "a free path" and answer.segments[0].start == START
+    whole = replace(problem, start=START)
+    assert deepest(answer, whole) < TOUCH and joints(answer, whole) < 1e-6 and not misses(answer, whole)
+    planned = (0.0, 0.5 * body.tightest[1], body.tightest[1])
+    between = [s for s in answer.segments if min(abs(abs(s.curvature) - k) for k in planned) > 0.05]
+    assert len(between) >= 2, "changes have an arc between"
+
+
+def test_where_no_shaped_path_is_free_the_plan_says_so():
+    tight = World((Circle(0.5, 0.25, 0.1), Circle(0.5, -0.25, 0.1), Circle(1.0, 0.02, 0.1)), FIELD.bounds)
+    answer = plan_shaped(
+        Problem(START, Goal(1.3, 0.0, 0.0, 0.001, 0.0), tight, OPEN.reduced(0.4)), Settings()
+    )
+    assert answer.found and "changes of offset are jumps in it" in answer.reason
+
+
+def test_without_transients_nothing_is_shaped():
+    problem = Problem(START, GOAL, FIELD, load_footprint("gen4_table9"))
+    answer = plan_shaped(problem, Settings())
+    assert answer.found and {abs(round(s.curvature, 6)) for s in answer.segments} <= {0, 0.6545, 1.309}
+
+
+def test_a_scenario_asks_for_it():
+    document = dict(load_scenario("follow_gen4_b").document)
+    plans = [
+        parse_scenario({**document, "planner": {**document["planner"], "shape_changes": shape}})
+        .controller.planner.plan()
+        for shape in (False, True)
+    ]  # fmt: skip
+    assert all(answer.found for answer in plans)
+    assert plans[0].segments[0].length == pytest.approx(0.4) and plans[1].segments[0].length < 0.4
+    assert len(plans[1].segments) > len(plans[0].segments)
