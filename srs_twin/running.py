@@ -34,11 +34,10 @@ if TYPE_CHECKING:
 PLANTS = ("analytical", "twin")
 METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
 REPORT, RECORDING = "report.html", "recording.rrd"
-# metrics.json first: as long as it stands, the folder is complete.
 MEASURED = "measured"
+# metrics.json first: as long as it stands, the folder is complete.
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
 _OF_REPLAYS = (*PRODUCTS, f"{MEASURED}.parquet")
-
 _RECORDED = "recorded"  # `pneumatics.recorded`, which costs a kernel to import
 
 Progress = Callable[[str, float], None]

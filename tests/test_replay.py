@@ -237,6 +237,7 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
         (["w.csv", "--valves", "none.csv"], "none.csv: no such file"),
         (["w.csv", "--plants", "twn"], "--plants: 'twn' is unknown; allowed: analytical, twin"),
         (["w.csv", "--expect", "e.yaml"], "e.yaml:1:19: expect[0].metric"),
+        (["w.csv", "--check"], "--check: nothing is expected; give --expect FILE.yaml"),
         (["w.csv", "--fit", "none.yaml"], "none.yaml: no such file"),
         (["w.csv", "--offset", "1e6"], "frames in common"),
         (["w.csv", "--pressure", "-3"], "supply.pressure_kpa"),

@@ -75,6 +75,8 @@ def replay(
     from srs_twin.files import results_name
     from srs_twin.scenario import parse_scenario
 
+    if check and expect is None:
+        raise InputError("--check: nothing is expected; give --expect FILE.yaml")
     snake = _robot(robot, fit or [])
     recording = _given(
         motion=motion, valves=valves, offset_s=offset, gait_frequency_hz=frequency, up=up, layout=layout,

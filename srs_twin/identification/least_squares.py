@@ -14,7 +14,7 @@ overstates the error of others. Everything is deterministic: more starts than on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,7 @@ def least_squares(
     seed: int = 0,
     held: Values | None = None,
     watch: Watch | None = None,
+    validation: Residuals | None = None,
 ) -> Estimate:
     """Fit unknowns to data.
 
@@ -68,6 +69,7 @@ def least_squares(
         seed: of these draws.
         held: what the values refer to, for the estimate.
         watch: is told how far the search is.
+        validation: residuals of data that are only looked at in the end, where those take long.
 
     Raises:
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
@@ -75,7 +77,10 @@ def least_squares(
     search = _Search(residuals, tuple(unknowns), step, coarse, tolerance, watch)
     ends = [search.run(start) for start in _starts(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
-    return _estimate(search, best, ends, held or {})
+    found = _estimate(search, best, ends, held or {})
+    if validation is None:
+        return found
+    return replace(found, residuals=(*found.residuals, *validation(search.values(best.z))))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ act at all. The verdicts say so, whatever is asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +23,7 @@ from srs_twin.identification.estimate import Estimate, Residual, Role
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
+from srs_twin.pneumatics import Pneumatics
 from srs_twin.rollout import rollout
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -52,12 +53,14 @@ class GaitRun:
         controller: what commanded the valves.
         supply_pa: Pa, gauge.
         name: of the data.
+        chambers: of the plant of a robot, where pressures were recorded instead of valves; None: its own.
     """
 
     trajectory: Trajectory
     controller: Controller
     supply_pa: float
     name: str
+    chambers: Callable[[RobotSpec], Pneumatics] | None = None
 
     def data_set(self, role: Role) -> DataSet:
         """Return what a fit says of these data."""
@@ -87,15 +90,16 @@ class PlantModel:
         compliant = self.plant == "analytical" and self.settings.get("model") == "compliant"
         return _STEPS["compliant" if compliant else self.plant]
 
-    def build(self, spec: RobotSpec, supply_pa: float) -> Plant:
-        """Return the plant of a robot."""
+    def build(self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None) -> Plant:
+        """Return the plant of a robot, with chambers of its own or given ones."""
+        settings = self.settings if chambers is None else {**self.settings, "pneumatics": chambers}
         if self.plant == "twin":
             from srs_twin.plants.twin import TwinSnake
 
-            return TwinSnake(spec, supply_pa=supply_pa, **self.settings)
+            return TwinSnake(spec, supply_pa=supply_pa, **settings)
         from srs_twin.plants.analytical import AnalyticalSnake
 
-        return AnalyticalSnake(spec, supply_pa=supply_pa, **{"tolerance": _TOLERANCE, **self.settings})
+        return AnalyticalSnake(spec, supply_pa=supply_pa, **{"tolerance": _TOLERANCE, **settings})
 
     def follow(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
         """Return what the plant does when it is driven as the robot was.
@@ -103,7 +107,7 @@ class PlantModel:
         Raises:
             DivergedError: it diverges.
         """
-        plant = self.build(spec, run.supply_pa)
+        plant = self.build(spec, run.supply_pa, run.chambers(spec) if run.chambers else None)
         span = float(run.trajectory.time[-1] - run.trajectory.time[0])
         duration = math.ceil(span / plant.tick - 1e-9) * plant.tick
         return rollout(plant, run.controller, duration, record_hz=1 / plant.tick)
@@ -146,16 +150,19 @@ def fit_locomotion(
         raise InputError("gait runs are wanted; none was given")
     model = model or PlantModel()
     scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
-    everything: list[tuple[GaitRun, Role]] = [
-        *((run, "fit") for run in runs), *((run, "validation") for run in validation)
-    ]  # fmt: skip
-    keep_apart(run.data_set(role) for run, role in everything)
-    measured = [signals(run.trajectory, None, against, run.name) for run, _ in everything]
+    roles: list[tuple[Sequence[GaitRun], Role]] = [(runs, "fit"), (validation, "validation")]
+    keep_apart(run.data_set(role) for given, role in roles for run in given)
+    fitted, checked = (
+        [(run, role, signals(run.trajectory, None, against, run.name)) for run in given]
+        for given, role in roles
+    )
 
-    def residuals(values: Mapping[str, float]) -> list[Residual]:
+    def residuals(
+        values: Mapping[str, float], data: Sequence[tuple[GaitRun, Role, dict[str, np.ndarray]]] = fitted
+    ) -> list[Residual]:
         robot = with_values(spec, values)
         found: list[Residual] = []
-        for (run, role), seen in zip(everything, measured, strict=True):
+        for run, role, seen in data:
             try:
                 told = signals(model.follow(run, robot), run.trajectory, against, run.name)
                 off = {name: seen[name] - told[name] for name in seen}
@@ -165,7 +172,10 @@ def fit_locomotion(
         return found
 
     wanted = unknowns(spec, names, starts=starting)
-    return least_squares(residuals, wanted, step=model.step, coarse=_COARSE, starts=starts, watch=watch)
+    return least_squares(
+        residuals, wanted, step=model.step, coarse=_COARSE, starts=starts, watch=watch,
+        validation=lambda values: residuals(values, checked),
+    )  # fmt: skip
 
 
 def signals(

@@ -18,7 +18,8 @@ from srs_twin.identification.locomotion import GaitRun
 from srs_twin.identification.recording import LONGEST_GAP, Recording, read_motion
 from srs_twin.identification.valve_log import ValveLog, read_valves
 from srs_twin.plants.base import Pose
-from srs_twin.pneumatics import Schedule
+from srs_twin.pneumatics import Pneumatics, Schedule
+from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.spec import RobotSpec
 
 _LOG = ".valves.csv"
@@ -113,30 +114,49 @@ def repeats(log: ValveLog) -> float | None:
 
 
 def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
-    """Return a recording as a run whose valves are commanded again.
+    """Return a recording as a run whose valves are commanded again, or whose pressures chambers have again.
 
     Raises:
-        InputError: there is no log, or one of pressures.
+        InputError: there is no log.
     """
-    return GaitRun(
-        recording.trajectory,
-        Replay(commands(recording, name), recording.trajectory.metadata.get("gait_frequency_hz")),
-        supply_pa,
-        name,
-    )
+    trajectory = recording.trajectory
+    driver = Replay(commands(recording, name), trajectory.metadata.get("gait_frequency_hz"))
+    logged = pressures(recording)
+    if logged is None:
+        return GaitRun(trajectory, driver, supply_pa, name)
+    time, values = logged
+
+    def chambers(spec: RobotSpec) -> Pneumatics:
+        return RecordedPressures(spec, time, values, supply_pa=supply_pa)
+
+    return GaitRun(trajectory, driver, supply_pa, name, chambers)
+
+
+def pressures(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return recorded pressures, None where valves were recorded.
+
+    Returns:
+        Times from the recording's first sample on (rows,), s, and gauge pressures (rows, segments, 2), Pa.
+    """
+    log = recording.valves
+    if log is None or log.kind == "valve":
+        return None
+    return log.time - recording.trajectory.time[0], log.values
 
 
 def commands(recording: Recording, name: str) -> Schedule:
-    """Return the valves from the recording's first sample on.
+    """Return the valves from the recording's first sample on; all venting where pressures were recorded.
 
     Raises:
-        InputError: there is no log, or one of pressures.
+        InputError: there is no log.
     """
     log = recording.valves
-    if log is None or log.kind != "valve":
-        raise InputError(
-            f"{name}: a log of valves is wanted; one of pressures does not say what was commanded"
-        )
+    if log is None:
+        raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
+    if log.kind != "valve":
+        vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)
+        time = recording.trajectory.time
+        return Schedule(float(time[-1] - time[0]), np.zeros(1), vented)
     schedule = log.schedule()
     begin = min(max(float(recording.trajectory.time[0] - log.time[0]), 0.0), schedule.span - _STILL)
     return schedule.part(begin, schedule.span)

@@ -183,18 +183,14 @@ class ReplaySettings:
     @classmethod
     def of(cls, recording: Recording) -> ReplaySettings:
         """Return what a recording that was joined with its log commanded."""
-        from srs_twin.identification.takes import commands
-        from srs_twin.pneumatics import Schedule
+        from srs_twin.identification.takes import commands, pressures
 
-        log, trajectory = recording.valves, recording.trajectory
+        log = recording.valves
         assert log is not None, "it was joined with its log"
-        about = log.kind, trajectory.metadata.get("gait_frequency_hz"), log.sha256
-        if log.kind == "valve":
-            schedule = commands(recording, log.source)
-            return cls(*about, schedule, np.zeros(0), np.zeros((0, *log.values.shape[1:])))
-        vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)
-        span = float(trajectory.time[-1] - trajectory.time[0])
-        return cls(*about, Schedule(span, np.zeros(1), vented), log.time - trajectory.time[0], log.values)
+        schedule = commands(recording, log.source)
+        frequency = recording.trajectory.metadata.get("gait_frequency_hz")
+        time, pressure = pressures(recording) or (np.zeros(0), np.zeros((0, *log.values.shape[1:])))
+        return cls(log.kind, frequency, log.sha256, schedule, time, pressure)
 
     def make(self) -> Controller:
         """Return a fresh controller."""
