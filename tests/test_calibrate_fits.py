@@ -271,7 +271,7 @@ def test_a_recording_becomes_a_run(tmp_path):
     driven = gait_run(other, "take", 48e3)
     plant = AnalyticalSnake(SPEC, supply_pa=48e3, pneumatics=driven.chambers(SPEC))
     by_pressures = rollout(plant, driven.controller, 3.5)
-    # Where a valve switches the drive's rate jumps by 2 A/τ₁; the log draws a chord there, which x follows by τ₂.
+    # Where a valve switches the drive's rate jumps by 2 A/τ₁; the log has a chord there, x follows by τ₂.
     swing, tau = SPEC.actuator.gain * 48e3, SPEC.actuator.tau_mode
     off = by_pressures["bend_1"] - truth["bend_1"][:351]
     assert np.abs(off).max() < 2 * swing / SPEC.actuator.tau_fill * tau
