@@ -20,6 +20,7 @@ from srs_twin.running import RunResult, run_scenario
 from srs_twin.scenario import Scenario
 from srs_twin.sweep import load_sweep, open_sweep
 from srs_twin.sweep.engines import local
+from srs_twin.viewing.colors import STYLES
 from srs_twin.viewing.plan_view import hero_figure
 from srs_twin.viewing.screenshot import screenshots
 from srs_twin.viewing.strobe import write_strobe
@@ -62,9 +63,11 @@ def look(scenario: Scenario, result: RunResult) -> None:
     with served([recording]) as (address, serve), browser.chromium(1280, 800) as chromium:
         threading.Thread(target=serve, daemon=True).start()
         chromium.get(address)
-        page, _ = browser.picture(chromium, lambda shown: bool((shown.max(axis=-1) > 200).mean() > 0.2))
-        # It goes on playing; the second picture has the plots too.
-        page, _ = browser.picture(chromium, lambda shown: True)
+        blue = STYLES["twin"].rgb
+        page, _ = browser.picture(
+            chromium,
+            lambda shown: browser.shows_a_snake(shown) and browser.share(shown[:, -400:], blue) > 0.001,
+        )
         (IMAGES / "web.png").write_bytes(page)
     write_strobe(IMAGES / "strobe.png", scenario, result.trajectories["twin"])
 

@@ -15,6 +15,8 @@ from selenium import webdriver
 from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.chrome.service import Service
 
+from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB
+
 SETTINGS = (
     "--headless=new",
     "--no-sandbox",
@@ -76,3 +78,14 @@ def requested(driver: webdriver.Chrome) -> set[str]:
         each["params"]["request"]["url"] for each in told if each["method"] == "Network.requestWillBeSent"
     )
     return set(asked)
+
+
+def share(picture: np.ndarray, rgb: tuple[int, int, int]) -> float:
+    """The share of pixels that have a colour's hue, in light and shade, and are not grey."""
+    bright = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1)
+    return float((np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean())
+
+
+def shows_a_snake(picture: np.ndarray) -> bool:
+    """Say whether segments with pressure in either chamber are in a picture."""
+    return share(picture, PLUS_RGB) > 0.002 and share(picture, MINUS_RGB) > 0.002

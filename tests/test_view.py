@@ -14,16 +14,16 @@ import urllib.request
 from io import BytesIO
 
 import browser
-import numpy as np
 import psutil
 import pytest
+from browser import share, shows_a_snake
 from matplotlib.image import imread
 from viewing_runs import pair, robot
 
 from srs_twin.cli.view import named
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
-from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB, STYLES
+from srs_twin.viewing.colors import STYLES
 from srs_twin.viewing.rerun_log import write_recording
 from srs_twin.viewing.screenshot import screenshots
 from srs_twin.viewing.side_by_side import write_side_by_side
@@ -45,16 +45,6 @@ def recordings(tmp_path_factory):
         write_recording(path, spec=spec, trajectories=runs, comparison=compare(*runs.values()))
         made[name] = path
     return made
-
-
-def share(picture, rgb):
-    """The share of pixels that have a colour's hue, in light and shade, and are not grey."""
-    bright = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1)
-    return (np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean()
-
-
-def shows_a_snake(picture):
-    return share(picture, PLUS_RGB) > 0.002 and share(picture, MINUS_RGB) > 0.002
 
 
 def entities(path):
