@@ -35,6 +35,11 @@ class Style:
         value = int(self.color[1:], 16)
         return value >> 16, value >> 8 & 255, value & 255
 
+    @property
+    def zorder(self) -> float:
+        """Dashed lines lie on solid ones: where both agree, both are seen."""
+        return 2.0 if self.dash == "-" else 2.1
+
 
 STYLES = {
     "twin": Style("twin (MuJoCo)", "#0072B2", "-", 1.7),

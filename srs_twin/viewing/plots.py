@@ -51,7 +51,7 @@ def speed_plot(trajectories: Mapping[str, Trajectory]) -> Figure:
         if len(time):
             axes.plot(run.time, momentary, color=style.color, linewidth=0.7, alpha=0.35)
             axes.plot(
-                time, mean, color=style.color, linestyle=style.dash, linewidth=2.0,
+                time, mean, color=style.color, linestyle=style.dash, linewidth=2.0, zorder=style.zorder,
                 label=f"{style.label}, mean of one gait period",
             )  # fmt: skip
         else:
@@ -105,6 +105,7 @@ def _by_segment(
             axes.plot(
                 run.time[seen], signals[plant][seen, j],
                 color=style.color, linestyle=style.dash, linewidth=style.width, label=style.label,
+                zorder=style.zorder,
             )  # fmt: skip
         finish(axes, label.format(j + 1))
     some = "" if len(shown) == segments else f", {len(shown)} of {segments} segments"

@@ -44,7 +44,7 @@ def tracking_plot(trajectories: Mapping[str, Trajectory]) -> Figure:
             rows[0].plot(time, run["sensed_1"][seen], color=style.color, linewidth=0.4, alpha=0.3)
         rows[0].plot(
             time, run["bend_1"][seen], color=style.color, linestyle=style.dash, linewidth=style.width,
-            label=style.label,
+            label=style.label, zorder=style.zorder,
         )  # fmt: skip
         _valves(rows[1 + index], run, seen, style.color)
         finish(rows[1 + index], f"{plant}\nvalves")
