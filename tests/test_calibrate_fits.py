@@ -200,6 +200,21 @@ def test_an_interrupt_leaves_nothing(tmp_path):
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
+def test_an_interrupt_that_became_an_import_error_is_one(monkeypatch):
+    """Modules in C that are loading when it comes say 'initialization failed'."""
+
+    def interrupted():
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+
+    monkeypatch.setattr("srs_twin.cli.app.command", interrupted)
+    with pytest.raises(SystemExit) as end:
+        main(["doctor"])
+    assert end.value.code == 130
+
+
 # What recordings give to fits and replays
 
 

@@ -96,14 +96,10 @@ class _Search:
     """Weighted residuals as a function of z, and their derivatives."""
 
     def __init__(
-        self,
-        residuals: Residuals,
-        unknowns: tuple[Unknown, ...],
-        step: float,
-        coarse: float | None,
+        self, residuals: Residuals, unknowns: tuple[Unknown, ...], step: float, coarse: float | None,
         tolerance: float | None,
         watch: Watch | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.unknowns, self.step, self._coarse, self._residuals = unknowns, step, coarse, residuals
         self._tolerance = max(1e-12, 1e-3 * step**2) if tolerance is None else tolerance
         self._watch, self._runs, self._least = watch, 0, np.inf
