@@ -166,7 +166,8 @@ def fit_file(
         data=[
             DataEntry(
                 name=each.name, sha256=each.sha256, role=each.role, samples=each.samples,
-                from_s=each.start, to_s=each.end, measured=shown[each.name][0], predicted=shown[each.name][1],
+                from_s=each.start, to_s=each.end, measured=_few(shown[each.name][0]),
+                predicted=_few(shown[each.name][1]),
             )
             for each in data
         ],
@@ -269,6 +270,10 @@ def _entry(each: Parameter) -> ParameterEntry:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else 0.0
+
+
+def _few(averages: Mapping[str, float] | None) -> dict[str, float] | None:
+    return None if averages is None else {name: float(f"{value:.6g}") for name, value in averages.items()}
 
 
 def _maybe(value: float | None) -> float | None:

@@ -171,8 +171,8 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
     size = float(np.abs(fine[:, -1]).max())
     beside = ", ".join(each.name for each in told)
     why = (
-        f"held at {other.start:g}; beside {beside} its standard error were {known.errors[-1]:.2g} in units "
-        f"that matter, one of which changes the data by {size:.2g} times the noise at most"
+        f"held at {other.start:g}; beside {beside} its standard error would be {known.errors[-1]:.2g} in "
+        f"units that matter, one of which changes the data by {size:.2g} times the noise at most"
     )
     return Parameter(other.name, other.unit, "not identifiable", why=why)
 

@@ -1,0 +1,218 @@
+"""Generation 4 from Table 8: fitted on offsets 0 and ±0.3 alone, predicting ±0.1 and ±0.2.
+
+    uv run python benchmarks/table8_fit.py --plant twin --threads 2
+    uv run python benchmarks/table8_fit.py --show --picture docs/images/table8_fit.png
+
+The first fits a plant and writes calibration/fits/gen4_table8_twin.yaml: ten minutes for the analytical plant
+and twenty for the twin on a busy machine of two cores. The second shows what these files hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from grid import table
+
+from srs_twin import load_robot
+from srs_twin.files import data_root
+from srs_twin.identification.drive import PLANTS, Drive
+from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
+from srs_twin.identification.offset_runs import fit_offsets, offset_runs, predicted
+from srs_twin.identification.unknowns import with_values
+from srs_twin.published import PublishedRun, published_runs
+from srs_twin.running import versions
+
+FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
+FITTED = (0.0, 0.3, -0.3)
+UNKNOWN = {"geometry.segment_length_m": 0.1164, "friction.mu_t": 0.0901, "modules.sensor_bias_rad": 0.0151}
+"""What is looked for, and where the search begins: from there every plant stands, and goes ahead."""
+ASKED = (
+    "friction.mu_n", "geometry.rigid_gap_m", "mass.connectors_kg", "bending.stiffness_nm_per_rad",
+    "bending.damping_time_s", "modules.bias_rad_1",
+)  # fmt: skip
+"""What is held, and asked after on the analytical plant: Jacobians of the twin take too long."""
+
+
+def main() -> None:
+    """Fit, or show what was fitted."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--plant", choices=PLANTS, default="analytical")
+    parser.add_argument("--threads", type=int)
+    parser.add_argument("--show", action="store_true")
+    parser.add_argument("--picture", type=Path)
+    given = parser.parse_args()
+    if not given.show:
+        print(write_fit(fit(given.plant, given.threads), place(given.plant)))
+    fits = {plant: load_fit(place(plant)) for plant in PLANTS if place(plant).is_file()}
+    for plant, each in fits.items():
+        print(f"\n{plant}\n{each.estimate().text()}")
+    for each in (values_table, rows_table, pairs_table, boxes_table):
+        print("\n" + each(fits))
+    if given.picture:
+        picture(fits).savefig(given.picture, dpi=130)
+
+
+def place(plant: str) -> Path:
+    """Return where the fit against a plant is kept."""
+    return data_root() / "calibration" / "fits" / f"gen4_table8_{plant}.yaml"
+
+
+def drive_of(plant: str) -> Drive:
+    """Return generation 4 under Section 5.3's iterative learning."""
+    return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant)
+
+
+def fit(plant: str, threads: int | None = None) -> FitFile:
+    """Fit a plant to three rows of Table 8 and predict all."""
+    drive, rows = drive_of(plant), published_runs()
+    fitted = offset_runs([row for row in rows if row.offset in FITTED])
+    kept = offset_runs([row for row in rows if row.offset not in FITTED])
+    found = fit_offsets(
+        fitted, drive, UNKNOWN, besides=ASKED if plant == "analytical" else (), validation=kept,
+        starting=UNKNOWN, threads=threads,
+    )  # fmt: skip
+    data = [run.data_set("fit") for run in fitted] + [run.data_set("validation") for run in kept]
+    return fit_file(
+        found, name=f"gen4_table8_{plant}", title=f"Generation 4 from Table 8's offsets 0 and ±0.3, {plant}",
+        robot="gen4", method="offsets", command=f"uv run python benchmarks/table8_fit.py --plant {plant}",
+        versions=versions(), data=data, averages=averages(rows, drive, found.values, threads),
+    )  # fmt: skip
+
+
+def averages(rows: Sequence[PublishedRun], drive: Drive, values: dict[str, float], threads: int | None):
+    """Return what was measured and what the fitted robot does, by name of the data."""
+    moved = replace(drive, spec=with_values(drive.spec, values))
+    paths = predicted(moved, [row.offset for row in rows], threads=threads)
+    found = {}
+    for row, path in zip(rows, paths, strict=True):
+        # The side of offset 0 is not printed: that to which the robot goes.
+        curvature = math.copysign(1 / row.radius_m, row.offset or path.curvature)
+        found[f"offset {row.offset:g}"] = (
+            _named(row.speed_m_s, curvature, row.left_m, row.right_m),
+            _named(path.speed, path.curvature, -path.left, path.right),
+        )
+    return found
+
+
+def _named(speed: float, curvature: float, left: float, right: float) -> dict[str, float]:
+    return {"speed_m_s": speed, "curvature_per_m": curvature, "left_m": left, "right_m": right}
+
+
+def values_of(fit: FitFile, kind: str) -> dict[float, tuple[float, float]]:
+    """Return offset → speed (m/s) and radius (m, no sign), kind "measured" or "predicted"."""
+    found = {}
+    for each in sorted(fit.data, key=lambda each: float(each.name.removeprefix("offset "))):
+        held = getattr(each, kind)
+        offset = float(each.name.removeprefix("offset "))
+        found[offset] = (held["speed_m_s"], 1 / abs(held["curvature_per_m"]))
+    return found
+
+
+def off(one: float, other: float) -> str:
+    return f"{one:.4g} ({100 * (one / other - 1):+.0f} %)"
+
+
+def values_table(fits: dict[str, FitFile]) -> str:
+    """Return what was found by each plant, with 95 % intervals."""
+    rows = []
+    for name in UNKNOWN:
+        cells = []
+        for fit in fits.values():
+            each = next(each for each in fit.parameters if each.name == name)
+            numbers = (
+                f"{each.value:.3g} ({each.low:.2g} to {each.high:.2g}), " if each.value is not None else ""
+            )
+            cells.append(numbers + each.verdict)
+        rows.append([name, *cells])
+    return table(["parameter", *fits], rows)
+
+
+def rows_table(fits: dict[str, FitFile]) -> str:
+    """Return each row of the table beside each plant."""
+    rows = []
+    seen = values_of(next(iter(fits.values())), "measured")
+    for offset, (speed, radius) in seen.items():
+        told = [values_of(each, "predicted")[offset] for each in fits.values()]
+        rows.append([
+            f"{offset:g}", "fit" if offset in FITTED else "predicted", f"{speed:g}",
+            *(off(each[0], speed) for each in told), f"{radius:.5g}",
+            *(off(each[1], radius) for each in told),
+        ])  # fmt: skip
+    heads = ["offset", "row", "speed: Table 8 (m/s)", *fits, "radius: Table 8 (m)", *fits]
+    return table(heads, rows)
+
+
+def pairs_table(fits: dict[str, FitFile]) -> str:
+    """Return means over ±offset."""
+    rows = []
+    seen = values_of(next(iter(fits.values())), "measured")
+
+    def mean(of: dict[float, tuple[float, float]], offset: float, which: int) -> float:
+        return (of[offset][which] + of[-offset][which]) / 2
+
+    for offset in sorted(each for each in seen if each > 0):
+        cells = []
+        for which in (0, 1):
+            held = mean(seen, offset, which)
+            spread = abs(seen[offset][which] - seen[-offset][which]) / 2 / held
+            cells += [f"{held:.4g} ± {100 * spread:.0f} %"]
+            cells += [off(mean(values_of(each, "predicted"), offset, which), held) for each in fits.values()]
+        rows.append([f"±{offset:g}", "fit" if offset in FITTED else "predicted", *cells])
+    heads = ["offsets", "rows", "mean speed: Table 8 (m/s)", *fits, "mean radius: Table 8 (m)", *fits]
+    return table(heads, rows)
+
+
+def boxes_table(fits: dict[str, FitFile]) -> str:
+    """Return how wide the box is at each offset; no row of it was fitted."""
+    rows = []
+    for each in sorted(next(iter(fits.values())).data, key=lambda each: float(each.name.split()[1])):
+        held = width(each.measured)
+        told = [
+            width(other.predicted) for fit in fits.values() for other in fit.data if other.name == each.name
+        ]
+        rows.append([each.name.split()[1], f"{held:.3g}", *(off(value, held) for value in told)])
+    return table(["offset", "width of the box: Table 8 (m)", *fits], rows)
+
+
+def width(of: dict[str, float]) -> float:
+    return of["right_m"] - of["left_m"]
+
+
+def picture(fits: dict[str, FitFile]):
+    """Return speed and curvature against offset: fitted rows filled, predicted ones open."""
+    from matplotlib.figure import Figure
+
+    from srs_twin.viewing.colors import style_of
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    panels = figure.subplots(1, 2)
+    seen = values_of(next(iter(fits.values())), "measured")
+    for which, (axes, label) in enumerate(zip(panels, ("speed (m/s)", "radius (m)"), strict=True)):
+        for index, (plant, each) in enumerate(fits.items()):
+            told, style = values_of(each, "predicted"), style_of(plant, index)
+            offsets = np.array([offset for offset in told if which == 0 or offset != 0])
+            for side in (offsets < 0, offsets > 0) if which else (offsets < 9,):
+                axes.plot(
+                    offsets[side], [told[offset][which] for offset in offsets[side]], style.dash,
+                    color=style.color, label=plant if side[0] else None, marker=".",
+                )  # fmt: skip
+        for offset, values in seen.items():
+            face = "black" if offset in FITTED else "white"
+            axes.plot(offset, values[which], "o", color="black", markerfacecolor=face, zorder=3)
+        for face, text in (("black", "Table 8, fitted"), ("white", "Table 8, predicted")):
+            axes.plot([], [], "o", color="black", markerfacecolor=face, label=text)
+        axes.set_xlabel("offset (positive to the left)")
+        axes.set_ylabel(label)
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+    panels[0].legend(fontsize=8, frameon=False, loc="lower left")
+    return figure
+
+
+if __name__ == "__main__":
+    main()

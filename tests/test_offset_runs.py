@@ -1,0 +1,168 @@
+"""Fits to speeds and radii at several offsets: a known law is recovered, the shipped fits are current."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+from table8_fit import (
+    FITTED,
+    boxes_table,
+    drive_of,
+    pairs_table,
+    place,
+    rows_table,
+    values_of,
+    values_table,
+)
+
+from srs_twin import load_robot
+from srs_twin.documents import dump_yaml, parse_yaml
+from srs_twin.errors import InputError
+from srs_twin.identification import offset_runs as module
+from srs_twin.identification.drive import PLANTS, Drive
+from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
+from srs_twin.identification.overrides import robot_override
+from srs_twin.identification.steady import SteadyPath
+from srs_twin.identification.unknowns import with_values
+from srs_twin.published import published_runs
+from srs_twin.robots import resolve_robot
+
+TRUTH = {"geometry.segment_length_m": 0.11, "friction.mu_t": 0.08, "modules.sensor_bias_rad": -0.02}
+OFFSETS = (0.0, 0.3, -0.3)
+
+
+def law(spec, offset):
+    """Return a path by a law of our own: without masses, and of the friction only the ratio acts."""
+    length, friction = spec.geometry.segment_length, spec.friction
+    speed = 2 * length * (1 - 3 * friction.mu_t / friction.mu_n + 0.5 * offset**2)
+    return SteadyPath(speed, (0.5 * offset - spec.modules.sensor_bias[0]) / length, 0, 0, 0, 0)
+
+
+@pytest.fixture
+def lawful(monkeypatch):
+    """Put the law in place of the plants; return a drive."""
+    asked = []
+
+    def told(drive, offsets, *, threads=None):
+        asked.append(tuple(offsets))
+        return [law(drive.spec, offset) for offset in offsets]
+
+    monkeypatch.setattr(module, "predicted", told)
+    return Drive(load_robot("gen4"), 1.5, 131e3, "ilc", 0.7, "analytical"), asked
+
+
+def measured(offsets, truth=TRUTH, noise=0.0):
+    paths = [law(with_values(load_robot("gen4"), truth), offset) for offset in offsets]
+    return [
+        OffsetRun(offset, path.speed * (1 + noise * (-1) ** k), path.curvature)
+        for k, (offset, path) in enumerate(zip(offsets, paths, strict=True))
+    ]
+
+
+def test_known_values_are_recovered_from_three_rows(lawful):
+    found = fit_offsets(measured(OFFSETS), lawful[0], TRUTH)
+    for name, value in TRUTH.items():
+        assert found[name].value == pytest.approx(value, rel=1e-3), name
+        assert found[name].verdict == "identified"
+
+
+def test_what_is_held_is_said_to_be_unknowable_where_it_is(lawful):
+    besides = ("friction.mu_n", "mass.connectors_kg", "geometry.rigid_gap_m")
+    found = fit_offsets(measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides)
+    for name in besides:
+        assert found[name].verdict == "not identifiable" and found[name].value is None
+    assert "held at 0.57; beside geometry.segment_length_m" in found["friction.mu_n"].why
+    assert found.held["friction.mu_n"] == 0.57
+    assert found.correlation.shape == (6, 6)
+
+
+def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
+    names = [name for name in TRUTH if name != "friction.mu_t"]
+    runs = measured(OFFSETS, TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t}, noise=0.001)
+    found = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
+    assert [each.name for each in found.parameters] == names
+    assert list(found.held) == ["friction.mu_t"]
+
+
+def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
+    drive, asked = lawful
+    found = fit_offsets(measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2)))
+    assert set(asked[:-1]) == {OFFSETS} and asked[-1] == (0.1, -0.2)
+    assert found.rms("validation") < 0.01
+    assert len(set(asked)) == 2
+
+
+def test_the_same_row_cannot_fit_and_validate(lawful):
+    with pytest.raises(InputError, match="must be new to it"):
+        fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
+    with pytest.raises(InputError, match="none was given"):
+        fit_offsets([], lawful[0], TRUTH)
+
+
+def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
+    rows = published_runs()
+    fitted = offset_runs([row for row in rows if row.offset in FITTED])
+    for run in fitted:
+        assert run.radius == pytest.approx({row.offset: row.radius_m for row in rows}[run.offset])
+    assert [math.copysign(1, run.curvature) for run in fitted] == [-1, 1, -1]
+    mirrored = [row.model_copy(update={"offset": -row.offset}) for row in rows if row.offset in FITTED]
+    assert [run.curvature for run in offset_runs(mirrored)] == [-run.curvature for run in fitted]
+
+
+SHIPPED = [plant for plant in PLANTS if place(plant).is_file()]
+
+
+def test_a_fit_ships():
+    assert "analytical" in SHIPPED
+
+
+@cache
+def shipped(plant):
+    return load_fit(place(plant))
+
+
+@pytest.mark.parametrize("plant", SHIPPED)
+def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(plant):
+    rows = {f"offset {row.offset:g}": row for row in published_runs()}
+    fit = shipped(plant)
+    assert {each.name for each in fit.data} == set(rows)
+    assert {each.name for each in fit.data if each.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
+    for each in fit.data:
+        row = rows[each.name]
+        assert each.measured["speed_m_s"] == row.speed_m_s
+        assert abs(each.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
+
+
+@pytest.mark.parametrize(("plant", "offset"), [("analytical", -0.3), ("analytical", 0.1)])
+def test_the_shipped_predictions_are_what_the_plants_give(plant, offset):
+    fit, drive = shipped(plant), drive_of(plant)
+    values = {each.name: each.value for each in fit.parameters if each.value is not None}
+    moved = replace(drive, spec=with_values(drive.spec, values))
+    (path,) = predicted(moved, [offset], threads=1)
+    speed, radius = values_of(fit, "predicted")[offset]
+    assert path.speed == pytest.approx(speed, rel=0.01)
+    assert 1 / abs(path.curvature) == pytest.approx(radius, rel=0.01)
+
+
+@pytest.mark.parametrize("plant", SHIPPED)
+def test_a_shipped_fit_becomes_a_robot(plant):
+    fit = shipped(plant)
+    document = parse_yaml(dump_yaml({"robot": robot_override(fit)}), "scenario.yaml")
+    file = resolve_robot(document, document.data["robot"], prefix=("robot",))
+    document.finish()
+    values = {each.name: each.value for each in fit.parameters if each.value is not None}
+    expected = with_values(load_robot("gen4"), values)
+    assert file.spec().geometry.segment_length == pytest.approx(expected.geometry.segment_length)
+    assert file.spec().modules.sensor_bias == pytest.approx(expected.modules.sensor_bias)
+
+
+def test_the_page_shows_the_tables_of_the_shipped_fits():
+    page = (Path(__file__).parents[1] / "docs/dissertation-data.md").read_text("utf-8")
+    fits = {plant: shipped(plant) for plant in SHIPPED}
+    for shown in (values_table, rows_table, pairs_table, boxes_table):
+        assert shown(fits) in page, shown.__name__
