@@ -113,6 +113,31 @@ def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     assert np.abs(shown[beside[1], beside[0]] - shown[3, 3]).max() < 40
 
 
+def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
+    run = load_run(runs / "follow_gen4_a")
+    stage = Stage(run.scenario, run.trajectories["twin"])
+    row = len(stage.run) - 1
+    circle = run.scenario.world.obstacles[0]
+    place = np.array([circle.x, circle.y]) - stage.run.com[row]
+    camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(row)
+    # From behind the obstacle, with the snake in line, so low that the view goes through.
+    camera.azimuth = np.degrees(np.arctan2(-place[1], -place[0]))
+    camera.elevation, camera.distance = -4.0, float(np.hypot(*place)) + 3 * circle.radius
+    obstacle = stage.model.geom("obstacle_1").id
+    shown = {}
+    with Canvas(stage.model, 320, 180) as canvas:
+        for alpha in (stage.model.geom_rgba[obstacle, 3], 1.0):
+            stage.model.geom_rgba[obstacle, 3] = alpha
+            for color in ((1, 0, 0, 1), (0, 0, 1, 1)):
+                stage.show(row)
+                for geoms in stage._skins:
+                    stage.model.geom_rgba[geoms] = color
+                shown[alpha, color[0]] = canvas.draw(stage.data, camera).astype(int)
+    seen = {alpha: np.abs(shown[alpha, 0] - shown[alpha, 1]).sum() for alpha, _ in shown}
+    assert seen.pop(1.0) == 0, "an opaque one does hide it"
+    assert min(seen.values()) > 1000
+
+
 def test_strobe_from_the_command_line(runs, srs_twin, tmp_path):
     done = srs_twin("render", str(runs / "gen2_straight"), "--strobe", "--size", "800x600", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

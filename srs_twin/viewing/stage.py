@@ -24,6 +24,7 @@ _TRAIL: Rgba = (*(byte / 255 for byte in STYLES["twin"].rgb), 1.0)  # type: igno
 PLAN_RGBA: Rgba = (0.15, 0.15, 0.15, 1.0)
 GOAL_RGBA: Rgba = (0.69, 0.19, 0.19, 1.0)
 _MOST_PIECES = 400
+_OBSTACLE_ALPHA = 0.35
 _LINE = 0.001  # thickness of lines on the floor and half of their width, m
 _CORNERS = 48
 
@@ -64,6 +65,7 @@ class Stage:
                 f"{self.model.nq}: they do not belong together; run the scenario again"
             )
         _light(self.model)
+        _see_through(self.model)
         self._skins = _skins(self.model, scenario.robot.segments)
         self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
         every = max(1, -(-len(run) // _MOST_PIECES))
@@ -139,6 +141,13 @@ def _light(model: mujoco.MjModel) -> None:
     model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.2] * 3
     model.light_diffuse[:], model.light_specular[:] = 0.45, 0.0
     model.mat_reflectance[:] = 0.0
+
+
+def _see_through(model: mujoco.MjModel) -> None:
+    """Let the camera see a snake behind an obstacle."""
+    for geom in range(model.ngeom):
+        if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
+            model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
 
 
 def _skins(model: mujoco.MjModel, segments: int) -> Sequence[list[int]]:
