@@ -36,8 +36,9 @@ def send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: Sty
 
 def _contacts(run: Trajectory) -> Iterator[Event]:
     for touch in touches(run):
-        where = f"connector {touch.connector}"
-        text = f"{where}, at most {touch.force:.2g} N, for {touch.end - touch.begin:.2g} s"
+        # One that a single sample saw is shorter than what lies between samples.
+        lasted = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
+        text = f"connector {touch.connector}, at most {touch.force:.2g} N{lasted}"
         yield Event(touch.begin, "contact", text)
 
 
