@@ -17,6 +17,7 @@ TOPIC, EXTRAS = "installation", "extras"
 PURPOSES = {
     "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
+    "video": "videos (`srs-twin render RUN --video out.mp4`)",
 }
 """What each extra of pyproject.toml is for."""
 

@@ -86,9 +86,7 @@ def viewer_checks(
         remedy = "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), or any other Vulkan driver"
         yield Check(VIEWERS, "without a screen", "missing", f"cannot draw ({words})", remedy)
     if web.well and web.said["served"]:
-        yield Check(
-            VIEWERS, "in a browser", "ok", "`rerun --serve-web --bind 127.0.0.1 recording.rrd` serves it"
-        )
+        yield Check(VIEWERS, "in a browser", "ok", "`srs-twin view RUN --web` serves it")
     else:
         remedy = "install rerun-sdk anew; report.html of a run needs nothing but a browser"
         reason = web.complaint or "its page was not served on 127.0.0.1"
@@ -97,10 +95,7 @@ def viewer_checks(
 
 def _window(screen: str, tried: Answer | None) -> Check:
     name = "in a window"
-    instead = (
-        "open report.html of a run in a browser, or serve the recording: "
-        "`rerun --serve-web --bind 127.0.0.1 recording.rrd`"
-    )
+    instead = "open report.html of a run in a browser, or serve the recording: `srs-twin view RUN --web`"
     if not screen:
         return Check(VIEWERS, name, "missing", f"no screen: {_NO_DISPLAY}", instead)
     if tried is not None and not tried.well:

@@ -35,8 +35,9 @@ def open_recording(path: str | Path) -> None:
     ):
         raise InputError(
             "there is no display to open a viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            f"open {recording.parent / 'report.html'} in a browser instead, or copy {recording} to a "
-            f"machine with a screen and run 'rerun {recording.name}' there"
+            f"open {recording.parent / 'report.html'} in a browser instead, or the recording by "
+            f"`srs-twin view {recording} --web`, or copy {recording} to a machine with a "
+            f"screen and run 'rerun {recording.name}' there"
         )
     # Rerun would listen on every network interface.
     ended = subprocess.run([program, "--bind", "127.0.0.1", recording], check=False).returncode
