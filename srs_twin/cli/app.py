@@ -18,6 +18,7 @@ from srs_twin.cli import (
     play,
     render,
     replay,
+    reproduce,
     run,
     schema,
     sweep,
@@ -38,6 +39,7 @@ app.command("compare")(compare.compare)
 app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
 app.command("sweep")(sweep.sweep)
+app.command("reproduce")(reproduce.reproduce)
 app.command("view")(view.view)
 app.command("play")(play.play)
 app.command("render")(render.render)

@@ -49,7 +49,7 @@ def write_junit(path: Path, cases: Sequence[Case]) -> None:
     """
     root = Element("testsuites", name="srs-twin")
     root.extend(map(_suite, cases))
-    _sum_up(root, sum(case.ended.wall_s for case in cases if case.ended))
+    sum_up(root, sum(case.ended.wall_s for case in cases if case.ended))
     tree = ElementTree.ElementTree(root)
     ElementTree.indent(tree)
     with atomic_write(path) as part:
@@ -57,13 +57,13 @@ def write_junit(path: Path, cases: Sequence[Case]) -> None:
 
 
 def _suite(case: Case) -> Element:
-    suite = Element("testsuite", name=_text(case.name))
+    suite = Element("testsuite", name=writable(case.name))
     wall_s = case.ended.wall_s if case.ended else 0.0
     run = _test(suite, case, "runs", wall_s)
     if case.ended is None:
         SubElement(run, "skipped", message="not finished")
     elif case.ended.errors:
-        words = _text("\n".join(map(str, case.ended.errors)))
+        words = writable("\n".join(map(str, case.ended.errors)))
         kind = type(case.ended.errors[0]).__name__
         SubElement(run, "error", message=words, type=kind).text = words
     for name, outcome in _outcomes(case):
@@ -72,10 +72,10 @@ def _suite(case: Case) -> Element:
             SubElement(test, "skipped", message="there is no whole run to measure")
         elif not outcome.met:
             said = f"{name} = {outcome.value}, allowed {outcome.allowed}"
-            failure = SubElement(test, "failure", message=_text(said), type="expectation")
+            failure = SubElement(test, "failure", message=writable(said), type="expectation")
             source = outcome.source or "ours"
-            failure.text = _text(f"value: {outcome.value}\nallowed: {outcome.allowed}\nsource: {source}")
-    _sum_up(suite, wall_s)
+            failure.text = writable(f"value: {outcome.value}\nallowed: {outcome.allowed}\nsource: {source}")
+    sum_up(suite, wall_s)
     return suite
 
 
@@ -92,10 +92,10 @@ def _outcomes(case: Case) -> Iterator[tuple[str, Outcome | None]]:
 
 
 def _test(suite: Element, case: Case, name: str, wall_s: float) -> Element:
-    return SubElement(suite, "testcase", classname=_text(case.name), name=name, time=f"{wall_s:.3f}")
+    return SubElement(suite, "testcase", classname=writable(case.name), name=name, time=f"{wall_s:.3f}")
 
 
-def _sum_up(element: Element, wall_s: float) -> None:
+def sum_up(element: Element, wall_s: float) -> None:
     """Count what is in a suite, or in all of them."""
     element.set("tests", str(sum(1 for _ in element.iter("testcase"))))
     for name, outcome in _OUTCOMES.items():
@@ -103,6 +103,6 @@ def _sum_up(element: Element, wall_s: float) -> None:
     element.set("time", f"{wall_s:.3f}")
 
 
-def _text(text: str) -> str:
+def writable(text: str) -> str:
     """Return a text with escapes for what XML cannot write."""
     return _UNWRITABLE.sub(lambda found: ascii(found[0])[1:-1], text)

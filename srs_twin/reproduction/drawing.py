@@ -121,12 +121,14 @@ def readings(source: Source, needs: Needs) -> Figure | None:
 
 
 def step(source: Source, needs: Needs) -> Figure | None:
-    """Draw the step to 8 psi beside Eq. 14 with the published constants (Fig. 20)."""
+    """Draw the step to 8 psi beside Eq. 14 with the robot's time constants, the published ones (Fig. 20)."""
     figure = _over_time(source, needs, lambda run: run["bend_1"], "bend (rad)")
-    axes = figure.axes[0]
+    axes, actuator = figure.axes[0], source.robot(needs[0]).actuator
+    slow, fast = actuator.tau_fill, actuator.tau_mode
     time = np.linspace(0, 1, 400)
-    bend = 0.8366 - 0.8531 * np.exp(-time / 0.1107) + 0.0165 * np.exp(-time / 0.00214)
-    axes.plot(time, bend, color="0.2", linestyle=":", linewidth=1.0, label="Eq. 14 as published (E1, E2)")
+    shape = 1 - (slow * np.exp(-time / slow) - fast * np.exp(-time / fast)) / (slow - fast)
+    final = float(source.runs(needs[0])["analytical"]["bend_1"][-1])
+    axes.plot(time, final * shape, color="0.2", linestyle=":", linewidth=1.0, label="Eq. 14 (E1, E2)")
     axes.set_xlim(0, 1)
     axes.legend(loc="lower right", fontsize=8, frameon=False)
     return figure

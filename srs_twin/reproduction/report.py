@@ -124,7 +124,7 @@ def _cells(row: Judged) -> list[str]:
     why = dict.fromkeys(outcome.why for outcome in found.values() if outcome.why)
     return [
         claim.id, f"{claim.says} ({claim.source})", f"{published(claim)}{unit}", claim.allowed,
-        _colored(first), percent(first), _colored(second), percent(second), "; ".join(why),
+        _colored(first), percent(claim, first), _colored(second), percent(claim, second), "; ".join(why),
     ]  # fmt: skip
 
 

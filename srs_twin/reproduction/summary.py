@@ -37,18 +37,20 @@ def count(rows: Sequence[Judged], column: str, uses: Sequence[str] = USES) -> di
 
 def summary_line(rows: Sequence[Judged]) -> str:
     """Return in one line how many rows each plant meets, predictions and fitted rows apart."""
+    names = {"twin": "the twin meets", "analytical": "the analytical model", "alone": "without a plant"}
+    words = {"law": "laws", "holdout": "predictions", "shape": "orders and trends"}
     parts = []
-    for column, name in (("twin", "The twin"), ("analytical", "the analytical model")):
-        told = []
-        for use, words in (("law", "laws"), ("holdout", "predictions"), ("shape", "orders and trends")):
-            found = count(rows, column, (use,))
-            told.append(f"{found[MET]} of {found['all']} {words}")
-        fitted = count(rows, column, ("fit",))
-        parts.append(
-            f"{name} meets {', '.join(told)} (and {fitted[MET]} of {fitted['all']} that may be fitted)"
-        )
-    alone = count(rows, "alone")
-    return f"{'; '.join(parts)}. Of {alone['all']} rows that need no plant {alone[MET]} are met."
+    for column, name in names.items():
+        counts = {use: count(rows, column, (use,)) for use in USES}
+        told = [
+            f"{counts[use][MET]} of {counts[use]['all']} {words[use]}" for use in words if counts[use]["all"]
+        ]
+        fitted = counts["fit"]
+        if fitted["all"]:
+            told.append(f"(apart: {fitted[MET]} of {fitted['all']} that may be fitted)")
+        if told:
+            parts.append(f"{name} {', '.join(told).replace(', (', ' (')}")
+    return f"Of {len(rows)} rows {'; '.join(parts)}."
 
 
 def published(claim: Claim) -> str:
@@ -78,11 +80,12 @@ def short(value: float) -> str:
     return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.3g}"
 
 
-def percent(outcome: Outcome | None) -> str:
-    """Return the relative error as text, empty where there is none."""
-    if outcome is None or not math.isfinite(outcome.error) or abs(outcome.error) > 10:
+def percent(claim: Claim, outcome: Outcome | None) -> str:
+    """Return the relative error as text, empty where there is none, or where only a bound is published."""
+    if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
-    return f"{100 * outcome.error:+.0f} %"
+    whole = round(100 * outcome.error)
+    return f"{whole:+d} %" if whole else "0 %"
 
 
 def verdict(row: Judged) -> str:

@@ -167,7 +167,7 @@ def test_fitted_rows_are_no_predictions():
     fitted, held = (Judged(claim(use=use), outcomes) for use in ("fit", "holdout"))
     assert count([fitted, held], "twin", ("holdout",)) == {"met": 1, "explained": 0, "missed": 0, "all": 1}
     line = summary_line([fitted, held])
-    assert "1 of 1 predictions" in line and "(and 1 of 1 that may be fitted)" in line
+    assert "1 of 1 predictions" in line and "(apart: 1 of 1 that may be fitted)" in line
 
 
 def test_what_is_written_is_json(tmp_path):

@@ -1,0 +1,173 @@
+"""`srs-twin reproduce`: every statement of the dissertation beside what both plants say."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from srs_twin.cli import INTERRUPTED
+from srs_twin.cli.counting import Counting
+
+if TYPE_CHECKING:
+    from srs_twin.reproduction import Claim, Judged, Store
+    from srs_twin.reproduction.runs import Orders
+    from srs_twin.sweep.task import Row
+
+WORSE = 1
+OUT = Path("runs/reproduce")
+_FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
+
+
+def reproduce(
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="ID", help="Row, or the rows that begin with it; may be repeated."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="The quick rows only: laws first, short runs.")
+    ] = False,
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="DIR", help="Folder of the results and of the runs that are kept."),
+    ] = OUT,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=1, max=4096, help="Runs at once. [default: one a processor]"
+        ),
+    ] = None,
+    no_figures: Annotated[
+        bool, typer.Option("--no-figures", help="Draw no figures, and run nothing for them.")
+    ] = False,
+    write_baseline: Annotated[
+        bool, typer.Option("--write-baseline", help="Let what comes out be the baseline of later runs.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")
+    ] = False,
+) -> None:
+    """Reproduce the dissertation: run what its claims need, judge every row, compare with the baseline."""
+    from srs_twin.process_server import start_server
+
+    # First of all: it loads what workers need while this process loads what it needs itself.
+    start_server("srs_twin.sweep.warm")
+    from srs_twin.errors import InputError
+    from srs_twin.reproduction import load_claims, open_store
+    from srs_twin.reproduction.claims import chosen
+    from srs_twin.reproduction.runs import Orders
+
+    if write_baseline and (only or quick):
+        raise InputError("--write-baseline needs all rows; leave --only and --quick out")
+    claims = chosen(load_claims(), tuple(only or ()), quick=quick)
+    orders = Orders()
+    try:
+        with open_store(out) as store:
+            rows = _judged(claims, store, orders, jobs, quiet=quiet)
+            figures = (
+                None if no_figures else _figures(store, orders, jobs, every=not (only or quick), quiet=quiet)
+            )
+            worse = _written(out, rows, figures, write_baseline=write_baseline)
+    except KeyboardInterrupt:
+        _say("interrupted; what was finished is kept, start again to go on")
+        raise typer.Exit(INTERRUPTED) from None
+    if not quiet:
+        _show(rows)
+        _say(f"files in {out}: reproduce.html, reproduce.json, reproduce.xml")
+    for line in worse:
+        _say(f"worse than the baseline: {line}")
+    if worse:
+        raise typer.Exit(WORSE)
+
+
+def _judged(
+    claims: Sequence[Claim], store: Store, orders: Orders, jobs: int | None, *, quiet: bool
+) -> tuple[Judged, ...]:
+    from srs_twin.reproduction import judge
+
+    counts: list[Counting] = []
+
+    def planned(count: int) -> None:
+        counts.append(Counting("runs", count, quiet=quiet))
+
+    def progress(row: Row) -> None:
+        counts[-1](failed=row.exit_code != 0)
+        if row.exit_code and not quiet:
+            _say(f"a run failed: {row.reason}")
+
+    return judge(claims, store, orders, workers=jobs, progress=progress, planned=planned)
+
+
+def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, quiet: bool) -> list[Any]:
+    """Return the figures whose runs are there; of a whole reproduction run what is theirs alone."""
+    from srs_twin.reproduction.figures import Source, drawn, wanted
+    from srs_twin.reproduction.pictures import PICTURES
+
+    if every:
+        keys = dict.fromkeys(order.key for order in wanted(PICTURES, orders))
+        due = store.missing(orders.made[key] for key in keys)
+        counting = Counting("runs for figures", len(due), quiet=quiet)
+        store.run(due, workers=jobs, progress=lambda row: counting(failed=row.exit_code != 0))
+    return drawn(PICTURES, Source(store, orders))
+
+
+def _written(
+    out: Path, rows: Sequence[Judged], figures: list[Any] | None, *, write_baseline: bool
+) -> list[str]:
+    """Write the files; return what is worse than the baseline."""
+    from srs_twin.cli.reproduce_junit import write_rows
+    from srs_twin.reproduction import load_baseline
+    from srs_twin.reproduction.baseline import write_baseline as write
+    from srs_twin.reproduction.report import HTML, JSON, write_html, write_json
+
+    if write_baseline:
+        write(rows)
+    worse = load_baseline().worse(rows)
+    write_rows(out / "reproduce.xml", rows)
+    write_html(out / HTML, rows, figures or [], worse)
+    write_json(out / JSON, rows, worse)
+    return worse
+
+
+def _show(rows: Sequence[Judged]) -> None:
+    """Print a line for each row, those of each use together, and how many are met."""
+    from srs_twin.reproduction.summary import TITLES, USES, percent, published, summary_line, verdict
+
+    print(_FORMAT.format("row", "published", "analytical", "twin", "error", "verdict"))
+    for use in USES:
+        chosen = [row for row in rows if row.claim.use == use]
+        if chosen:
+            print(f"\n{TITLES[use]}")
+        for row in chosen:
+            first, twin = (
+                row.outcomes.get("analytical") or row.outcomes.get("alone"),
+                row.outcomes.get("twin"),
+            )
+            cells = [_narrow(each) for each in (first, twin)]
+            said = verdict(row) + (" (fitted)" if use == "fit" else "")
+            print(
+                _FORMAT.format(
+                    row.claim.id, published(row.claim), *cells, percent(row.claim, twin or first), said
+                )
+            )
+    print(f"\n{summary_line(rows)}")
+
+
+def _narrow(outcome: Any) -> str:
+    """Return what came out in a few characters: of an ordering its first and last value."""
+    from srs_twin.reproduction.summary import cell, short
+
+    if outcome is None:
+        return ""
+    text = cell(outcome)
+    if len(text) <= 11:
+        return text
+    first, last = (f"{float(short(outcome.values[k])):.2g}" for k in (0, -1))
+    return f"{first}…{last}"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,122 @@
+"""`srs-twin reproduce` as a person starts it: files, cache, exit codes, the pages made of the baseline."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import pytest
+from conftest import ROOT
+
+from srs_twin.cli import main
+from srs_twin.reproduction import load_baseline, load_claims
+from srs_twin.reproduction.outcomes import MET
+from srs_twin.reproduction.summary import between, markdown, remembered, summary_line
+
+FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
+OUT = "out/reproduce"
+
+
+class Outside(HTMLParser):
+    """Collects what a page would load from elsewhere."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        for name, value in attrs:
+            if name in ("src", "href") and not (value or "").startswith(("data:", "#")):
+                self.found.append((tag, value))
+
+
+def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
+    done = srs_twin("reproduce", *FEW, "--out", OUT, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^table9\.limit +9 +8\.87 .* met$", done.stdout, re.M)
+    assert re.search(r"^actuator-90\.gen2 .*\(fitted\)$", done.stdout, re.M)
+    folder = tmp_path / OUT
+    found = json.loads((folder / "reproduce.json").read_text("utf-8"))
+    rows = {row["id"]: row for row in found["rows"]}
+    assert rows["act-step-gen4.tau1"]["fitted"] and rows["eq33"]["outcomes"]["alone"]["verdict"] == MET
+    assert found["worse_than_baseline"] == []
+    page = (folder / "reproduce.html").read_text("utf-8")
+    outside = Outside()
+    outside.feed(page)
+    assert outside.found == [] and "<script" not in page
+    assert "Fig. 20" in page and "Fig. 31" not in page
+    suites = ElementTree.parse(folder / "reproduce.xml").getroot()
+    failed = {case.get("classname") for case in suites.iter("testcase") if case.find("failure") is not None}
+    assert failed == {"actuator-90.gen1", "actuator-90.gen4"}
+    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")}
+    again = srs_twin("reproduce", *FEW, "--out", OUT, cwd=tmp_path)
+    assert again.stdout == done.stdout
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")} == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--only", "table88"), "unknown claim 'table88'; did you mean"),
+        (("--quick", "--write-baseline"), "--write-baseline needs all rows; leave --only and --quick out"),
+    ],
+)
+def test_bad_input(words, said, srs_twin, tmp_path):
+    done = srs_twin("reproduce", *words, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_worse_than_the_baseline_is_exit_code_1(tmp_path, monkeypatch, capsys):
+    baseline = load_baseline()
+    was = json.dumps(
+        {
+            "versions": {},
+            "rows": {
+                "actuator-90.gen1": {
+                    "alone": {"verdict": "met", "values": [], "value": 1, "error": 0, "why": ""}
+                }
+            },
+        }
+    )
+    path = tmp_path / "baseline.json"
+    path.write_text(was)
+    monkeypatch.setattr("srs_twin.reproduction.baseline.baseline_file", lambda: path)
+    with pytest.raises(SystemExit) as left:
+        main(["reproduce", "--only", "actuator-90.gen1", "--out", str(tmp_path / "out"), "--quiet"])
+    assert left.value.code == 1
+    assert "worse than the baseline: actuator-90.gen1, alone: explained, was met" in capsys.readouterr().err
+    assert baseline.outcomes["actuator-90.gen1"]["alone"].verdict == "explained"
+
+
+# What stands in the documents is what the committed baseline says.
+
+CLAIMS, BASELINE = load_claims(), load_baseline()
+ROWS = remembered(CLAIMS, BASELINE)
+
+
+@pytest.mark.parametrize(("page", "text"), [("README.md", summary_line), ("docs/reproduction.md", markdown)])
+def test_pages_say_what_the_baseline_says(page, text):
+    found = (ROOT / page).read_text("utf-8")
+    assert found == between(found, "reproduction", text(ROWS)), (
+        "uv run python docs/reproduction.py writes it anew"
+    )
+
+
+def test_the_baseline_has_every_row_and_no_other():
+    assert {(row.id, column) for row in CLAIMS for column in row.columns} == {
+        (name, column) for name, columns in BASELINE.outcomes.items() for column in columns
+    }
+
+
+def test_all_laws_are_met():
+    missed = {
+        (row.claim.id, column)
+        for row in ROWS
+        if row.claim.use == "law"
+        for column, outcome in row.outcomes.items()
+        if outcome.verdict != MET
+    }
+    assert missed == set()
