@@ -31,7 +31,7 @@ Text = Annotated[str, Field(min_length=1, max_length=200)]
 Long = Annotated[str, Field(max_length=1000)]
 Averages = Annotated[dict[str, Number], Field(max_length=20)]
 Share = Annotated[float, between(-1.0, 1.0)]
-Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets"]
+Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets", "edges"]
 
 _DIGITS = 9
 _NUMBERS = ("value", "standard_error", "low", "high")

@@ -236,6 +236,7 @@ _FIELDS: dict[str, _Field] = {
     "geometry.segment_length_m": _of("geometry", "segment_length", "m", 0.005, 0.5),
     "geometry.rigid_gap_m": _of("geometry", "rigid_gap", "m", 0.0, 0.2, scale=0.02),
     "geometry.half_track_m": _of("geometry", "half_track", "m", 1e-3, 0.2),
+    "geometry.width_m": _of("geometry", "width", "m", 1e-3, 0.5),
     "mass.connectors_kg": _Field("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
     "mass.connectors_kg_each": _Field(
         "kg",
