@@ -127,9 +127,9 @@ class Episode(ABC):
         try:
             self.state = self.twin.step(valves)
         except DivergedError as error:
-            # Where it was before; whoever reads a log finds the reason.
+            # The state is still that of the step before, which sensors and camera have seen already.
             self.ending = DIVERGED
-            return Outcome(self._told(), 0.0, True, False, self._info() | {"error": str(error)})
+            return Outcome(self._seen.copy(), 0.0, True, False, self._info() | {"error": str(error)})
         reward = self._judge()
         terminated = bool(self.ending)
         truncated = not terminated and self._steps >= self._most
@@ -140,8 +140,10 @@ class Episode(ABC):
     def _told(self) -> np.ndarray:
         """Return the observation: float32, within its bounds."""
         least, most = self._bounds
-        seen: np.ndarray = np.minimum(np.maximum(np.array(self._observed(), dtype=np.float32), least), most)
-        return seen
+        self._seen: np.ndarray = np.minimum(
+            np.maximum(np.array(self._observed(), dtype=np.float32), least), most
+        )
+        return self._seen
 
     @abstractmethod
     def _valves(self, action: list[float]) -> np.ndarray:

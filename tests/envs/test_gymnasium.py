@@ -20,6 +20,7 @@ from srs_twin.envs.crawling import OPEN, CrawlTask, Field
 from srs_twin.envs.single import SnakeEnv
 from srs_twin.envs.tasks import make_task
 from srs_twin.envs.vector import SnakeVectorEnv
+from srs_twin.errors import DivergedError
 from srs_twin.plants.base import SnakeState
 from srs_twin.world import Bounds
 
@@ -146,6 +147,24 @@ def test_the_time_limit_truncates():
     env.reset(seed=0)
     ends = [env.step(np.array([0.0, 1.0, 45.0]))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_twin_that_diverges_ends_the_episode_with_what_was_seen_last(task):
+    episode = make_task(task).begin(np.random.default_rng(0))
+    action = [each.high for each in make_task(task).actions]
+    last = episode.step(action)
+
+    def diverge(valves: np.ndarray) -> SnakeState:
+        raise DivergedError("twin", 0.1, "a bend is nan")
+
+    episode.twin.step = diverge
+    told = episode.step(action)
+    assert told.terminated and not told.truncated and told.reward == 0.0
+    assert same(told.observation, last.observation)
+    assert told.info["ending"] == "diverged" and "a bend is nan" in told.info["error"]
+    with pytest.raises(InputError, match=r"episode is over \(diverged\); reset"):
+        episode.step(action)
 
 
 def test_touching_an_obstacle_costs():
