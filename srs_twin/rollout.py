@@ -205,7 +205,9 @@ class Recorder:
         for name, quantity in (("pressure", "pressure"), ("valve", "valves")):
             values = self._column(quantity)
             columns |= _spread(f"{name}_plus_", values[..., 0]) | _spread(f"{name}_minus_", values[..., 1])
-        columns |= {name: self._column(name) for name in ("work", "air")}
+        columns["work"] = self._column("work")
+        if self._plant.metered:
+            columns["air"] = self._column("air")
         if self._plant.touches:
             met = self._column("obstacle_force")
             columns |= _spread("obstacle_force_x_", met[..., 0]) | _spread("obstacle_force_y_", met[..., 1])
@@ -233,7 +235,7 @@ class Recorder:
                 "gait_frequency_hz": self._controller.frequency,
                 "control": self._controller.describe(),
                 "ended_by": self.ended_by,
-                "valve_switches": plant.openings().tolist(),
+                "valve_switches": plant.openings().tolist() if plant.metered else None,
             }
         )
 

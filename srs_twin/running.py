@@ -38,7 +38,6 @@ MEASURED = "measured"
 # metrics.json first: as long as it stands, the folder is complete.
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
 _OF_REPLAYS = (*PRODUCTS, f"{MEASURED}.parquet")
-_RECORDED = "recorded"  # `pneumatics.recorded`, which costs a kernel to import
 
 Progress = Callable[[str, float], None]
 Explain = Callable[..., "Attribution"]
@@ -145,10 +144,6 @@ class PreparedRun:
         )  # fmt: skip
         if progress is not None:
             progress(kind, 1.0)
-        if plant.describe().get("pneumatics", {}).get("kind") == _RECORDED:
-            # Nobody knows what air the robot drew.
-            columns = {name: each for name, each in trajectory.columns.items() if name != "air"}
-            return replace(trajectory, columns=columns)
         return trajectory
 
     def _located(self, kind: str, error: DivergedError) -> DivergedError:
@@ -192,15 +187,15 @@ class PreparedRun:
         outcomes = tuple(expectation.check(metrics) for expectation in scenario.expect)
         metrics["expectations"] = [asdict(outcome) for outcome in outcomes]
         metrics["versions"] = versions()
-        shown = dict(trajectories)
+        drawn = dict(trajectories)
         if scenario.measured is not None:
-            shown[MEASURED] = scenario.measured
+            drawn[MEASURED] = scenario.measured
         write_report(
-            fresh / REPORT, scenario_title=scenario.title, spec=spec, trajectories=shown,
+            fresh / REPORT, scenario_title=scenario.title, spec=spec, trajectories=drawn,
             metrics=metrics, comparison=comparison, attribution=attribution, measured=differences,
         )  # fmt: skip
         write_recording(
-            fresh / RECORDING, spec=spec, trajectories=shown, comparison=comparison,
+            fresh / RECORDING, spec=spec, trajectories=drawn, comparison=comparison,
             title=scenario.title, world=scenario.world, measured=differences,
         )  # fmt: skip
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")

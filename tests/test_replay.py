@@ -20,6 +20,8 @@ from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.scenario import parse_scenario
+from srs_twin.sweep.points import Experiment, Point
+from srs_twin.sweep.task import run_point
 
 EXAMPLE = ROOT / "calibration/examples/my_snake"
 SUPPLY = 48e3
@@ -81,6 +83,8 @@ def test_both_plants_obey_recorded_pressures():
         last = again.com[-1] - truth.com[-1]
         assert np.hypot(*last) < 0.01 * np.hypot(*(truth.com[-1] - truth.com[0])), plant.name
         assert again["pressure_plus_2"][-1] == pytest.approx(truth["pressure_plus_2"][-1])
+        assert truth.has("air") and not again.has("air"), "nobody knows what air the robot drew"
+        assert truth.metadata["valve_switches"] and again.metadata["valve_switches"] is None
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +150,20 @@ def test_the_robot_itself_leaves_no_residual(perfect, log):
     assert len(parts) == len(told["over_time"]["time_s"]) == 50
 
 
+def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
+    """Rows hold the differences from the measured robot, and no costs that nobody knows."""
+    recording = {
+        "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
+        "gait_frequency_hz": 2.0,
+    }  # fmt: skip
+    base = replayed(perfect, recording=recording).document
+    row = run_point(Experiment(base, ("analytical",)), Point("p", {"robot.friction.mu_n": 0.5}))
+    assert row.status == "done", row.reason
+    assert row.values["analytical.measured_path_rms_m"] > 0
+    assert row.values["analytical.mechanical_power_w"] > 0
+    assert row.values["analytical.pneumatic_power_w"] is None
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -188,10 +206,14 @@ def test_a_measured_metric_needs_a_recording():
         })  # fmt: skip
 
 
-def test_the_resolved_scenario_is_the_same(perfect):
-    scenario = replayed(perfect)
+@pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
+def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeypatch, tmp_path):
+    monkeypatch.chdir(perfect)
+    scenario = replayed(perfect, recording={"motion": "take.csv", "valves": log, "offset_s": -5.0})
+    monkeypatch.chdir(tmp_path)
     again = parse_scenario(scenario.document, name=scenario.name)
     assert again == scenario and again.pose == scenario.pose
+    assert again.controller.kind == ("valve" if log == "take.valves.csv" else "pressure")
     assert (again.measured["bend_1"] == scenario.measured["bend_1"]).all()
 
 

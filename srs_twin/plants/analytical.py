@@ -114,6 +114,7 @@ class AnalyticalSnake(Plant):
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
         self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
+        self.metered = self.pneumatics.metered
         if track is None:
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction

@@ -102,6 +102,8 @@ class Plant(ABC):
     layout: str = "3/2"
     touches: bool = False
     """Whether there is anything that it can run into."""
+    metered: bool = True
+    """Whether it knows what air its chambers draw and how often they open; a trajectory says neither else."""
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:

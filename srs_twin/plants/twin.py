@@ -108,6 +108,7 @@ class TwinSnake(Plant):
         supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
         self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
+        self.metered = self.pneumatics.metered
         self._bias = spec.modules.array("bias")
         if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
             raise InputError(

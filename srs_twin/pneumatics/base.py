@@ -72,6 +72,7 @@ class Pneumatics(ABC):
         bend: free bends now, shape (segments,), rad.
         air: work drawn from the supply since `reset`, J: the supply's gauge pressure times the volume of
             air drawn from it, measured at the supply's pressure. Venting gives nothing back.
+        metered: whether `air` and `openings` are known; they stay 0 else.
         openings: how often each chamber's inlet has opened, shape (segments, 2).
         valves: last valve states, shape (segments, 2).
         stuck: valves that do not obey, none at first.
@@ -82,6 +83,7 @@ class Pneumatics(ABC):
     stuck: tuple[StuckValve, ...] = ()
     feels_bend = False
     overshoot = 1.0
+    metered = True
     felt_s = math.inf
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:

@@ -31,6 +31,7 @@ class RecordedPressures(Pneumatics):
     """
 
     kind = "recorded"
+    metered = False
 
     def __init__(
         self, spec: RobotSpec, time: np.ndarray, pressure: np.ndarray, *, supply_pa: float,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.robot_file import PA_PER_KPA, RobotFile
 from srs_twin.scenario.air_file import PneumaticsFile
-from srs_twin.scenario.checks import tick_of
+from srs_twin.scenario.checks import recorded_pressures, tick_of
 from srs_twin.scenario.control import ControllerSettings
 from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.expectation_file import ExpectationFile
@@ -69,6 +70,10 @@ def build(
     }
     if not file.bench:
         document["start"] = dict(zip(("x_m", "y_m", "heading_rad"), pose, strict=True))
+    if recording is not None:
+        _resolve(document["recording"])
+        if recorded_pressures(recording):
+            del document["pneumatics"]
     for kind, plant in document["plants"].items():
         plant["tick_s"] = tick_of(file, kind)
         for key in NOT_ON_A_BENCH[kind] if file.bench else ():
@@ -107,6 +112,13 @@ def _start(file: ScenarioFile, recording: Recording | None) -> tuple[float, floa
 
     x, y, heading = start_pose(recording)
     return x, y, math.remainder(heading, 2 * math.pi)
+
+
+def _resolve(files: dict[str, Any]) -> None:
+    """Write the paths of a recording out, so that a run's folder can be read from any other folder."""
+    for key in ("motion", "valves"):
+        if key in files:
+            files[key] = str(Path(files[key]).resolve())
 
 
 def _measured(trajectory: Trajectory, duration: float) -> Trajectory:

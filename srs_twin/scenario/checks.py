@@ -224,15 +224,20 @@ def _check_replay(document: Document, file: ScenarioFile) -> None:
             document.report(("expect", i, "metric"), f"{each.metric} needs recording")
 
 
+def recorded_pressures(recording: Recording) -> bool:
+    """Say whether chambers are to hold what a recording says, whatever the valves."""
+    return recording.valves is not None and recording.valves.kind == "pressure"
+
+
 def check_recording(document: Document, file: ScenarioFile, recording: Recording) -> list[str]:
     """Report what of a scenario the recording does not allow; return warnings."""
     from srs_twin.identification.takes import starts_at_rest
 
-    time, log = recording.trajectory.time, recording.valves
+    time = recording.trajectory.time
     span = float(time[-1] - time[0])
     if file.duration_s > span + _LONGER:
         document.report(("duration_s",), f"{file.duration_s:g} s is longer than the recording's {span:.4g} s")
-    if log is not None and log.kind == "pressure" and "pneumatics" in file.model_fields_set:
+    if recorded_pressures(recording) and "pneumatics" in file.model_fields_set:
         document.report(
             ("pneumatics",), "the recording holds pressures, which chambers then have; take it out",
             at_key=True,
