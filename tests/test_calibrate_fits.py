@@ -105,6 +105,10 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
             "p.csv is one of tables of pulls, h.csv one of recordings of throws",
         ),
         (["friction", "p.csv", "--name", "No"], "--name: 'No' is not allowed"),
+        (
+            ["friction", "p.csv", "--out", "My-Fit.yaml"],
+            "--out names the fit, without --name: 'My-Fit' is not allowed",
+        ),
         (["friction", "p.csv", "--out", "x.txt"], "--out: x.txt is not allowed; a fit file ends in .yaml"),
         (["actuator", "h.csv", "--valves", "p.csv"], "--valves: take it out; tables of held pressures"),
         (["actuator", "h.csv", "--find", "modules.gan_plus_1"], "did you mean modules.gain_plus_N"),

@@ -40,6 +40,12 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(SrsError.exit_code)
 
 
+def say(*lines: str, quiet: bool = False) -> None:
+    """Say something on stderr at once, unless the command is to be quiet."""
+    for line in () if quiet else lines:
+        print(line, file=sys.stderr, flush=True)
+
+
 def show_traceback(error: Exception) -> None:
     """Print an error's traceback to stderr where somebody asked for it."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, show_traceback
+from srs_twin.cli import INTERRUPTED, say, show_traceback
 from srs_twin.cli.case import Case, Ended, simulate
 from srs_twin.cli.counting import Counting
 from srs_twin.cli.progress import Progress
@@ -152,7 +151,7 @@ def _ending(case: Case) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        _say(str(error))
+        say(str(error))
         case.ended = Ended(None, (error,))
 
 
@@ -161,7 +160,7 @@ def _run_all(cases: Sequence[Case], task: Task, jobs: int | None, *, check: bool
     to_do = [case for case in cases if case.ended is None]
     for case in () if quiet else to_do:
         for warning in case.scenario.warnings if case.scenario else ():
-            _say(f"warning: {warning}")
+            say(f"warning: {warning}")
     from srs_twin.threads import processors
 
     workers = min(jobs or processors(), len(to_do))
@@ -172,7 +171,7 @@ def _run_all(cases: Sequence[Case], task: Task, jobs: int | None, *, check: bool
                 _report(case, ended, check=check, quiet=quiet)
     except KeyboardInterrupt:
         complete = [str(case.folder) for case in to_do if case.ended and case.ended.metrics]
-        _say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
+        say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
         return INTERRUPTED
     return max((_exit_code(case, check=check) for case in cases), default=0)
 
@@ -218,13 +217,13 @@ def _report(case: Case, ended: Ended, *, check: bool, quiet: bool) -> None:
     if ended.result is not None and ended.metrics:
         if not quiet:
             show(ended.result)
-            _say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
+            say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
         elif check:
             for line in missed_lines(ended.metrics):
-                _say(line)
+                say(line)
     for error in ended.errors:
         show_traceback(error)
-        _say(str(error))
+        say(str(error))
 
 
 def _exit_code(case: Case, *, check: bool) -> int:
@@ -232,7 +231,3 @@ def _exit_code(case: Case, *, check: bool) -> int:
         return 0
     codes = [error.exit_code for error in case.ended.errors]
     return max([*codes, EXPECTATION_FAILED if check and case.ended.missed else 0])
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli import INTERRUPTED, calibrate_fits
+from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.counting import Counting
 from srs_twin.errors import InputError
 
@@ -72,9 +73,7 @@ def footprint(
         str | None, typer.Option("--name", help="Of the footprint and its file. [default: ROBOT_CONTROLLER]")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")
-    ] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Measure what a robot sweeps at each offset, and as the offset changes, for the planner."""
     wanted = None if offsets is None else _numbers(offsets)

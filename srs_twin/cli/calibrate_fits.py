@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from srs_twin.cli import say
+from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.fitting import (
     FilesArgument,
     FindOption,
+    FrequencyOption,
     GapOption,
     HeadOption,
     LayoutOption,
@@ -19,18 +22,17 @@ from srs_twin.cli.fitting import (
     OverwriteOption,
     Place,
     PressureOption,
-    QuietOption,
     RobotOption,
     UpOption,
     ValidateOption,
     ValvesOption,
     names_in,
     reading,
-    say_read,
 )
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from srs_twin.identification.recording import Recording
     from srs_twin.identification.takes import Reading
     from srs_twin.spec import RobotSpec
 
@@ -60,6 +62,7 @@ def friction(
     """Find mu_t and mu_n from a table of pulls with a spring car, or from recordings of throws."""
     place = Place.of(context, "friction", robot, name, out, overwrite=overwrite, quiet=quiet)
     from srs_twin.identification.coasting import Coasting, fit_coasting
+    from srs_twin.identification.data_set import data_sets
     from srs_twin.identification.pulls import fit_pulls
     from srs_twin.identification.pulls_file import is_pulls, read_pulls
     from srs_twin.spec import load_robot
@@ -70,15 +73,14 @@ def friction(
             raise InputError(f"{files[1]}: one table of pulls makes a fit; give others with --validate")
         pulls, others = read_pulls(files[0]), [read_pulls(each) for each in kept]
         found = fit_pulls(pulls, validation=others)
-        data = [pulls.data_set("fit"), *(each.data_set("validation") for each in others)]
         title = f"Friction of {spec.name} from pulls"
-        place.finish(found, title=title, robot=robot, method="pulls", data=data)
+        place.finish(found, title=title, robot=robot, method="pulls", data=data_sets([pulls], others))
         return
     how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap)
 
     def throw(path: str) -> Coasting:
         recording = how.motion(path, spec)
-        say_read(quiet, recording.summary.text())
+        say(recording.summary.text(), quiet=quiet)
         return Coasting.of(recording.trajectory, path)
 
     throws, held = [throw(each) for each in files], [throw(each) for each in kept]
@@ -86,9 +88,8 @@ def friction(
         found = fit_coasting(
             throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch
         )  # fmt: skip
-    sets = [*(each.data_set("fit") for each in throws), *(each.data_set("validation") for each in held)]
     title = f"Friction of {spec.name} from throws"
-    place.finish(found, title=title, robot=robot, method="coasting", data=sets)
+    place.finish(found, title=title, robot=robot, method="coasting", data=data_sets(throws, held))
 
 
 def actuator(
@@ -113,6 +114,7 @@ def actuator(
     """Find time constants, gains and biases from step responses, or gains from tables of held pressures."""
     place = Place.of(context, "actuator", robot, name, out, overwrite=overwrite, quiet=quiet)
     from srs_twin.identification.actuator import Response, fit_actuator
+    from srs_twin.identification.data_set import data_sets
     from srs_twin.identification.static_bends import fit_static, is_static, read_static
     from srs_twin.spec import load_robot
 
@@ -122,9 +124,8 @@ def actuator(
         tables, others = ([read_static(each, spec) for each in given] for given in (files, kept))
         with place.searching() as watch:
             found = fit_static(tables, spec, names=names, validation=others, watch=watch)
-        data = [*(each.data_set("fit") for each in tables), *(each.data_set("validation") for each in others)]
         title = f"Actuators of {spec.name} from held pressures"
-        place.finish(found, title=title, robot=robot, method="static", data=data)
+        place.finish(found, title=title, robot=robot, method="static", data=data_sets(tables, others))
         return
     how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset)
     supply = _supply(spec, pressure)
@@ -133,9 +134,8 @@ def actuator(
     fitted, held = responses[: len(files)], responses[len(files) :]
     with place.searching() as watch:
         found = fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
-    sets = [*(each.data_set("fit") for each in fitted), *(each.data_set("validation") for each in held)]
     title = f"Actuators of {spec.name} from responses"
-    place.finish(found, title=title, robot=robot, method="actuator", data=sets)
+    place.finish(found, title=title, robot=robot, method="actuator", data=data_sets(fitted, held))
 
 
 def locomotion(
@@ -159,9 +159,7 @@ def locomotion(
         str, typer.Option("--against", help="What is compared: averages, shapes or both.")
     ] = "both",
     starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Searches.")] = 3,
-    frequency: Annotated[
-        float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
-    ] = None,
+    frequency: FrequencyOption = None,
     offset: OffsetOption = None,
     up: UpOption = "auto",
     layout: LayoutOption = "auto",
@@ -174,6 +172,7 @@ def locomotion(
 ) -> None:
     """Find what is left (friction, gap, masses, stiffness) from runs of the crawling robot."""
     place = Place.of(context, "locomotion", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.data_set import data_sets
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
     from srs_twin.identification.takes import gait_run, starts_at_rest
     from srs_twin.spec import load_robot
@@ -187,8 +186,9 @@ def locomotion(
     takes = _takes([*files, *kept], valves, how, spec, quiet)
     for path, take in takes:
         if not starts_at_rest(take):
-            say_read(
-                quiet, f"warning: {path}: it begins while chambers fill; the plants begin with empty ones"
+            say(
+                f"warning: {path}: it begins while chambers fill; the plants begin with empty ones",
+                quiet=quiet,
             )
     runs = [gait_run(take, path, supply) for path, take in takes]
     fitted, held = runs[: len(files)], runs[len(files) :]
@@ -197,9 +197,8 @@ def locomotion(
             fitted, spec, names_in(find) or [], model=stands, against=against, validation=held, starts=starts,
             watch=watch,
         )  # fmt: skip
-    sets = [*(each.data_set("fit") for each in fitted), *(each.data_set("validation") for each in held)]
     title = f"Locomotion of {spec.name} against the {plant} plant"
-    place.finish(found, title=title, robot=robot, method="locomotion", data=sets)
+    place.finish(found, title=title, robot=robot, method="locomotion", data=data_sets(fitted, held))
 
 
 def robot(
@@ -227,7 +226,7 @@ def robot(
     if path.exists() and not overwrite:
         raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
     write_robot(fitted_robot(fits, name, weak=weak), path)
-    say_read(quiet, f"robot in {path}")
+    say(f"robot in {path}", quiet=quiet)
 
 
 def _alike(files: Sequence[str], tells: Callable[[str], bool], one: str, other: str) -> bool:
@@ -245,14 +244,14 @@ def _alike(files: Sequence[str], tells: Callable[[str], bool], one: str, other: 
 
 def _takes(
     files: Sequence[str], valves: Sequence[str] | None, how: Reading, spec: RobotSpec, quiet: bool
-) -> list[tuple[str, Any]]:
+) -> list[tuple[str, Recording]]:
     """Return (path, recording with its log) of each file, and say what was read."""
     from srs_twin.identification.takes import logs_of
 
     found = []
     for path, log in zip(files, logs_of(files, valves or []), strict=True):
         take = how.take(path, log, spec)
-        say_read(quiet, take.summary.text(), "")
+        say(take.summary.text(), "", quiet=quiet)
         found.append((path, take))
     return found
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli import INTERRUPTED
+from srs_twin.cli import INTERRUPTED, say
 from srs_twin.cli.searching import Searching
 from srs_twin.errors import InputError
 
@@ -60,6 +59,9 @@ FindOption = Annotated[
     str | None,
     typer.Option("--find", metavar="NAMES", help="What to look for, as friction.mu_t,friction.mu_n."),
 ]
+FrequencyOption = Annotated[
+    float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
+]
 UpOption = Annotated[str, typer.Option("--up", help="Axis of the files that points up.")]
 LayoutOption = Annotated[str, typer.Option("--layout", help="Markers: auto, single, head or pair.")]
 HeadOption = Annotated[
@@ -77,7 +79,6 @@ OutOption = Annotated[
     typer.Option("--out", metavar="FILE.yaml", help=f"Where the fit goes. [default: {FITS}/NAME.yaml]"),
 ]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the fit of another command.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")]
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,10 @@ class Place:
         """
         given = name or (Path(out).stem if out else f"{Path(robot).stem}_{what}")
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", given):
+            source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
             raise InputError(
-                f"--name: '{given}' is not allowed; lower-case letters, digits and _, a letter first, 60 at "
-                "most"
+                f"{source}: '{given}' is not allowed; lower-case letters, digits and _, a letter first, 60 "
+                "at most"
             )
         path = Path(out) if out else Path(FITS) / f"{given}.yaml"
         if path.suffix not in (".yaml", ".yml"):
@@ -134,7 +136,7 @@ class Place:
             with Searching(self.name, quiet=self.quiet) as searching:
                 yield searching
         except KeyboardInterrupt:
-            print("interrupted; nothing was written", file=sys.stderr)
+            say("interrupted; nothing was written")
             raise typer.Exit(INTERRUPTED) from None
 
     def finish(
@@ -158,7 +160,7 @@ class Place:
         write_fit(fit, self.path)
         if not self.quiet:
             show(estimate)
-            print(f"fit in {self.path}, residuals in {report}", file=sys.stderr)
+            say(f"fit in {self.path}, residuals in {report}")
 
 
 def _refuse_other(path: Path, command: str) -> None:
@@ -220,9 +222,3 @@ def names_in(text: str | None) -> list[str] | None:
     if not names:
         raise InputError(f"--find: '{text}' names nothing; names such as friction.mu_t,friction.mu_n")
     return names
-
-
-def say_read(quiet: bool, *lines: str) -> None:
-    """Say on stderr what was read."""
-    for line in () if quiet else lines:
-        print(line, file=sys.stderr, flush=True)

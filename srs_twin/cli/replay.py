@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from srs_twin.cli import say
 from srs_twin.cli.batch import RUNS, CheckOption, QuietOption, run_loaded
 from srs_twin.cli.fitting import (
+    FrequencyOption,
     GapOption,
     HeadOption,
     LayoutOption,
@@ -18,14 +20,12 @@ from srs_twin.cli.fitting import (
     PressureOption,
     RobotOption,
     UpOption,
-    say_read,
 )
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.robot_file import RobotFile
 
-_TICK = 0.02  # s
 _LONGEST = 3600.0  # s, of a scenario
 
 
@@ -56,9 +56,7 @@ def replay(
     model: Annotated[str, typer.Option("--model", help="Of the analytical plant.")] = "complete",
     law: Annotated[str, typer.Option("--law", help="Of the analytical plant's floor.")] = "wheel",
     offset: OffsetOption = None,
-    frequency: Annotated[
-        float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
-    ] = None,
+    frequency: FrequencyOption = None,
     up: UpOption = "auto",
     layout: LayoutOption = "auto",
     head: HeadOption = None,
@@ -122,14 +120,16 @@ def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float
     """Return how many whole ticks the recording lasts, s, and say what was read."""
     from srs_twin.identification.recording import LONGEST_GAP
     from srs_twin.identification.takes import Reading, logs_of
+    from srs_twin.scenario.settings import default_tick
 
     known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
     motion, valves = recording["motion"], recording.get("valves")
     (log,) = logs_of([motion], [valves] if valves else [])
     take = Reading(**{"longest_gap_s": LONGEST_GAP} | known).take(motion, log, robot.spec())
-    say_read(quiet, take.summary.text(), "")
+    say(take.summary.text(), "", quiet=quiet)
     time = take.trajectory.time
-    return round(math.floor(min(float(time[-1] - time[0]), _LONGEST) / _TICK + 1e-6) * _TICK, 6)
+    tick = default_tick(bench=False)
+    return round(math.floor(min(float(time[-1] - time[0]), _LONGEST) / tick + 1e-6) * tick, 6)
 
 
 def _plants(names: str, model: str, law: str) -> dict[str, Any]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED
+from srs_twin.cli import INTERRUPTED, say
+from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.counting import Counting
 from srs_twin.errors import InputError
 
@@ -51,9 +52,7 @@ def sweep(
             "--without", metavar="FIELD=VALUE", help="Leave out the points with this value; may be repeated."
         ),
     ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")
-    ] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Run a scenario over grids, lists or samples of its fields; go on where an earlier start left off."""
     chosen = _engine(engine, workers, address)
@@ -61,14 +60,14 @@ def sweep(
 
     found = load_sweep(given)
     for warning in () if quiet else found.warnings:
-        _say(f"warning: {warning}")
+        say(f"warning: {warning}")
     folder = Path(out) if out else SWEEPS / found.name
     with open_sweep(found, folder, changed=changed) as opened:
         wanted = wanted_points(found, without or ())
         missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in wanted)
         there = len(wanted) - len(missing)
         if there and not quiet:
-            _say(f"{there} of {len(wanted)} rows are there already, {len(missing)} to do")
+            say(f"{there} of {len(wanted)} rows are there already, {len(missing)} to do")
         try:
             with Counting(found.name, len(missing), quiet=quiet) as counting:
                 opened.run(chosen, missing, lambda row: counting(failed=_failed(row)))
@@ -76,7 +75,7 @@ def sweep(
         except KeyboardInterrupt:
             summary = opened.finish()
             kept = summary.done + summary.failed
-            _say(f"interrupted; {kept} of {summary.points} rows are kept, start again to go on")
+            say(f"interrupted; {kept} of {summary.points} rows are kept, start again to go on")
             raise typer.Exit(INTERRUPTED) from None
     if not quiet:
         _show(summary)
@@ -150,7 +149,7 @@ def _show(summary: Summary) -> None:
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
     print(f"report {summary.folder / 'report.html'}")
-    _say(f"files in {summary.folder}: {', '.join(summary.files)}")
+    say(f"files in {summary.folder}: {', '.join(summary.files)}")
 
 
 def _beside(found: BesideTable) -> Table:
@@ -176,10 +175,6 @@ def _beside(found: BesideTable) -> Table:
 def _complain(summary: Summary) -> None:
     """Say why runs failed, the most frequent reasons first."""
     for reason, count in list(summary.reasons.items())[:_SHOWN_REASONS]:
-        _say(f"{count} failed: {reason}")
+        say(f"{count} failed: {reason}")
     if len(summary.reasons) > _SHOWN_REASONS:
-        _say(f"and for {len(summary.reasons) - _SHOWN_REASONS} other reasons: see results.parquet")
-
-
-def _say(text: Any) -> None:
-    print(text, file=sys.stderr, flush=True)
+        say(f"and for {len(summary.reasons) - _SHOWN_REASONS} other reasons: see results.parquet")

@@ -14,7 +14,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.friction import LAWS
-from srs_twin.identification.data_set import DataSet, keep_apart, trajectory_hash
+from srs_twin.identification.data_set import DataSet, data_sets, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, unknowns
@@ -127,7 +127,7 @@ def fit_coasting(
         raise InputError(f"friction law '{law}' is unknown here; allowed: axis, wheel, ellipse")
     if not runs:
         raise InputError("coasting runs are wanted; none was given")
-    keep_apart(_data(runs, validation))
+    keep_apart(data_sets(runs, validation))
     share = spin_share(spec) if wheel_inertia else 0.0
 
     def predicted(run: Coasting, k: int, values: Mapping[str, float]) -> np.ndarray:
@@ -148,10 +148,6 @@ def fit_coasting(
     if not validation or len(found.values) < len(_NAMES):
         return found
     return _validated(found, validation, law, share, noise)
-
-
-def _data(runs: Sequence[Coasting], validation: Sequence[Coasting]) -> list[DataSet]:
-    return [*(each.data_set("fit") for each in runs), *(each.data_set("validation") for each in validation)]
 
 
 def _throw(run: Coasting, k: int, noise: float) -> list[Unknown]:

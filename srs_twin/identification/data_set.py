@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -42,6 +43,20 @@ class DataSet:
         assert self.start is not None and self.end is not None
         assert other.start is not None and other.end is not None
         return self.start < other.end and other.start < self.end
+
+
+class Data(Protocol):
+    """What was measured, in any form."""
+
+    def data_set(self, role: Role) -> DataSet:
+        """Return what a fit says of these data."""
+
+
+def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSet]:
+    """Return all data of a fit with their roles."""
+    return [
+        *(each.data_set("fit") for each in fitted), *(each.data_set("validation") for each in validation)
+    ]  # fmt: skip
 
 
 def keep_apart(sets: Iterable[DataSet]) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.data_set import DataSet, fingerprint, keep_apart
+from srs_twin.identification.data_set import DataSet, data_sets, fingerprint, keep_apart
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, Verdict
 from srs_twin.identification.least_squares import LEVEL
 from srs_twin.identification.verdicts import IDENTIFIED, KNOWN
@@ -94,7 +94,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> Estimate:
     Raises:
         InputError: pulls to validate with that are also fitted.
     """
-    keep_apart([pulls.data_set("fit"), *(each.data_set("validation") for each in validation)])
+    keep_apart(data_sets([pulls], validation))
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(way) for way in _WAYS]
     means = np.array([each.mean() if len(each) else np.nan for each in values])

@@ -17,7 +17,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.cells import read_rows
 from srs_twin.identification.columns import Column, read_columns
-from srs_twin.identification.data_set import DataSet, keep_apart
+from srs_twin.identification.data_set import DataSet, data_sets, keep_apart
 from srs_twin.identification.estimate import Estimate, Residual, Role
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.source import read_source
@@ -132,7 +132,7 @@ def fit_static(
     """
     if not tables:
         raise InputError("static tables are wanted; none was given")
-    keep_apart([*(t.data_set("fit") for t in tables), *(t.data_set("validation") for t in validation)])
+    keep_apart(data_sets(tables, validation))
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
