@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.comparison.sampling import body_length, interpolant, label, require
+from srs_twin.comparison.sampling import body_length, interpolant, label, require, rms
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -33,6 +32,7 @@ class Comparison:
         shape_error: root mean square over the connectors at each instant, (T,), m.
         path_error: distance of the centres of mass, (T,), m.
         bend_error: candidate − reference, (T, segments), rad.
+        heading_error: candidate − reference, without the whole turns between where the two began, (T,), rad.
     """
 
     metrics: dict[str, float | None]
@@ -40,6 +40,7 @@ class Comparison:
     shape_error: np.ndarray
     path_error: np.ndarray
     bend_error: np.ndarray
+    heading_error: np.ndarray
 
 
 def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = False) -> Comparison:
@@ -72,14 +73,15 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
     bend_error = theirs.bend - ours.bend
     metrics = {
         **_gait_differences(reference, candidate, _gap_factor(reference, candidate) if gap_factor else 1.0),
-        "shape_rms_m": _rms(distance),
-        "shape_rms_body": _rms(distance) / body_length(reference),
-        "path_rms_m": _rms(path_error),
-        "bend_rms_rad": _rms(bend_error),
-        "bend_rms_rel": _ratio(_rms(bend_error), _rms(ours.bend)),
-        "heading_rms_rad": _rms(heading_error),
+        "shape_rms_m": rms(distance),
+        "shape_rms_body": rms(distance) / body_length(reference),
+        "path_rms_m": rms(path_error),
+        "bend_rms_rad": rms(bend_error),
+        "bend_rms_rel": _ratio(rms(bend_error), rms(ours.bend)),
+        "heading_rms_rad": rms(heading_error),
     }
-    return Comparison(metrics, time, np.sqrt((distance**2).mean(axis=-1)), path_error, bend_error)
+    shape_error = np.sqrt((distance**2).mean(axis=-1))
+    return Comparison(metrics, time, shape_error, path_error, bend_error, heading_error)
 
 
 def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) -> np.ndarray:
@@ -173,7 +175,3 @@ def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: floa
 
 def _ratio(part: float, whole: float) -> float | None:
     return part / whole if whole else None
-
-
-def _rms(values: np.ndarray) -> float:
-    return math.sqrt(np.square(values).mean())

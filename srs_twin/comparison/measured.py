@@ -9,7 +9,7 @@ import numpy as np
 
 from srs_twin.comparison.compare import Comparison, compare
 from srs_twin.comparison.metrics import MEASURED_UNITS
-from srs_twin.comparison.sampling import interpolant
+from srs_twin.comparison.sampling import rms
 from srs_twin.trajectory import Trajectory
 
 _PREFIX = "measured_"
@@ -22,11 +22,9 @@ class MeasuredDifference:
 
     Attributes:
         comparison: plant less measured, see `compare`.
-        heading_error: rad, shape (T,).
     """
 
     comparison: Comparison
-    heading_error: np.ndarray
 
     @classmethod
     def of(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
@@ -35,10 +33,7 @@ class MeasuredDifference:
         Raises:
             InputError: as `compare`.
         """
-        found = compare(measured, run)
-        seen = np.isin(measured.time, found.time)
-        off = interpolant(run, run["heading"])(found.time) - measured["heading"][seen]
-        return cls(found, off - 2 * np.pi * np.round(off[0] / (2 * np.pi)))
+        return cls(compare(measured, run))
 
     @property
     def metrics(self) -> dict[str, float | None]:
@@ -49,7 +44,7 @@ class MeasuredDifference:
         """Return the differences over time: shape and path as distances (m), heading, bends (rad)."""
         bends = {f"bend_{j}_rad": each for j, each in enumerate(self.comparison.bend_error.T, start=1)}
         distances = {"shape_m": self.comparison.shape_error, "path_m": self.comparison.path_error}
-        return distances | {"heading_rad": self.heading_error} | bends
+        return distances | {"heading_rad": self.comparison.heading_error} | bends
 
     def document(self) -> dict[str, Any]:
         """Return what metrics.json says: of each signal the RMS as a whole and in equal parts of the time."""
@@ -58,13 +53,9 @@ class MeasuredDifference:
         parts = list(zip(edges[:-1], edges[1:], strict=True))
         signals = self.signals()
         return {
-            "rms": {name: _rms(values) for name, values in signals.items()},
+            "rms": {name: rms(values) for name, values in signals.items()},
             "over_time": {
                 "time_s": [round(float(time[a:b].mean()), 6) for a, b in parts],
-                **{name: [_rms(values[a:b]) for a, b in parts] for name, values in signals.items()},
+                **{name: [rms(values[a:b]) for a, b in parts] for name, values in signals.items()},
             },
         }
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

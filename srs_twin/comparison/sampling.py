@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
+def rms(values: np.ndarray) -> float:
+    """Return the root of the mean of the squares."""
+    return float(np.sqrt(np.square(values).mean()))
+
+
 def label(trajectory: Trajectory) -> str:
     """Return what to call a trajectory in a message: its plant, or 'trajectory'."""
     return str(trajectory.metadata.get("plant", "trajectory"))

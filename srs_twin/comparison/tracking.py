@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.comparison.gait_window import WARM_UP_PERIODS
-from srs_twin.comparison.sampling import require
+from srs_twin.comparison.sampling import require, rms
 from srs_twin.comparison.sines import SineFit, fit_sine, frequency_of
 from srs_twin.comparison.steps import step_response
 from srs_twin.trajectory import Trajectory
@@ -72,7 +72,7 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     require(trajectory, "reference_1", "bend_1")
     reference, bend = trajectory["reference_1"], trajectory["bend_1"]
     metrics: dict[str, float | None] = dict.fromkeys(TRACKING_UNITS)
-    metrics["error_rms_rad"] = _rms(reference - bend)
+    metrics["error_rms_rad"] = rms(reference - bend)
     metrics |= _openings(trajectory)
     changes = np.flatnonzero(np.diff(reference)) + 1
     if len(changes) <= 1:
@@ -92,7 +92,7 @@ def _at_rest(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
     rest = bend[tail]
     found: dict[str, float | None] = {
         "steady_error_rad": float(rest.mean() - target),
-        "steady_rms_rad": _rms(rest - target),
+        "steady_rms_rad": rms(rest - target),
         "ripple_pp_rad": float(np.ptp(rest)),
         "ripple_rms_rad": float(rest.std()),
     }
@@ -164,7 +164,3 @@ def _openings(trajectory: Trajectory) -> dict[str, float | None]:
         opened = (states[:, 1:] == -1) & (states[:, :-1] != -1)
         found["outlet_openings"] = float(opened.sum(axis=1).mean())
     return found
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
