@@ -92,7 +92,7 @@ def test_limits_are_the_texts_and_hold_each_part():
     assert limits.offset == (-0.4, 0.4) and limits.frequency == (1.0, 2.0)
     # Section 3.4.2: 41 to 55 kPa.
     assert limits.pressure == (pytest.approx(41e3, rel=0.01), pytest.approx(55e3, rel=0.01))
-    assert limits.held(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(-0.4, 2.0, limits.pressure[0])
+    assert limits.clipped(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(-0.4, 2.0, limits.pressure[0])
     for name in ("gen1", "gen3", "gen4"):
         spec = robot(name)
         assert GaitLimits.of(spec).pressure[1] <= spec.supply.pulsed_limit

@@ -57,8 +57,8 @@ class GaitLimits:
         low, high = (share * spec.supply.nominal for share in PRESSURE_SHARE)
         return cls((-OFFSET, OFFSET), FREQUENCY_HZ, (low, min(high, spec.supply.pulsed_limit)))
 
-    def held(self, command: GaitCommand) -> GaitCommand:
-        """Return a command with each part brought to its limits."""
+    def clipped(self, command: GaitCommand) -> GaitCommand:
+        """Return a command with each part inside its limits."""
         return GaitCommand(
             _between(command.offset, self.offset),
             _between(command.frequency, self.frequency),

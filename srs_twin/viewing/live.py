@@ -103,7 +103,7 @@ class LiveSnake:
             name, sign = _CHANGES[key]
             low, high = getattr(self.limits, name)
             value = getattr(self.command, name) + sign * (high - low) / _PARTS[name]
-            self.command = self.limits.held(replace(self.command, **{name: value}))
+            self.command = self.limits.clipped(replace(self.command, **{name: value}))
 
 
 class Window(Protocol):
