@@ -27,7 +27,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.scenario import Scenario, parse_scenario
 from srs_twin.sweep import Sweep, load_sweep
 from srs_twin.sweep.engines import Engine, local
-from srs_twin.sweep.task import _flat
+from srs_twin.sweep.task import flat_metrics
 
 Found = Mapping[str, Mapping[str, float | None]]
 
@@ -146,7 +146,8 @@ def _scenarios(sweep: Sweep) -> list[Scenario]:
 
 def _measured(sweep: Sweep, runs: Sequence[Trajectory | DivergedError]) -> Found:
     return {
-        point.key: _flat("twin", plant_metrics(run)) for point, run in zip(sweep.points, runs, strict=True)
+        point.key: flat_metrics("twin", plant_metrics(run))
+        for point, run in zip(sweep.points, runs, strict=True)
     }
 
 

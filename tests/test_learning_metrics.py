@@ -14,7 +14,7 @@ from srs_twin.comparison.chamber_periods import ChamberPeriods
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, learning_metrics
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.learning import ILC
-from srs_twin.sweep.task import _flat
+from srs_twin.sweep.task import flat_metrics
 
 FREQUENCY, SEGMENTS = 2.0, 4
 BEGINS = np.array([[0.0, 0.25], [0.125, -0.125], [0.25, 0.0], [-0.125, 0.125]])
@@ -230,7 +230,7 @@ def test_refuses_runs_that_do_not_tell_the_clocks(begins):
 
 
 def test_a_sweep_has_a_column_for_every_number(real):
-    flat = _flat("twin", plant_metrics(real))
+    flat = flat_metrics("twin", plant_metrics(real))
     found = learning_metrics(real)
     assert flat["twin.duty_minus_3_period_7"] == found["duty"][6][2][1]
     assert flat["twin.heading_drift_by_period_rad_2"] == found["heading_drift_by_period_rad"][1]

@@ -63,16 +63,17 @@ def run_point(experiment: Experiment, point: Point) -> Row:
     try:
         scenario = parse_scenario(experiment.document(point.changes))
         if not experiment.plants:
-            values |= _flat(PLAN, _planned(scenario))
+            values |= flat_metrics(PLAN, _planned(scenario))
         for plant in experiment.plants:
             trajectories[plant] = _run(scenario, plant)
             metrics = plant_metrics(trajectories[plant])
             if scenario.measured is not None:
                 metrics |= MeasuredDifference.of(scenario.measured, trajectories[plant]).metrics
-            values |= _flat(plant, metrics)
+            values |= flat_metrics(plant, metrics)
         if len(trajectories) == 2:
             analytical, twin = (trajectories[plant] for plant in PLANTS)
-            values |= _flat("comparison", compare(analytical, twin, gap_factor=scenario.gap_factor).metrics)
+            comparison = compare(analytical, twin, gap_factor=scenario.gap_factor)
+            values |= flat_metrics("comparison", comparison.metrics)
     except SrsError as error:
         trajectories |= _begun(error, experiment.plants, trajectories)
         reason, exit_code, values = " ".join(str(error).split()), error.exit_code, {}
@@ -112,8 +113,13 @@ def _begun(error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajecto
     return {} if trajectory is None or plant is None else {plant: trajectory}
 
 
-def _flat(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return metrics as single numbers; elements of lists are numbered, chambers are plus and minus."""
+def flat_metrics(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return metrics as single numbers; elements of lists are numbered, chambers are plus and minus.
+
+    Args:
+        prefix: whose they are, in front of each name: a plant, "comparison" or "plan".
+        metrics: by name, as metrics.json has them.
+    """
     found: dict[str, float | None] = {}
     for name, value in metrics.items():
         if name in _TIMES:
