@@ -34,8 +34,8 @@ class FakeWindow:
 class FakeTime:
     """A clock that runs only when somebody sleeps, or works."""
 
-    def __init__(self, work: dict[int, float] | None = None) -> None:
-        self.now, self.slept, self._work = 100.0, [], work or {}
+    def __init__(self) -> None:
+        self.now, self.slept = 100.0, []
 
     def clock(self) -> float:
         return self.now

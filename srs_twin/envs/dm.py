@@ -6,13 +6,13 @@ from collections import OrderedDict
 from typing import Any
 
 import numpy as np
-from dm_control.rl import control  # noqa: E402, I001
-from dm_env import specs  # noqa: E402
+from dm_control.rl import control
+from dm_env import specs
 
 from srs_twin.envs.signals import Signal, high, low
 from srs_twin.envs.task import Episode, Outcome, Task
 from srs_twin.envs.tasks import make_task
-from srs_twin.plants.physics import dm as dm_mujoco  # first: it keeps dm_control from looking for a screen
+from srs_twin.plants.physics import dm as dm_mujoco
 
 
 class EpisodePhysics(control.Physics):
