@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import Loc
@@ -130,7 +131,34 @@ class Sweep:
             "plants": self.experiment.plants,
             "versions": self.versions,
         }
+        if recorded := _recorded(document):
+            what["recorded"] = recorded
         return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+def _recorded(document: Mapping[str, Any]) -> list[str]:
+    """Return the SHA-256 of the files that a scenario replays: their paths do not say what they hold now."""
+    recording = document.get("recording")
+    if not isinstance(recording, Mapping):
+        return []
+    from srs_twin.identification.takes import logs_of
+
+    motion, valves = str(recording.get("motion")), recording.get("valves")
+    return [_sha256(path) for path in (motion, *logs_of([motion], [valves] if valves else []))]
+
+
+def _sha256(path: str) -> str:
+    try:
+        about = os.stat(path)
+    except OSError:
+        return ""  # the run will say so
+    return _sha256_of(path, about.st_mtime_ns, about.st_size)
+
+
+@lru_cache(maxsize=64)
+def _sha256_of(path: str, changed_ns: int, size: int) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _planned_by(document: Any, kind: Value) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from conftest import ROOT
 from small import SMALL, write
 
 from srs_twin.errors import InputError
@@ -123,3 +124,26 @@ def test_what_is_wrong_with_the_scenario_names_the_scenario(tmp_path, monkeypatc
     write(tmp_path, "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 0}\n", "bad.yaml")
     with pytest.raises(InputError, match=r"^bad.yaml:3:40: controller.frequency_hz: must be a number"):
         load_sweep(write(tmp_path, SMALL.replace("gen2_straight", "bad.yaml")))
+
+
+def test_points_of_a_replay_depend_on_what_was_recorded(tmp_path, monkeypatch):
+    """The same paths with other contents are other points, so that no row of an old recording is kept."""
+    monkeypatch.chdir(tmp_path)
+    recorded = {}
+    for end in (".csv", ".valves.csv"):
+        recorded[end] = (ROOT / f"calibration/examples/my_snake/walk_check{end}").read_bytes()
+        (tmp_path / f"walk{end}").write_bytes(recorded[end])
+    replay = "controller: {kind: replay}\nrecording: {motion: walk.csv, longest_gap_s: 0.3}\n"
+    write(tmp_path, f"robot: gen2\nduration_s: 2\n{replay}", "replay.yaml")
+    text = "scenario: replay.yaml\nplants: [analytical]\nvary: {robot.friction.mu_n: [0.5, 0.6]}\n"
+
+    def keys() -> set[str]:
+        return {point.key for point in load_sweep(write(tmp_path, text)).points}
+
+    first = keys()
+    for end, content in recorded.items():
+        path = tmp_path / f"walk{end}"
+        path.write_bytes(content.rsplit(b"\n", 2)[0] + b"\n")
+        assert not first & keys(), end
+        path.write_bytes(content)
+        assert keys() == first, end
