@@ -108,7 +108,7 @@ def write_html(
         folded("Versions", table(["package", "version"], [list(pair) for pair in versions().items()])),
     ]
     with atomic_write(path) as part:
-        part.write_text(page(_TITLE, *parts), "utf-8")
+        part.write_text(page(_TITLE, *parts, broad=True), "utf-8")
 
 
 def _section(use: str, rows: Sequence[Judged]) -> list[Markup]:

@@ -22,6 +22,9 @@ body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto
 h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
 .sub, figcaption { color: var(--soft); } figure { margin: 1.2rem 0; }
 figure img { width: 100%; background: white; border-radius: 6px; border: 1px solid var(--line); }
+body.broad { max-width: 96rem; } .broad figure { max-width: 58rem; }
+.broad td.number:nth-child(even) { white-space: nowrap; } .broad td:nth-child(2) { min-width: 17rem; }
+.broad td:last-child { min-width: 19rem; }
 .wide { overflow-x: auto; margin: 1rem 0; }
 table { border-collapse: collapse; width: 100%; font-size: 0.92rem; }
 th, td { text-align: left; padding: 0.3rem 0.7rem; vertical-align: top;
@@ -91,11 +94,18 @@ def folded(title: str, *content: Markup) -> Markup:
     return element("details", element("summary", title), *content)
 
 
-def page(title: str, *content: Markup) -> str:
-    """Return a whole, self-contained page, light or dark as the reader's system is."""
+def page(title: str, *content: Markup, broad: bool = False) -> str:
+    """Return a whole, self-contained page, light or dark as the reader's system is.
+
+    Args:
+        title: of the window.
+        content: of the page.
+        broad: for tables with sentences in their second and last columns.
+    """
+    body = '<body class="broad">' if broad else "<body>"
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{html.escape(_POLICY)}">'
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
     )
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>{"".join(content)}</body></html>\n'
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n{body}{"".join(content)}</body></html>\n'
