@@ -140,7 +140,7 @@ def _try(frontier, node, move, moves, target, around, guide, cell, sector, weigh
     if owner >= 0 and frontier.nodes[owner, 3] <= cost + _BETTER:
         return
     left, right, lasting = wider(left, right, lasting, moves.changes[frontier.links[node, 1], move])
-    if not move_free(x, y, heading, move, length, left, right, moves, around):
+    if not _move_free(x, y, heading, move, length, left, right, moves, around):
         return
     bound = rest(to_x, to_y, to_heading, target)
     if cost + bound >= best:
@@ -177,7 +177,7 @@ def wider(left, right, lasting, change):  # type: ignore[no-untyped-def]  # noqa
 
 
 @compiled
-def move_free(x, y, heading, move, length, left, right, moves, around):  # type: ignore[no-untyped-def]
+def _move_free(x, y, heading, move, length, left, right, moves, around):  # type: ignore[no-untyped-def]
     """Say whether the arc of a move is free with edges wider by `left` and `right`, m."""
     left, right = moves.left[move] + left, moves.right[move] + right
     return not blocked(
@@ -219,9 +219,29 @@ def passes(x, y, heading, path, before, left, right, lasting, moves, around):  #
         length = path[3 + piece]
         if length > 0:
             move = moves.turns[1 + int(path[piece])]
-            left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
-            if not move_free(x, y, heading, move, length, left, right, moves, around):
+            free, x, y, heading, left, right, lasting = one_arc(
+                x, y, heading, before, move, length, left, right, lasting, moves, around
+            )
+            if not free:
                 return False
-            x, y, heading = along(x, y, heading, moves.curvatures[move], length)
-            lasting, before = max(0.0, lasting - length), move
+            before = move
     return True
+
+
+@compiled
+def one_arc(x, y, heading, before, move, length, left, right, lasting, moves, around):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return whether an arc is free, where it ends, and what is left of changes there.
+
+    All along it is as wide as it is anywhere.
+
+    Args:
+        x, y, heading: where it begins.
+        before: move that led there.
+        move: of the arc.
+        length: m.
+        left, right, lasting: what is left of earlier changes, m.
+    """
+    left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
+    free = _move_free(x, y, heading, move, length, left, right, moves, around)
+    x, y, heading = along(x, y, heading, moves.curvatures[move], length)
+    return free, x, y, heading, left, right, max(0.0, lasting - length)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from srs_twin.compiled import compiled
-from srs_twin.planning.best_first import Moves, move_free, passes, wider
+from srs_twin.planning.best_first import Moves, one_arc, passes
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import shortest, word
 from srs_twin.planning.swept import along
@@ -74,15 +74,15 @@ def _passes(start: Pose, path: Pieces, moves: Moves, around: Surroundings) -> bo
 
 @compiled
 def _all_free(x, y, heading, which, lengths, moves, around):  # type: ignore[no-untyped-def]
-    """Say whether arcs laid end to end are free; a piece is all along as wide as it is anywhere."""
+    """Say whether arcs laid end to end are free."""
     before, left, right, lasting = len(moves.curvatures), 0.0, 0.0, 0.0
     for k in range(len(which)):
-        move, length = which[k], lengths[k]
-        left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
-        if not move_free(x, y, heading, move, length, left, right, moves, around):
+        free, x, y, heading, left, right, lasting = one_arc(
+            x, y, heading, before, which[k], lengths[k], left, right, lasting, moves, around
+        )
+        if not free:
             return False
-        x, y, heading = along(x, y, heading, moves.curvatures[move], length)
-        lasting, before = max(0.0, lasting - length), move
+        before = which[k]
     return True
 
 
