@@ -14,7 +14,7 @@ much to the other side. An offset that a follower sends ahead by δ then has the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from srs_twin.planning.collision import Checker
@@ -60,22 +60,40 @@ def plan_shaped(problem: Problem, settings: Settings, begin: Sequence[Segment] =
 
     Args:
         problem: where it is begun; its start is the end of `begin`.
-        settings: how hard to try.
+        settings: how hard to try, each time that a goal is aimed at.
         begin: what of the path is fixed.
+
+    Returns:
+        The plan, with the nodes and the time of all that were made for it.
 
     Raises:
         InputError: as `plan`.
     """
+    made: list[Plan] = []
+
+    def planned(asked: Problem) -> Plan:
+        made.append(plan(asked, settings))
+        return made[-1]
+
+    found = _shaped_plan(problem, planned, begin)
+    return replace(
+        found, expanded=sum(each.expanded for each in made), seconds=sum(each.seconds for each in made)
+    )
+
+
+def _shaped_plan(problem: Problem, planned: Callable[[Problem], Plan], begin: Sequence[Segment]) -> Plan:
     body = problem.footprint
-    first = plan(problem, settings)
-    if not first.found or not body.transients:
-        return replace(first, segments=(*begin, *first.segments) if first.found else ())
+    first = planned(problem)
+    if not first.found:
+        return first
+    if not first.segments or not body.transients:
+        return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
     for room in _ROOM:
         wide = replace(problem, footprint=body.reduced(margin=room))
         aimed = problem.goal
         for _ in range(_AIMS):
-            found = plan(replace(wide, goal=aimed), settings) if room or aimed != problem.goal else first
+            found = planned(replace(wide, goal=aimed)) if room or aimed != problem.goal else first
             if not found.found or not found.segments:
                 break
             path = shaped((*begin, *found.segments), body)

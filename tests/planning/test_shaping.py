@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plan_sampling import TOUCH, deepest, joints, misses
 
-from srs_twin.planning import Problem, Settings, load_footprint
+from srs_twin.planning import Problem, Settings, load_footprint, plan, shaping
 from srs_twin.planning.problem import Segment, path_of
 from srs_twin.planning.shaping import plan_shaped, shaped
 from srs_twin.planning.swept import along
@@ -83,6 +83,25 @@ def test_a_shaped_plan_is_free_and_arrives():
     planned = (0.0, 0.5 * body.tightest[1], body.tightest[1])
     between = [s for s in answer.segments if min(abs(abs(s.curvature) - k) for k in planned) > 0.05]
     assert len(between) >= 2, "changes have an arc between"
+
+
+def test_a_snake_at_its_goal_has_no_change_to_complain_of():
+    answer = plan_shaped(Problem(START, Goal(0.0, 0.0, None, 0.05), FIELD, LEARNT), Settings())
+    assert answer.found and answer.segments == () and "jumps" not in answer.reason
+
+
+def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
+    made = []
+
+    def counted(problem, settings):
+        made.append(plan(problem, settings))
+        return made[-1]
+
+    monkeypatch.setattr(shaping, "plan", counted)
+    answer = plan_shaped(Problem(START, GOAL, FIELD, LEARNT.reduced(0.8, 0.03)), Settings())
+    assert len(made) > 1
+    assert answer.expanded == sum(each.expanded for each in made)
+    assert answer.seconds >= max(each.seconds for each in made) > 0
 
 
 def test_where_no_shaped_path_is_free_the_plan_says_so():
