@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.data_set import DataSet, keep_apart, trajectory_hash
+from srs_twin.identification.data_set import DataSet, data_sets, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
@@ -150,19 +151,18 @@ def fit_locomotion(
         raise InputError("gait runs are wanted; none was given")
     model = model or PlantModel()
     scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
-    roles: list[tuple[Sequence[GaitRun], Role]] = [(runs, "fit"), (validation, "validation")]
-    keep_apart(run.data_set(role) for given, role in roles for run in given)
-    fitted, checked = (
-        [(run, role, signals(run.trajectory, None, against, run.name)) for run in given]
-        for given, role in roles
+    keep_apart(data_sets(runs, validation))
+    fitted, kept = (
+        [(run, signals(run.trajectory, None, against, run.name)) for run in given]
+        for given in (runs, validation)
     )
 
     def residuals(
-        values: Mapping[str, float], data: Sequence[tuple[GaitRun, Role, dict[str, np.ndarray]]] = fitted
+        measured: Sequence[tuple[GaitRun, dict[str, np.ndarray]]], role: Role, values: Mapping[str, float]
     ) -> list[Residual]:
         robot = with_values(spec, values)
         found: list[Residual] = []
-        for run, role, seen in data:
+        for run, seen in measured:
             try:
                 told = signals(model.follow(run, robot), run.trajectory, against, run.name)
                 off = {name: seen[name] - told[name] for name in seen}
@@ -173,8 +173,8 @@ def fit_locomotion(
 
     wanted = unknowns(spec, names, starts=starting)
     return least_squares(
-        residuals, wanted, step=model.step, coarse=_COARSE, starts=starts, watch=watch,
-        validation=lambda values: residuals(values, checked),
+        partial(residuals, fitted, "fit"), wanted, step=model.step, coarse=_COARSE, starts=starts,
+        watch=watch, validation=partial(residuals, kept, "validation"),
     )  # fmt: skip
 
 

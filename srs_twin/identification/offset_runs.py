@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.identification.data_set import DataSet, fingerprint, keep_apart
+from srs_twin.identification.data_set import DataSet, data_sets, fingerprint, keep_apart
 from srs_twin.identification.drive import Drive
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role
 from srs_twin.identification.least_squares import least_squares
@@ -136,9 +136,11 @@ def fit_offsets(
         _Rows(tuple(runs), drive, "fit", scales, threads),
         _Rows(tuple(validation), drive, "validation", scales, threads),
     )
-    keep_apart([*fitted.data_sets(), *kept.data_sets()])
+    keep_apart(data_sets(runs, validation))
     wanted = unknowns(drive.spec, names, starts=starting)
-    estimate = least_squares(fitted.residuals, wanted, step=_STEP, tolerance=_ENOUGH)
+    estimate = least_squares(
+        fitted.residuals, wanted, step=_STEP, tolerance=_ENOUGH, validation=kept.residuals
+    )
     others = unknowns(drive.spec, besides)
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(
@@ -147,7 +149,6 @@ def fit_offsets(
         correlation=np.pad(
             estimate.correlation, (0, sum(each is not None for each in hidden)), constant_values=np.nan
         ),
-        residuals=(*estimate.residuals, *kept.residuals(estimate.values)),
         held={each.name: each.start for each in others},
     )
 
@@ -208,9 +209,6 @@ class _Rows:
         self._runs, self._drive, self._role, self._scales, self._threads = runs, drive, role, scales, threads
         # Searches and verdicts come back to the same values, and runs are dear.
         self._known: dict[tuple[tuple[str, float], ...], list[SteadyPath | None]] = {}
-
-    def data_sets(self) -> list[DataSet]:
-        return [run.data_set(self._role) for run in self._runs]
 
     def residuals(self, values: Mapping[str, float]) -> list[Residual]:
         """Return measured less predicted, speed and curvature of each run."""
