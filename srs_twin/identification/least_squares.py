@@ -21,6 +21,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Verdict
 from srs_twin.identification.independence import correlation_time
+from srs_twin.identification.reasons import cancels, hidden_because, wanted_beyond
 from srs_twin.identification.unknowns import Unknown
 from srs_twin.identification.verdicts import IDENTIFIED, Knowledge, knowledge
 
@@ -189,15 +190,15 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))
     jacobian = search.jacobian(z)
-    error = search.jacobian(z, 2 * search.step) - jacobian
+    coarser = search.jacobian(z, 2 * search.step) - jacobian
     # What does not act does not want to be anywhere, least of all at a bound.
-    acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
+    acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(coarser, axis=0)
     bound = acts & ((z - search.low < _AT_BOUND) | (search.high - z < _AT_BOUND))
     inside = np.flatnonzero(~bound)
     known = None
     if inside.size:
         widths = (search.high - search.low)[inside]
-        known = knowledge(jacobian[:, inside], error[:, inside], noise, widths)
+        known = knowledge(jacobian[:, inside], coarser[:, inside], noise, widths)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     reach = _rivals(best, ends, variance * samples / independent, stats.chi2.ppf(LEVEL, len(unknowns)))
     found, kept = [], []
@@ -207,10 +208,10 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
         place = int(np.searchsorted(inside, i))
         if bound[i]:
             found.append(
-                Parameter(unknown.name, unknown.unit, "not identifiable", why=_at_bound(unknown, z[i]))
+                Parameter(unknown.name, unknown.unit, "not identifiable", why=wanted_beyond(unknown, z[i]))
             )
         elif known is None or known.hidden(place):
-            why = _hidden_because(unknowns, inside, known, place)
+            why = hidden_because(unknowns, inside, known, place)
             found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
         else:
             error = float(known.errors[place])
@@ -218,7 +219,7 @@ def _estimate(search: _Search, best: _End, ends: Sequence[_End], held: Values) -
         kept.append(i)
     return Estimate(
         tuple(found), _correlation(found, kept, inside, known), residuals,
-        _cancels(unknowns, inside, known), samples, float(independent), float(np.sqrt(variance)), dict(held),
+        cancels(unknowns, inside, known), samples, float(independent), float(np.sqrt(variance)), dict(held),
         best.converged,
     )  # fmt: skip
 
@@ -241,49 +242,6 @@ def _rivals(best: _End, ends: Sequence[_End], variance: float, limit: float) -> 
     """Return how far, in z, searches went apart that fit as well as the best, by unknown."""
     alike = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit * variance]
     return np.asarray(np.abs(np.array(alike) - best.z).max(axis=0))
-
-
-def _at_bound(unknown: Unknown, z: float) -> str:
-    lower = z - unknown.coordinate(unknown.low) < _AT_BOUND
-    bound, side = (unknown.low, "least") if lower else (unknown.high, "most")
-    return f"the data want it at the {side} that is allowed, {bound:g} {unknown.unit}, or beyond"
-
-
-def _hidden_because(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Knowledge | None, place: int
-) -> str:
-    """Return why a parameter has no number."""
-    if known is None:
-        return "nothing can be told"
-    rows = [row for row in known.blind if abs(row[place]) > 0.05]
-    others = sorted(
-        {
-            unknowns[inside[k]].name
-            for row in rows
-            for k in range(len(row))
-            if k != place and abs(row[k]) > 0.05
-        }
-    )
-    if not rows:
-        return f"its standard error is {known.errors[place]:.2g} in units that matter, 1 or more"
-    if not others:
-        return "the residuals do not depend on it"
-    return f"together with {', '.join(others)} it cancels: only their combinations act"
-
-
-def _cancels(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Knowledge | None
-) -> tuple[dict[str, float], ...]:
-    if known is None:
-        return ()
-    names = [unknowns[i].name for i in inside]
-    rows = []
-    for row in known.blind:
-        signed = row * np.sign(row[np.argmax(np.abs(row))])
-        rows.append(
-            {name: round(float(v), 3) for name, v in zip(names, signed, strict=True) if abs(v) > 0.05}
-        )
-    return tuple(rows)
 
 
 def _correlation(
