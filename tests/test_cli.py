@@ -298,7 +298,7 @@ def test_quiet_leaves_stdout_and_stderr_empty(start):
 
 def test_progress_keeps_quiet_for_two_seconds_then_writes_plain_lines(monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("srs_twin.cli.display.time.monotonic", lambda: now[0])
     with Progress("gen2") as progress:
         for second in range(30):
             now[0] = 100.0 + second

@@ -7,8 +7,9 @@ import sys
 
 import pytest
 
-from srs_twin.cli import counting
+from srs_twin.cli import display
 from srs_twin.cli.counting import Counting
+from srs_twin.cli.searching import Searching
 
 
 @pytest.fixture
@@ -22,7 +23,7 @@ def clock(monkeypatch):
             return self.now
 
     clock = Clock()
-    monkeypatch.setattr(counting, "time", clock)
+    monkeypatch.setattr(display, "time", clock)
     return clock
 
 
@@ -39,6 +40,17 @@ def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
         "grid: 26 of 100, 1 failed, 1/s, 74 s left",
         "grid: 36 of 100, 1 failed, 1/s, 64 s left",
         "grid: 46 of 100, 1 failed, 1/s, 54 s left",
+    ]
+
+
+def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
+    with Searching("gen2_friction") as told:
+        for runs in range(1, 24):
+            clock.now += 1.0
+            told(runs, 10.0 / runs)
+    assert capsys.readouterr().err.splitlines() == [
+        "gen2_friction: 10 runs of the model, weighted residuals 1 RMS at best",
+        "gen2_friction: 20 runs of the model, weighted residuals 0.5 RMS at best",
     ]
 
 
