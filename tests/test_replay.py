@@ -252,6 +252,22 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
     assert missed.returncode == 1 and "MISSED analytical measured_shape_rms_m" in missed.stderr
 
 
+def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp_path, monkeypatch):
+    def ran(folder, *words):
+        monkeypatch.chdir(folder)
+        with pytest.raises(SystemExit) as end:
+            main([*words, "-q", "--out", str(tmp_path / words[0])])
+        assert end.value.code == 0
+        return json.loads((tmp_path / words[0] / "metrics.json").read_text("utf-8"))["plants"]["analytical"]
+
+    words = ["-r", "gen2", "--plants", "analytical", "--offset=-5", "--frequency", "2"]
+    first = ran(perfect, "replay", "take.csv", "--valves", "pressures.csv", *words)
+    again = ran(tmp_path, "run", str(tmp_path / "replay/scenario.resolved.yaml"))
+    assert again["com_speed_m_s"] == first["com_speed_m_s"] and first["measured_path_rms_m"] < 2e-3
+    assert first["mechanical_power_w"] > 0
+    assert first["pneumatic_power_w"] is None and first["valve_switches"] is None
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
