@@ -23,6 +23,7 @@ from srs_twin.envs.task import Episode, Task, twin_settings
 from srs_twin.envs.variation import Variation
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.plants.twin import TwinSnake
+from srs_twin.pneumatics.bending import largest_bend
 from srs_twin.sensing import Sensor
 from srs_twin.spec import RobotSpec
 
@@ -75,7 +76,7 @@ class ModuleTask(Task):
         spec = self._variation.file.spec()
         if spec.segments != 1:
             raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")
-        self.reach = REACH_SHARE * spec.actuator.gain * spec.supply.nominal
+        self.reach = REACH_SHARE * largest_bend(spec, spec.supply.nominal)
         duties = (
             Signal(
                 "duty_plus", "1", 0.0, 1.0, f"share of time in which the + chamber fills, {CARRIER_HZ:g} Hz"

@@ -11,10 +11,12 @@ from snakes import robot
 from srs_twin import InputError
 from srs_twin.documents import dump_yaml
 from srs_twin.envs.single import SnakeEnv
+from srs_twin.envs.tasks import make_task
 from srs_twin.envs.variation import Variation
 from srs_twin.identification.data_set import DataSet
 from srs_twin.identification.estimate import Estimate, Parameter
 from srs_twin.identification.fit_file import fit_file, write_fit
+from srs_twin.pneumatics import make_pneumatics
 from srs_twin.robots import load_robot_file
 
 DRAWS = 400
@@ -66,6 +68,21 @@ def test_spreads_of_a_robot_file_are_drawn_anew_for_each_episode(tmp_path):
         env.reset(seed=seed)
         gains.append(env.episode.twin.spec.modules.gain)
     assert gains[0] == gains[2] != gains[1]
+
+
+def test_references_of_a_module_stay_within_what_it_can_hold(tmp_path):
+    """Also where bends flatten out: what full chambers come to rest at, on one side."""
+    data = load_robot_file("gen4_module").model_dump(mode="json", exclude_none=True)
+    limit = {"value": 0.5, "unit": "rad", "status": "estimated", "source": "a test"}
+    data["actuator"]["bend_limit_rad"] = limit
+    path = tmp_path / "flat.yaml"
+    path.write_text(dump_yaml(data), "utf-8")
+    spec = load_robot_file(path).spec()
+    chambers = make_pneumatics("lag", spec, supply_pa=spec.supply.nominal, layout="3/2")
+    fill = np.array([[1, -1]], dtype=np.int8)
+    held = chambers.advance(chambers.schedule(fill, 5.0), np.array([5.0])).bend[0, 0]
+    assert held < 0.5
+    assert make_task("Module", robot=str(path)).reach == pytest.approx(0.8 * held)
 
 
 def test_the_robot_that_was_drawn_is_the_one_that_moves():
