@@ -11,7 +11,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -114,11 +113,12 @@ def frame() -> Iterator[dict[str, Any]]:
 
 def headless_viewer() -> Iterator[dict[str, Any]]:
     """Let Rerun's viewer draw its own window without a screen."""
+    from srs_twin.viewing.rerun_process import HOST, free_port
     from srs_twin.viewing.viewer import rerun_executable
 
     picture = Path("window.png").resolve()
     command = [
-        str(rerun_executable()), "--headless", "--bind", "127.0.0.1", "--port", str(_free_port()),
+        str(rerun_executable()), "--headless", "--bind", HOST, "--port", str(free_port()),
         "--window-size", "320x240", "--hide-welcome-screen", "--screenshot-to", str(picture),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
@@ -129,16 +129,18 @@ def headless_viewer() -> Iterator[dict[str, Any]]:
 
 def web_viewer() -> Iterator[dict[str, Any]]:
     """Let Rerun serve its viewer for browsers, and fetch the page and the head of the program."""
+    from srs_twin.viewing.rerun_process import HOST, free_port
     from srs_twin.viewing.viewer import rerun_executable
 
-    port = _free_port()
+    port = free_port()
     command = [
-        str(rerun_executable()), "--serve-web", "--bind", "127.0.0.1", "--port", str(_free_port()),
+        str(rerun_executable()), "--serve-web", "--bind", HOST, "--port", str(free_port()),
         "--web-viewer-port", str(port),
     ]  # fmt: skip
+    # Not `rerun_beside`: in a group of its own Rerun would outlive a probe that is killed with its group.
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        yield {"served": _served(server, f"http://127.0.0.1:{port}/")}
+        yield {"served": _served(server, f"http://{HOST}:{port}/")}
     finally:
         # `rerun` is a script that starts the real program, and ends it when it is interrupted.
         server.send_signal(signal.SIGINT)
@@ -159,12 +161,6 @@ def _served(server: subprocess.Popen[bytes], address: str) -> bool:
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
     return False
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 PROBES: dict[str, Callable[..., Iterator[dict[str, Any]]]] = {

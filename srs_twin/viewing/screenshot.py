@@ -5,10 +5,6 @@ Needs a Vulkan driver; the software one will do (Debian: `apt-get install mesa-v
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,8 +13,8 @@ from typing import IO, TYPE_CHECKING
 
 from srs_twin.errors import InputError
 from srs_twin.viewing.blueprint import TIMELINE
-from srs_twin.viewing.viewer import rerun_executable, verify_recording
-from srs_twin.viewing.web import free_port
+from srs_twin.viewing.rerun_process import HOST, Rerun, free_port, rerun_beside, words_of
+from srs_twin.viewing.viewer import verify_recording
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -77,38 +73,26 @@ def _headless_viewer(size: tuple[int, int]) -> Iterator[ViewerClient]:
     `ViewerClient.spawn` would do, but it listens on every network interface and prints its stack traces.
     """
     port = free_port()
-    command = [
-        str(rerun_executable()), "--headless", "--bind", "127.0.0.1", "--port", str(port),
-        "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen",
-    ]  # fmt: skip
-    with tempfile.TemporaryFile() as said:
-        viewer = subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True)
-        try:
-            yield _connected(viewer, port, said)
-        finally:
-            # `rerun` is a script that starts the real program: both are one group.
-            if viewer.poll() is None:
-                os.killpg(viewer.pid, signal.SIGTERM)
-                viewer.wait(timeout=10)
+    window = ("--headless", "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen")
+    with rerun_beside("--port", str(port), *window) as (viewer, said):
+        yield _connected(viewer, port, said)
 
 
-def _connected(viewer: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> ViewerClient:
+def _connected(viewer: Rerun, port: int, said: IO[bytes]) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
     deadline = time.monotonic() + _START_S
     while viewer.poll() is None and time.monotonic() < deadline:
         try:
-            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            client = ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
             client.take_screenshot()
             return client
         except (ConnectionError, RuntimeError):
             time.sleep(0.1)
-    said.seek(0)
-    words = said.read().decode(errors="replace")
-    if "render context" in words or "graphics adapter" in words:
+    words = words_of(said)
+    if any("render context" in line or "graphics adapter" in line for line in words):
         raise InputError(
             "no Vulkan driver to draw a picture with; install one (Debian: apt-get install "
             "mesa-vulkan-drivers), or use the pictures made with matplotlib (report.html)"
         )
-    last = words.strip().splitlines()[-1:] or ["it said nothing"]
-    raise InputError(f"the Rerun viewer did not start: {last[0]}")
+    raise InputError(f"the Rerun viewer did not start: {words[-1]}")

@@ -7,12 +7,7 @@ requests and lets the browser forbid all others by a Content-Security-Policy.
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import socket
-import subprocess
-import tempfile
 import time
 import urllib.error
 import urllib.request
@@ -24,9 +19,8 @@ from typing import IO
 from urllib.parse import quote, urlsplit
 
 from srs_twin.errors import InputError
-from srs_twin.viewing.viewer import rerun_executable
+from srs_twin.viewing.rerun_process import HOST, Rerun, free_port, rerun_beside, words_of
 
-HOST = "127.0.0.1"
 _START_S = 30.0
 _FETCH_S = 30.0
 # The viewer is WebAssembly, starts by a script in the page, and talks to the recording's port.
@@ -57,33 +51,14 @@ def served(recordings: Sequence[Path], port: int = 0) -> Iterator[tuple[str, Cal
         InputError: the port is taken, or Rerun does not start; with its last words.
     """
     data, page = free_port(), free_port()
-    command = [
-        str(rerun_executable()), "--serve-web", "--bind", HOST, "--port", str(data),
-        "--web-viewer-port", str(page), *map(str, recordings),
-    ]  # fmt: skip
+    ports = ("--port", str(data), "--web-viewer-port", str(page))
     recording = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
     with (
         _listening(port, f"http://{HOST}:{page}", recording) as server,
-        tempfile.TemporaryFile() as said,
+        rerun_beside("--serve-web", *ports, *map(str, recordings)) as (rerun, said),
     ):
-        # `rerun` is a script that starts the real program: both are one group.
-        rerun = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
-        )
-        try:
-            _wait(rerun, f"http://{HOST}:{page}/", said)
-            yield f"http://{HOST}:{server.server_port}/", server.serve_forever
-        finally:
-            if rerun.poll() is None:
-                os.killpg(rerun.pid, signal.SIGTERM)
-                rerun.wait(timeout=10)
-
-
-def free_port() -> int:
-    """Return a port of this machine that nobody uses now."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
+        _wait(rerun, f"http://{HOST}:{page}/", said)
+        yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
 
 @contextmanager
@@ -145,7 +120,7 @@ def _opener() -> urllib.request.OpenerDirector:
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def _wait(rerun: subprocess.Popen[bytes], address: str, said: IO[bytes]) -> None:
+def _wait(rerun: Rerun, address: str, said: IO[bytes]) -> None:
     """Wait until Rerun serves its page."""
     deadline = time.monotonic() + _START_S
     while rerun.poll() is None and time.monotonic() < deadline:
@@ -154,6 +129,4 @@ def _wait(rerun: subprocess.Popen[bytes], address: str, said: IO[bytes]) -> None
             return
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
-    said.seek(0)
-    words = said.read().decode(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
-    raise InputError(f"Rerun does not serve its viewer: {words[0]}")
+    raise InputError(f"Rerun does not serve its viewer: {words_of(said)[-1]}")
