@@ -14,6 +14,7 @@ from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Parameter, Residual
 from srs_twin.identification.independence import correlation_time
 from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.search import Manner
 from srs_twin.identification.unknowns import Unknown
 
 TIME = np.linspace(0.0, 1.0, 60)
@@ -172,3 +173,61 @@ def test_what_cannot_be_fitted_is_refused():
         Parameter("a", "1", "not identifiable", 1.0, 1.0, 1.0, 1.0)
     with pytest.raises(InputError, match="it must have all"):
         Parameter("a", "1", "identified", 1.0)
+
+
+def _wrapped(steepness: float, told: list[float]):
+    """Return residuals of a number a = 2 that is told by a line, and sharper by what turns with it."""
+
+    def residuals(values):
+        a = values["a"]
+        told.append(a)
+        turns = np.exp(1j * steepness * (a - 2.0)) - 1.0
+        return [
+            Residual("even", "1", (2.0 - a) * np.ones(5), 0.1),
+            Residual("turning", "1", np.tile([turns.real, turns.imag], 10), 1e-2),
+        ]
+
+    return residuals
+
+
+def test_a_guide_leads_past_minima_that_are_not_the_least():
+    start = [unknown("a", 0.0)]
+    astray = least_squares(_wrapped(20.0, []), start)
+    assert abs(astray["a"].value - 2.0) > 0.2
+    led = least_squares(
+        _wrapped(20.0, []), start, manner=Manner(coarse=1e-3, guide=lambda each: each.name == "even")
+    )
+    assert led["a"].value == pytest.approx(2.0, abs=1e-9)
+
+
+def test_what_a_guide_says_nothing_of_stays():
+    def residuals(values):
+        return [
+            Residual("led", "1", np.full(5, values["a"] - 1.0), 0.1),
+            Residual("rest", "1", np.full(5, values["b"] - 3.0), 0.1),
+        ]
+
+    led: list[float] = []
+
+    def watched(values):
+        led.append(values["b"])
+        return residuals(values)
+
+    found = least_squares(
+        watched, [unknown("a", 0.0), unknown("b", 0.5)], manner=Manner(guide=lambda each: each.name == "led")
+    )
+    assert found["b"].value == pytest.approx(3.0) and found["a"].value == pytest.approx(1.0)
+    assert np.abs(np.array(led[:8]) - 0.5).max() < 1e-3
+
+
+def test_a_search_ends_by_its_runs_or_where_nothing_is_left():
+    told: list[float] = []
+    spent = least_squares(_wrapped(20.0, told), [unknown("a", 0.0)], manner=Manner(most_runs=4))
+    # Four, one before them to look at the data, and five for what the data tell.
+    assert not spent.converged and len(told) <= 1 + 4 + 5
+    told.clear()
+    enough = least_squares(_wrapped(0.1, told), [unknown("a", 0.0)], manner=Manner(enough=0.5))
+    assert enough.converged
+    exact: list[float] = []
+    least_squares(_wrapped(0.1, exact), [unknown("a", 0.0)])
+    assert len(told) < len(exact)

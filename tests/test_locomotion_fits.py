@@ -102,6 +102,20 @@ def test_the_twin_as_the_plant():
     assert found["bending.stiffness_nm_per_rad"].value == pytest.approx(0.38, rel=0.01)
 
 
+def test_the_twin_tells_stiffness_and_gap_from_afar_in_few_runs():
+    """From 15 % off: bends lead, for path and heading of the twin say nothing from some per cent on."""
+    truth = {"bending.stiffness_nm_per_rad": 0.38, "geometry.rigid_gap_m": 0.022}
+    data = runs(TWIN, truth, [(2.0, 0.1)], seconds=1.0)
+    told: list[int] = []
+    found = fit_locomotion(
+        data, SPEC, list(truth), model=TWIN, against="shapes", starts=1, watch=lambda k, _: told.append(k)
+    )
+    for name, value in truth.items():
+        assert found[name].value == pytest.approx(value, rel=0.01)
+        assert found[name].verdict == "identified"
+    assert found.converged and told[-1] < 60
+
+
 def test_validation_runs_are_only_looked_at():
     fitted, kept = straight_and_curved()[:2], straight_and_curved()[2:]
     names = ["friction.mu_t", "geometry.rigid_gap_m"]

@@ -158,7 +158,12 @@ def locomotion(
     against: Annotated[
         str, typer.Option("--against", help="What is compared: averages, shapes or both.")
     ] = "both",
-    starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Searches.")] = 3,
+    starts: Annotated[
+        int | None,
+        typer.Option(
+            "--starts", min=1, max=100, help="Searches. [default: 3; 1 where the twin's shapes lead]"
+        ),
+    ] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
     up: UpOption = "auto",
@@ -192,10 +197,11 @@ def locomotion(
             )
     runs = [gait_run(take, path, supply) for path, take in takes]
     fitted, held = runs[: len(files)], runs[len(files) :]
+    searches = starts or (1 if plant == "twin" and against != "averages" else 3)
     with place.searching() as watch:
         found = fit_locomotion(
-            fitted, spec, names_in(find) or [], model=stands, against=against, validation=held, starts=starts,
-            watch=watch,
+            fitted, spec, names_in(find) or [], model=stands, against=against, validation=held,
+            starts=searches, watch=watch,
         )  # fmt: skip
     title = f"Locomotion of {spec.name} against the {plant} plant"
     place.finish(found, title=title, robot=robot, method="locomotion", data=data_sets(fitted, held))

@@ -19,8 +19,9 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.data_set import DataSet, fingerprint, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import Watch, least_squares
+from srs_twin.identification.least_squares import least_squares
 from srs_twin.identification.recording import Recording
+from srs_twin.identification.search import Watch
 from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
 from srs_twin.identification.valve_log import SIDES, ValveLog
 from srs_twin.pneumatics import LagPneumatics, Schedule

@@ -16,7 +16,8 @@ from srs_twin.errors import InputError
 from srs_twin.friction import LAWS
 from srs_twin.identification.data_set import DataSet, data_sets, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import Watch, least_squares
+from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.search import Watch
 from srs_twin.identification.unknowns import Unknown, unknowns
 from srs_twin.identification.velocity import moving_slope
 from srs_twin.plants.sliding import slide, spin_share
@@ -142,7 +143,7 @@ def fit_coasting(
 
     thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k, noise)]
     found = least_squares(
-        residuals, [*unknowns(spec, _NAMES), *thrown], step=1e-4, held={"spin_share": share},
+        residuals, [*unknowns(spec, _NAMES), *thrown], held={"spin_share": share},
         watch=watch,
     )  # fmt: skip
     if not validation or len(found.values) < len(_NAMES):

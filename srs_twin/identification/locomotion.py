@@ -21,7 +21,8 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.data_set import DataSet, data_sets, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import Watch, least_squares
+from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.search import Manner, Watch
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
@@ -37,9 +38,10 @@ NOISE = {
     "speed": (2e-3, "m/s"), "yaw_rate": (1e-2, "rad/s"), "path": (2e-3, "m"), "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }  # fmt: skip
-# Of differences, in z. `compliant` is smooth; steps that adapt to friction are less so, contacts least.
-_STEPS = {"compliant": 1e-4, "analytical": 3e-2, "twin": 3e-2}
-_COARSE = 0.1
+# Of differences, in z: fine, and coarse. `compliant` is smooth; steps that adapt to friction are less so.
+_STEPS = {"compliant": (1e-4, 0.1), "analytical": (3e-2, 0.1)}
+MOST_TWIN_RUNS = 150
+"""How often a search runs the twin through all recordings at most."""
 _TOLERANCE = 2e-5  # m/s: with the plant's own, ten times as large, differences are those of its steps
 _DIVERGED = 1e3
 _RATE = 50.0  # Hz: at which shapes are compared at most
@@ -85,11 +87,17 @@ class PlantModel:
         if self.plant not in PLANTS:
             raise UnknownNameError("plant", self.plant, PLANTS)
 
-    @property
-    def step(self) -> float:
-        """Step of differences that suits the plant, in the coordinates of `unknowns`."""
-        compliant = self.plant == "analytical" and self.settings.get("model") == "compliant"
-        return _STEPS["compliant" if compliant else self.plant]
+    def manner(self, against: str) -> Manner:
+        """Return how a search suits the plant.
+
+        The twin's motion is smooth to 1e-3 in z. But its path and heading follow the unknowns only up to
+        1e-2, and farther off they say nothing; its bends follow them up to 1, so they lead the search.
+        """
+        if self.plant == "twin":
+            guide = None if against == "averages" else _is_bend
+            return Manner(3e-3, 3e-2, 1e-4, guide, enough=1e-2, most_runs=MOST_TWIN_RUNS)
+        compliant = self.settings.get("model") == "compliant"
+        return Manner(*_STEPS["compliant" if compliant else "analytical"])
 
     def build(self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None) -> Plant:
         """Return the plant of a robot, with chambers of its own or given ones."""
@@ -137,6 +145,7 @@ def fit_locomotion(
         against: "averages", "shapes" or "both".
         validation: runs to hold the estimate against.
         starts: how many searches; one may end in a minimum that is not the least, with a large residual.
+            Against the twin one does, where shapes lead it.
         starting: other values to start from, by name.
         noise: other values for `NOISE`, by name.
         watch: is told how far the search is, see `least_squares`.
@@ -173,8 +182,8 @@ def fit_locomotion(
 
     wanted = unknowns(spec, names, starts=starting)
     return least_squares(
-        partial(residuals, fitted, "fit"), wanted, step=model.step, coarse=_COARSE, starts=starts,
-        watch=watch, validation=partial(residuals, kept, "validation"),
+        partial(residuals, fitted, "fit"), wanted, manner=model.manner(against), starts=starts, watch=watch,
+        validation=partial(residuals, kept, "validation"),
     )  # fmt: skip
 
 
@@ -235,3 +244,7 @@ def _residual(
 ) -> Residual:
     kind = name if name in NOISE else name.rpartition("_")[0]
     return Residual(f"{run.name} {name}", NOISE[kind][1], values, scales[kind], role)
+
+
+def _is_bend(residual: Residual) -> bool:
+    return " bend_" in residual.name

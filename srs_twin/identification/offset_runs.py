@@ -22,6 +22,7 @@ from srs_twin.identification.data_set import DataSet, data_sets, fingerprint, ke
 from srs_twin.identification.drive import Drive
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role
 from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.search import Manner
 from srs_twin.identification.steady import SteadyPath
 from srs_twin.identification.study import steady_path
 from srs_twin.identification.unknowns import Unknown, unknowns, with_values
@@ -138,9 +139,8 @@ def fit_offsets(
     )
     keep_apart(data_sets(runs, validation))
     wanted = unknowns(drive.spec, names, starts=starting)
-    estimate = least_squares(
-        fitted.residuals, wanted, step=_STEP, tolerance=_ENOUGH, validation=kept.residuals
-    )
+    manner = Manner(_STEP, tolerance=_ENOUGH)
+    estimate = least_squares(fitted.residuals, wanted, manner=manner, validation=kept.residuals)
     others = unknowns(drive.spec, besides)
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(

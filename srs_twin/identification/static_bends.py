@@ -19,7 +19,8 @@ from srs_twin.identification.cells import read_rows
 from srs_twin.identification.columns import Column, read_columns
 from srs_twin.identification.data_set import DataSet, data_sets, keep_apart
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import Watch, least_squares
+from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.search import Watch
 from srs_twin.identification.source import read_source
 from srs_twin.identification.units import PRESSURES
 from srs_twin.identification.unknowns import per_segment, unknowns, with_values
