@@ -170,9 +170,9 @@ def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
         ({"recording": None}, "controller: kind: replay has nothing to replay"),
         ({"controller": {"kind": "gait", "frequency_hz": 2.0}}, "recording: nobody replays it"),
         ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
-        ({"recording": {"motion": "none.csv"}}, r"recording: none.valves.csv: no such file"),
-        ({"robot": "gen4_module"}, r"recording: .*gen4_module has 1 segments"),
-        ({"bench": True}, "recording: is of a robot on the floor"),
+        ({"recording": {"motion": "none.csv"}}, r"recording.valves: none.valves.csv: no such file"),
+        ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
+        ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*on a bench it is held"),
         ({"valves": {"layout": "in_out"}}, None),
     ],
 )
@@ -187,6 +187,32 @@ def test_what_a_replay_needs(perfect, changes, message):
         return
     with pytest.raises(InputFileError, match=message):
         replayed(perfect, **changes)
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [
+        ("  motion: none.csv", "5:11: recording.motion: none.csv: no such file"),
+        ("  valves: none.csv", "6:11: recording.valves: none.csv: no such file"),
+        ("  offset_s: 400", "7:13: recording.offset_s: "),
+        ("  head: tip", "8:9: recording.head: unknown marker 'tip'"),
+    ],
+)
+def test_errors_of_a_recording_stand_at_their_keys(perfect, tmp_path, line, place):
+    take, log = perfect / "take.csv", perfect / "take.valves.csv"
+    lines = {"motion": f"  motion: {take}", "valves": f"  valves: {log}", "offset_s": "  offset_s: -5"}
+    lines |= {"head": "  up: auto"}
+    lines[line.partition(":")[0].strip()] = line
+    path = tmp_path / "r.yaml"
+    path.write_text(
+        "\n".join(
+            ["robot: gen2", "duration_s: 2", "controller: {kind: replay}", "recording:", *lines.values()]
+        )
+        + "\nplants: {analytical: {}}\n"
+    )
+    with pytest.raises(InputFileError) as found:
+        load_scenario(path)
+    assert f"r.yaml:{place}" in str(found.value)
 
 
 def test_chambers_cannot_be_asked_for_where_pressures_are_recorded(perfect):

@@ -27,10 +27,11 @@ if TYPE_CHECKING:
     from srs_twin.robot_file import RobotFile
 
 _LONGEST = 3600.0  # s, of a scenario
+_BENCH_HZ = 1000  # bends follow valves within milliseconds
 
 
 def replay(
-    motion: Annotated[str, typer.Argument(metavar="MOTION", help="What cameras saw: Motive or plain CSV.")],
+    motion: Annotated[str, typer.Argument(metavar="MOTION", help="What cameras saw, or bends on a bench.")],
     robot: RobotOption,
     valves: Annotated[
         str | None,
@@ -49,12 +50,17 @@ def replay(
         ),
     ] = None,
     check: CheckOption = False,
+    bench: Annotated[
+        bool, typer.Option("--bench", help="It hung in the air, held at its head; also of one module.")
+    ] = False,
     pressure: PressureOption = None,
     plants: Annotated[
         str, typer.Option("--plants", metavar="LIST", help="analytical, twin or both.")
     ] = "analytical,twin",
     model: Annotated[str, typer.Option("--model", help="Of the analytical plant.")] = "complete",
-    law: Annotated[str, typer.Option("--law", help="Of the analytical plant's floor.")] = "wheel",
+    law: Annotated[
+        str | None, typer.Option("--law", help="Of the analytical plant's floor. [default: wheel]")
+    ] = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
     up: UpOption = "auto",
@@ -88,9 +94,11 @@ def replay(
         "duration_s": _duration(recording, snake, quiet),
         "controller": {"kind": "replay"},
         "recording": recording,
-        "plants": _plants(plants, model, law),
+        "plants": _plants(plants, model, law, bench),
         "expect": [] if expect is None else _expectations(expect),
     }
+    if bench:
+        document |= {"bench": True, "record_hz": _BENCH_HZ}
     if pressure is not None:
         document["supply"] = {"pressure_kpa": pressure}
     scenario = parse_scenario(document, name="replay")
@@ -132,8 +140,11 @@ def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float
     return round(math.floor(min(float(time[-1] - time[0]), _LONGEST) / tick + 1e-6) * tick, 6)
 
 
-def _plants(names: str, model: str, law: str) -> dict[str, Any]:
-    settings: dict[str, Any] = {"analytical": {"model": model, "friction": law}, "twin": {}}
+def _plants(names: str, model: str, law: str | None, bench: bool) -> dict[str, Any]:
+    if bench and law is not None:
+        raise InputError("--law: take it out; on a bench there is no floor")
+    floor = {} if bench else {"friction": law or "wheel"}
+    settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
     wanted = [each.strip() for each in names.split(",")]
     for each in wanted:
         if each not in settings:

@@ -15,6 +15,12 @@ if TYPE_CHECKING:
 
     from srs_twin.running import RunResult
 
+_MEASURED_ROWS = {
+    "measured_shape_rms_m": ("shape, from measured", "m"),
+    "measured_path_rms_m": ("path, from measured", "m"),
+    "measured_bend_rms_rad": ("bends, from measured", "rad"),
+    "measured_heading_rms_rad": ("heading, from measured", "rad"),
+}
 # metric of a plant → (heading, unit)
 _PLANT_ROWS = {
     "com_speed_m_s": ("CoM speed", "m/s"),
@@ -30,15 +36,13 @@ _PLANT_ROWS = {
     "mechanical_power_w": ("mechanical power", "W"),
     "cost_of_transport": ("cost of transport", "1"),
     "pneumatic_power_w": ("power of the air", "W"),
-    "measured_shape_rms_m": ("shape, from measured", "m"),
-    "measured_path_rms_m": ("path, from measured", "m"),
-    "measured_bend_rms_rad": ("bends, from measured", "rad"),
-    "measured_heading_rms_rad": ("heading, from measured", "rad"),
+    **_MEASURED_ROWS,
     "realtime_factor": ("real-time factor", "1"),
 }
 # The same of a run whose bends follow a reference, or of one on a bench.
 _BENCH_ROWS = {
     "final_bend_rad": ("bend at the end", "rad"),
+    **_MEASURED_ROWS,
     "rise_time_s": ("rise, 10 to 90 %", "s"),
     "overshoot_rel": ("overshoot", "1"),
     "settling_5_s": ("settled within 5 %", "s"),

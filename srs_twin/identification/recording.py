@@ -19,7 +19,7 @@ from srs_twin.identification.motive import FIRST, parse_motive
 from srs_twin.identification.plain_csv import parse_plain
 from srs_twin.identification.slots import MOST, packed
 from srs_twin.identification.source import read_source
-from srs_twin.identification.summary import LogSummary
+from srs_twin.identification.summary import BendSummary, LogSummary
 from srs_twin.identification.tracking import follow
 from srs_twin.identification.trajectories import trajectory_of
 from srs_twin.identification.valve_log import ValveLog
@@ -40,13 +40,14 @@ class Recording:
 
     Attributes:
         trajectory: with the columns of a plant's, and ``filled_1…`` (1 where a marker of that connector was
-            filled in), ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate``, ``bend_rate_1…``.
+            filled in), ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate``, ``bend_rate_1…``;
+            of a log of bends only the last of these.
         summary: what was made of the file.
         valves: what was commanded or measured of the air, on the clock of the trajectory; None at first.
     """
 
     trajectory: Trajectory
-    summary: LogSummary
+    summary: LogSummary | BendSummary
     valves: ValveLog | None = field(default=None)
 
 

@@ -80,3 +80,40 @@ class LogSummary:
             f"{1e3 * self.residual_m:.2g} mm",
         ]
         return "\n".join([*lines, *(f"corrected: {each}" for each in self.corrections)])
+
+
+@dataclass(frozen=True)
+class BendSummary:
+    """What was read of a bend log, filled and corrected.
+
+    Attributes:
+        source: name of the file.
+        sha256: of the file.
+        rows_read: rows of the file.
+        rate_hz: rows a second.
+        samples_filled: bends filled in, in the rows that are kept.
+        frames_kept: rows of the trajectory.
+        start, end: their times, s.
+        corrections: all else that was changed or assumed, in words.
+    """
+
+    source: str
+    sha256: str
+    rows_read: int
+    rate_hz: float
+    samples_filled: int
+    frames_kept: int
+    start: float
+    end: float
+    corrections: tuple[str, ...]
+
+    def text(self) -> str:
+        """Return it for people, one fact a line."""
+        cut = self.rows_read - self.frames_kept
+        lines = [
+            f"{self.source}: bend log, SHA-256 {self.sha256[:16]}…",
+            f"read: {self.rows_read} rows, {self.rate_hz:.4g} Hz",
+            f"filled: {self.samples_filled} bends",
+            f"kept: {self.frames_kept} rows, {self.start:.4g} s to {self.end:.4g} s, {cut} left out",
+        ]
+        return "\n".join([*lines, *(f"corrected: {each}" for each in self.corrections)])

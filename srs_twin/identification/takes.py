@@ -13,6 +13,7 @@ import numpy as np
 
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
+from srs_twin.identification.bend_log import is_bend_log, read_bends
 from srs_twin.identification.joining import join
 from srs_twin.identification.locomotion import GaitRun
 from srs_twin.identification.recording import LONGEST_GAP, Recording, read_motion
@@ -21,8 +22,10 @@ from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
 
 _LOG = ".valves.csv"
+NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _LEAST_OPENINGS = 4
 _EVEN = 0.05  # of a period: by how much openings may come early or late
 _STILL = 1e-9  # s
@@ -61,14 +64,39 @@ class Reading:
             gait_frequency_hz=frequency if self.gait_frequency_hz is None else self.gait_frequency_hz,
         )  # fmt: skip
 
-    def take(self, path: str, valves: str, spec: RobotSpec) -> Recording:
-        """Read a captured motion and its log, and put both on one clock.
+    def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
+        """Read what was measured of the body: a captured motion, or a log of its bends (`bend_log`).
+
+        Args:
+            path: of the file.
+            spec: the robot on it.
+            frequency: of the gait where none was given, Hz.
+        """
+        if not is_bend_log(path):
+            return self.motion(path, spec, frequency)
+        given = self.gait_frequency_hz
+        return read_bends(
+            path, spec, longest_gap_s=self.longest_gap_s,
+            gait_frequency_hz=frequency if given is None else given,
+        )  # fmt: skip
+
+    def joined(self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool) -> Recording:
+        """Put what was measured and a log on one clock, which they share where both are columns of one file.
 
         Raises:
-            InputError: as `read_motion`, `read_valves` and `join`.
+            InputError: as `join`.
+        """
+        offset = 0.0 if one_file and self.offset_s is None else self.offset_s
+        return join(body, log, spec, offset=offset)
+
+    def take(self, path: str, valves: str, spec: RobotSpec) -> Recording:
+        """Read what was measured and its log, and put both on one clock.
+
+        Raises:
+            InputError: as `body`, `read_valves` and `joined`.
         """
         log = read_valves(valves, spec)
-        return join(self.motion(path, spec, repeats(log)), log, spec, offset=self.offset_s)
+        return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
 
 
 def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
@@ -117,9 +145,11 @@ def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
     """Return a recording as a run whose valves are commanded again, or whose pressures chambers have again.
 
     Raises:
-        InputError: there is no log.
+        InputError: there is no log, or bends alone were measured.
     """
     trajectory = recording.trajectory
+    if only_bends(trajectory):
+        raise InputError(f"{name}: {NO_MARKERS}")
     driver = Replay(commands(recording, name), trajectory.metadata.get("gait_frequency_hz"))
     logged = pressures(recording)
     if logged is None:
@@ -130,6 +160,11 @@ def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
         return RecordedPressures(spec, time, values, supply_pa=supply_pa)
 
     return GaitRun(trajectory, driver, supply_pa, name, chambers)
+
+
+def only_bends(trajectory: Trajectory) -> bool:
+    """Say whether of a measured body the bends alone are known."""
+    return bool(trajectory.metadata.get("bends_only"))
 
 
 def pressures(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:

@@ -106,7 +106,7 @@ def build(
 
 def _start(file: ScenarioFile, recording: Recording | None) -> tuple[float, float, float]:
     """Return where the snake lies at first: as the file says, or as it was measured."""
-    if recording is None or "start" in file.model_fields_set:
+    if recording is None or file.bench or "start" in file.model_fields_set:
         return file.start.x_m, file.start.y_m, file.start.heading_rad
     from srs_twin.identification.takes import start_pose
 

@@ -211,14 +211,12 @@ def _check_following(document: Document, file: ScenarioFile) -> None:
 
 
 def _check_replay(document: Document, file: ScenarioFile) -> None:
-    """A recording is what a replay replays, on the floor."""
+    """A recording is what a replay replays."""
     replays = isinstance(file.controller, ReplayFile)
     if replays and file.recording is None:
         document.report(("controller",), "kind: replay has nothing to replay; give recording as well")
     if file.recording is not None and not replays:
         document.report(("recording",), "nobody replays it; set controller.kind: replay", at_key=True)
-    if file.recording is not None and file.bench:
-        document.report(("recording",), "is of a robot on the floor; take out bench", at_key=True)
     for i, each in enumerate(file.expect):
         if each.metric in MEASURED_UNITS and file.recording is None:
             document.report(("expect", i, "metric"), f"{each.metric} needs recording")

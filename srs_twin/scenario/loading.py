@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from srs_twin.documents import Document, load_yaml
-from srs_twin.errors import InputError, InputFileError
+from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.files import find, results_name
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.robot_file import RobotFile
@@ -34,6 +34,8 @@ from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.identification.recording import Recording
+
+Found = TypeVar("Found")
 
 
 def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
@@ -88,21 +90,44 @@ def _scenario(document: Document, name: str) -> Scenario:
 
 
 def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Recording | None:
-    """Return what is replayed; report why it cannot be read."""
+    """Return what is replayed; report at its key why it cannot be read."""
     given = file.recording
-    if given is None or file.bench:
+    if given is None:
         return None
-    from srs_twin.identification.takes import Reading, logs_of
+    from srs_twin.identification.bench import on_bench
+    from srs_twin.identification.takes import NO_MARKERS, Reading, logs_of, only_bends, repeats
+    from srs_twin.identification.valve_log import read_valves
 
     reading = Reading(
         given.up, given.layout, given.head, given.longest_gap_s, given.offset_s, given.gait_frequency_hz
     )
-    (log,) = logs_of([given.motion], [given.valves] if given.valves else [])
-    try:
-        return reading.take(given.motion, log, robot.spec(file.seed))
-    except InputError as error:
-        document.report(("recording",), str(error))
+    spec = robot.spec(file.seed)
+    (path,) = logs_of([given.motion], [given.valves] if given.valves else [])
+    log = _read(document, "valves", lambda: read_valves(path, spec))
+    frequency = repeats(log) if log else None
+    body = _read(document, "motion", lambda: reading.body(given.motion, spec, frequency))
+    if body is None or log is None:
         return None
+    if not file.bench and only_bends(body.trajectory):
+        document.report(("recording", "motion"), f"{NO_MARKERS}, or bench: true")
+        return None
+    one_file = path == given.motion
+    joined = _read(document, "offset_s", lambda: reading.joined(body, log, spec, one_file=one_file))
+    if joined is None or not file.bench:
+        return joined
+    return _read(document, "motion", lambda: on_bench(joined, spec))
+
+
+def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | None:
+    """Return what a key of the recording leads to; report why there is nothing."""
+    try:
+        return read()
+    except UnknownNameError as error:
+        # The file itself was read: it is the marker that is not in it.
+        document.report(("recording", "head"), str(error))
+    except InputError as error:
+        document.report(("recording", key), str(error))
+    return None
 
 
 def _world(document: Document, file: ScenarioFile) -> World:

@@ -13,9 +13,11 @@ Path = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class RecordingFile(Strict):
-    """A captured motion and the log of its air (docs/logs.md); paths from the current folder."""
+    """What was measured of a robot and the log of its air (docs/logs.md); paths from the current folder."""
 
-    motion: Path = section("What cameras saw; a Motive or plain CSV file.")
+    motion: Path = section(
+        "What cameras saw, a Motive or plain CSV file; on a bench also a CSV file of time,bend_1,…."
+    )
     valves: Path | None = section(
         "Log of valves or pressures; a plain CSV file (default: NAME.valves.csv beside the motion).", None
     )

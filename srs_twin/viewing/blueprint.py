@@ -32,7 +32,7 @@ class Layout:
         kind: of the experiment; the plots that matter for it are shown.
         events: whether there is anything in the text log.
         root: entity above all of them, where several runs are in one recording.
-        measured: whether there are differences from a measured robot.
+        measured: of what there are differences from a measured robot: shape, path, bend.
     """
 
     plants: Sequence[str]
@@ -45,7 +45,7 @@ class Layout:
     kind: Kind = "gait"
     events: bool = False
     root: str = ""
-    measured: bool = False
+    measured: Sequence[str] = ()
 
     @property
     def world(self) -> str:
@@ -110,9 +110,17 @@ def _body(layout: Layout) -> rrb.Tabs:
     views = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
     if layout.compared:
         views.append(_plot("comparison", "Difference of the plants (mm)"))
-    if layout.measured:
-        views.append(_plot("measured", "Distance from the measured robot (mm)"))
+    views += _measured(layout)
     return rrb.Tabs(*views)
+
+
+def _measured(layout: Layout) -> list[rrb.TimeSeriesView]:
+    """Return how far the plants are from the measured robot: on a bench there may be bends alone."""
+    distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
+    views = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
+    if "bend" in layout.measured:
+        views.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
+    return views
 
 
 def _gait_rows(layout: Layout) -> Rows:
@@ -134,7 +142,8 @@ def _bench_rows(layout: Layout) -> Rows:
         )
         rows[1].append(_plot(f"module/{j}/valve", f"Valves of module {j} (1: to the left)"))
         rows[2].append(_plot(f"module/{j}/pressure", f"p+ minus p- of module {j} (kPa)"))
-    return [_side_by_side(row) for row in rows]
+    shown: Rows = [_side_by_side(row) for row in rows]
+    return [*shown, rrb.Tabs(*reversed(_measured(layout)))] if layout.measured else shown
 
 
 def _learning_rows(layout: Layout) -> Rows:

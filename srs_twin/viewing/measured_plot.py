@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from srs_twin.viewing.colors import style_of
 from srs_twin.viewing.figures import finish, panels
 
@@ -23,24 +21,23 @@ _LABELS = {
 
 
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure:
-    """Return the residuals of shape, path, heading and bends (RMS over segments) of each plant."""
-    figure, rows = panels(6.6, 4)
+    """Return the residuals of what was measured of shape, path, heading and bends (RMS over segments)."""
+    signals = {plant: difference.signals() for plant, difference in differences.items()}
+    shown = [name for name in _LABELS if all(name in each for each in signals.values())]
+    labels = [*(_LABELS[name][0] for name in shown), "bends (rad)"]
+    figure, rows = panels(0.9 + 1.45 * len(labels), len(labels))
     for index, (plant, difference) in enumerate(differences.items()):
         style = style_of(plant, index)
-        time = difference.comparison.time
-        signals = difference.signals()
-        bends = np.sqrt((difference.comparison.bend_error**2).mean(axis=1))
-        shown = [scale * signals[name] for name, (_, scale) in _LABELS.items()] + [bends]
-        for axes, values in zip(rows, shown, strict=True):
+        values = [*(_LABELS[name][1] * signals[plant][name] for name in shown), difference.bend_rms]
+        for axes, each in zip(rows, values, strict=True):
             axes.plot(
-                time, values, color=style.color, linestyle=style.dash, linewidth=style.width,
-                label=style.label,
+                difference.comparison.time, each, color=style.color, linestyle=style.dash,
+                linewidth=style.width, label=style.label,
             )  # fmt: skip
-    for axes, label in zip(rows, [*(label for label, _ in _LABELS.values()), "bends (rad)"], strict=True):
+    for axes, label in zip(rows, labels, strict=True):
         finish(axes, label)
-    rows[0].set_title(
-        "Plant less measured: shapes and paths as distances, bends RMS over segments", fontsize=10
-    )
+    distances = "shapes and paths as distances, " if shown else ""
+    rows[0].set_title(f"Plant less measured: {distances}bends RMS over segments", fontsize=10)
     rows[0].legend(loc="upper left", fontsize=8, frameon=False)
     rows[-1].set_xlabel("time (s)")
     return figure

@@ -4,14 +4,14 @@ Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
 `world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`,
 `module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`, `follow/{cross_track, offset}/<plant>`,
 `events/<plant>` (text), `body/{speed, heading}/<plant>`, `comparison/{shape, path}`,
-`measured/{shape, path}/<plant>`.
+`measured/{shape, path, bend}/<plant>`.
 The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
 as the views' names say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -94,7 +94,9 @@ def _recorded(
 ) -> bytes:
     log = rr.RecordingStream(APPLICATION)
     low, high = _extent(trajectories, spec)
-    layout = _layout(trajectories, spec, comparison is not None, bool(measured))
+    residuals = {plant: _residuals(difference) for plant, difference in measured.items()}
+    told = list(dict.fromkeys(name for each in residuals.values() for name in each))
+    layout = _layout(trajectories, spec, comparison is not None, told)
     # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
     recording = log.memory_recording()
     send_blueprint(log, run_blueprint(layout))
@@ -119,15 +121,20 @@ def _recorded(
             (("shape", comparison.shape_error), ("path", comparison.path_error))
         ):
             _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
-    for index, (plant, difference) in enumerate(measured.items()):
-        for name, error in (
-            ("shape", difference.comparison.shape_error), ("path", difference.comparison.path_error),
-        ):  # fmt: skip
+    for index, (plant, errors) in enumerate(residuals.items()):
+        for name, error in errors.items():
             path, style = f"measured/{name}/{plant}", style_of(plant, index)
-            _send_series(log, path, difference.comparison.time, 1e3 * error, style)
+            _send_series(log, path, measured[plant].comparison.time, error, style)
     content: bytes = recording.drain_as_bytes()
     log.disconnect()
     return content
+
+
+def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
+    """Return what was measured of shape and path (mm) and bends (RMS over segments, rad), shape (T,) each."""
+    signals = difference.signals()
+    errors = {name: 1e3 * signals[f"{name}_m"] for name in ("shape", "path") if f"{name}_m" in signals}
+    return errors | {"bend": difference.bend_rms}
 
 
 def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
@@ -157,7 +164,7 @@ def thinned(trajectory: Trajectory, rate_hz: float) -> Trajectory:
 
 
 def _layout(
-    trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: bool
+    trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: Sequence[str]
 ) -> Layout:
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     return Layout(

@@ -25,7 +25,7 @@ def pressure_difference(trajectory: Trajectory) -> np.ndarray:
 def kind_of(trajectories: Mapping[str, Trajectory]) -> Kind:
     """Return what kind of experiment runs are of: it decides which plots matter."""
     runs = trajectories.values()
-    if any(run.has("reference_1") for run in runs):
+    if any(run.has("reference_1") or run.metadata.get("base") == "clamped" for run in runs):
         return "bench"
     if any(following(run) is not None for run in runs):
         return "following"

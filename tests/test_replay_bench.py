@@ -1,0 +1,245 @@
+"""Replays of a bench: one module that is held at its head, valves or pressures, a sensor's log or markers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from srs_twin import AnalyticalSnake, TwinSnake, load_robot, rollout
+from srs_twin.comparison.measured import MeasuredDifference
+from srs_twin.control.replay import Replay
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.identification.actuator import Response
+from srs_twin.identification.bench import on_bench
+from srs_twin.identification.recording import read_motion
+from srs_twin.identification.synthetic import Take, write_motive
+from srs_twin.identification.takes import Reading, gait_run
+from srs_twin.identification.unknowns import with_values
+from srs_twin.pneumatics import Schedule
+from srs_twin.scenario import parse_scenario
+
+MODULE = load_robot("gen4_module")
+SUPPLY = MODULE.supply.nominal
+SECONDS = 2.0
+HEAD = "snake:1a"
+
+
+def staircase() -> Schedule:
+    """Return valves of one module: at rest, bent to the left, held, bent to the right, vented."""
+    states = [[-1, -1], [1, -1], [0, -1], [-1, 1], [-1, -1]]
+    return Schedule(
+        SECONDS, np.array([0.0, 0.3, 0.42, 0.9, 1.4]), np.array(states, dtype=np.int8)[:, None, :]
+    )
+
+
+def csv(columns: dict[str, np.ndarray]) -> str:
+    rows = np.column_stack(list(columns.values()))
+    return "\n".join([",".join(columns), *(",".join(f"{v:.9g}" for v in row) for row in rows), ""])
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """A folder with takes without noise of a module that hangs elsewhere, and its logs."""
+    folder = tmp_path_factory.mktemp("bench")
+    plant = AnalyticalSnake(MODULE, base="clamped", tick=0.001, layout="in_out", supply_pa=SUPPLY)
+    truth = rollout(plant, Replay(staircase()), SECONDS, pose=(0.3, -0.2, 2.1), record_hz=1000)
+    time = truth.time
+    air = {f"pressure_{s}_1_kpa": truth[f"pressure_{s}_1"] / 1e3 for s in ("plus", "minus")}
+    bends = {"time_ms": 1e3 * time, "bend_1_deg": np.degrees(truth["bend_1"])}
+    (folder / "sensor.csv").write_text(csv(bends))
+    (folder / "logger.csv").write_text(csv(bends | air))
+    (folder / "air.csv").write_text(csv({"time": time + 7.0} | air))
+    schedule = staircase()
+    starts = np.append(schedule.starts, SECONDS)
+    states = np.vstack([schedule.states[:, 0], schedule.states[-1:, 0]])
+    valves = {"time": starts, "valve_plus_1": states[:, 0], "valve_minus_1": states[:, 1]}
+    for name in ("sensor", "markers"):
+        (folder / f"{name}.valves.csv").write_text(csv(valves))
+    for name, layout in (("markers", "pair"), ("two", "head")):
+        take = Take(layout=layout, noise=0.0, digits=5, rate_hz=200, labeled=True)
+        write_motive(truth, take, folder / f"{name}.csv")
+    return folder
+
+
+def replayed(folder, motion="sensor.csv", valves="sensor.valves.csv", **changes):
+    recording = {"motion": str(folder / motion), "valves": str(folder / valves)}
+    recording |= changes.pop("recording", {"offset_s": 0.0})
+    return parse_scenario(
+        {
+            "robot": "gen4_module", "bench": True, "duration_s": 1.9, "record_hz": 1000,
+            "controller": {"kind": "replay"}, "recording": recording,
+            "plants": {"analytical": {}, "twin": {}},
+        }
+        | changes
+    )  # fmt: skip
+
+
+def driven(scenario, kind, robot=None):
+    plant = scenario.build_plant(kind, robot=robot)
+    run = rollout(plant, scenario.build_controller(), scenario.duration, record_hz=scenario.record_hz)
+    return MeasuredDifference.of(scenario.measured, run)
+
+
+@pytest.mark.parametrize(
+    ("motion", "valves", "recording"),
+    [
+        ("sensor.csv", "sensor.valves.csv", {"offset_s": 0.0}),
+        ("sensor.csv", "air.csv", {"offset_s": -7.0}),
+        ("logger.csv", "logger.csv", {}),  # one file, one clock
+        ("markers.csv", "markers.valves.csv", {"offset_s": 0.0, "head": HEAD}),
+        ("two.csv", "air.csv", {"offset_s": -7.0}),  # the second marker tells the head
+    ],
+)
+def test_the_module_itself_leaves_no_residual(bench, motion, valves, recording):
+    scenario = replayed(bench, motion, valves, recording=recording)
+    found = {kind: driven(scenario, kind) for kind in ("analytical", "twin")}
+    amplitude = np.ptp(scenario.measured["bend_1"])
+    assert amplitude > 0.8
+    # The chord of two single markers tells the bend; its error is that of five digits.
+    assert found["analytical"].metrics["measured_bend_rms_rad"] < 1e-3 * amplitude
+    assert found["twin"].metrics["measured_bend_rms_rad"] < 0.02 * amplitude
+    stronger = with_values(MODULE, {"modules.gain_plus_1": 1.1})
+    worse = driven(scenario, "analytical", stronger).metrics["measured_bend_rms_rad"]
+    assert worse > 20 * found["analytical"].metrics["measured_bend_rms_rad"]
+    for each in found.values():
+        told = each.metrics
+        assert told["measured_com_speed_rel"] is None and told["measured_yaw_rate_abs"] is None
+        if motion in ("sensor.csv", "logger.csv"):
+            # Where the body is was not measured.
+            assert [name for name, value in told.items() if value is not None] == ["measured_bend_rms_rad"]
+            assert set(each.document()["rms"]) == {"bend_1_rad"}
+        else:
+            # Both are held at the same place: the clamp is the frame.
+            assert told["measured_path_rms_m"] < 2e-3 and told["measured_shape_rms_m"] < 2e-3
+    assert found["analytical"].comparison.metrics["path_rms_m"] < 1e-4
+
+
+def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tmp_path):
+    """Bends, and where the head is held, give the places that the plant has."""
+    chain = load_robot("gen2")
+    states = np.full((1, chain.segments, 2), -1, dtype=np.int8)
+    states[0, :, 0] = [1, -1, 1, 1]
+    plant = AnalyticalSnake(chain, base="clamped", tick=0.001)
+    truth = rollout(plant, Replay(Schedule(0.5, np.zeros(1), states)), 0.5, record_hz=100)
+    bends = {f"bend_{j}": truth[f"bend_{j}"] for j in range(1, 5)}
+    air = {f"valve_{s}_{j}": truth[f"valve_{s}_{j}"] for j in range(1, 5) for s in ("plus", "minus")}
+    path = tmp_path / "all.csv"
+    path.write_text(csv({"time": truth.time} | bends | air))
+    found = on_bench(Reading().take(str(path), str(path), chain), chain).trajectory
+    assert np.abs(found.position - truth.position).max() < 1e-6
+    assert np.abs(found.com - truth.com).max() < 1e-6
+    assert np.abs(found.stack("theta") - truth.stack("theta")).max() < 1e-6
+
+
+def test_a_sensor_log_fits_actuators_too(bench):
+    take = Reading(offset_s=0.0).take(str(bench / "sensor.csv"), str(bench / "sensor.valves.csv"), MODULE)
+    response = Response.of_recording(take, "sensor", SUPPLY)
+    assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()
+    with pytest.raises(InputError, match="sensor: bends alone do not tell where a robot crawled"):
+        gait_run(take, "sensor", SUPPLY)
+
+
+def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
+    lines = (bench / "sensor.csv").read_text().splitlines()
+    for k in (500, 501, *range(1700, 1999)):
+        lines[k] = lines[k].partition(",")[0] + ","
+    path = tmp_path / "gaps.csv"
+    path.write_text("\n".join([*lines, ""]))
+    body = Reading(longest_gap_s=0.1).body(str(path), MODULE)
+    assert body.summary.samples_filled == 2 and "filled: 2 bends" in body.summary.text()
+    assert body.trajectory.time[-1] == pytest.approx(1.698)
+    whole = Reading().body(str(bench / "sensor.csv"), MODULE).trajectory["bend_1"]
+    assert np.abs(body.trajectory["bend_1"] - whole[: len(body.trajectory)]).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("bend_1,air\n1,1\n", "x.csv:1: no column 'time'; a bend log has time,bend_1"),
+        ("time,bend_1,bend_2\n0,0,0\n", "x.csv:1:3: bend_2: gen4_module has 1 segments"),
+        ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed: rad, deg"),
+        ("time,bend_1\n0,0\n0.1,47.9\n", r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg"),
+        ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: a row without a time"),
+        ("time,bend_1\n0,0\n1,1\n", "x.csv: 2 frames"),
+    ],
+)
+def test_sensor_logs_that_cannot_be(tmp_path, text, message):
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        Reading().body(str(tmp_path / "x.csv"), MODULE)
+
+
+def test_a_bench_has_a_head_that_is_held(bench):
+    """Held at the other end, or not at all, it is another experiment."""
+    with pytest.raises(
+        InputFileError, match=r"recording.motion: .*markers.csv: the head moves by [\d.]+ mm and turns by 40°"
+    ):
+        replayed(bench, "markers.csv", "markers.valves.csv", recording={"offset_s": 0.0, "head": "snake:2a"})
+    take = read_motion(bench / "markers.csv", MODULE, head=HEAD)
+    columns = dict(take.trajectory.columns)
+    columns["theta_1"] = columns["theta_1"] + 0.2 * np.sin(3 * columns["time"])
+    with pytest.raises(InputError, match="moves by 0 mm and turns by 1[12]°"):
+        on_bench(replace(take, trajectory=replace(take.trajectory, columns=columns)), MODULE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"bench": False}, r"recording.motion: bends alone do not tell .*, or bench: true"),
+        ({"start": {"x_m": 1.0}}, "start: what hangs on a bench starts where it is held"),
+        ({"plants": {"analytical": {"friction": "wheel"}}}, "on a bench there is no floor"),
+        ({"motion": "none.csv"}, r"recording.motion: .*none.csv: no such file"),
+        ({"valves": "sensor.csv"}, r"recording.valves: .*valve_plus_1,… or pressure_plus_1,… are wanted"),
+        ({"recording": {"offset_s": 90.0}}, r"recording.offset_s: .*0 frames in common"),
+        (
+            {"motion": "markers.csv", "recording": {"head": "tip"}},
+            r"recording.head: unknown marker 'tip'",
+        ),
+    ],
+)
+def test_what_a_replay_on_a_bench_refuses_and_where(bench, changes, message):
+    with pytest.raises(InputFileError, match=message):
+        replayed(bench, **changes)
+
+
+def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
+    expect = tmp_path / "expect.yaml"
+    expect.write_text(
+        "expect:\n  - {metric: measured_bend_rms_rad, plant: analytical, below: 0.001}\n"
+        "  - {metric: measured_bend_rms_rad, plant: twin, below: 0.02}\n"
+    )
+    words = ["replay", str(bench / "logger.csv"), "--valves", str(bench / "logger.csv"), "-r", "gen4_module"]
+    done = srs_twin(*words, "--bench", "--expect", str(expect), "--check", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "bends, from measured" in done.stdout and "met    twin measured_bend_rms_rad" in done.stdout
+    run = tmp_path / "runs/logger"
+    metrics = json.loads((run / "metrics.json").read_text("utf-8"))
+    assert metrics["residuals"]["twin"]["rms"].keys() == {"bend_1_rad"}
+    assert metrics["plants"]["twin"]["measured_shape_rms_m"] is None
+    recording = (run / "recording.rrd").read_bytes()
+    assert b"measured/bend/twin" in recording and b"measured/shape/" not in recording
+    report = (run / "report.html").read_text("utf-8")
+    assert "How far each plant is from what was measured" in report and "measured bend rms" in report
+    again = srs_twin("run", str(run / "scenario.resolved.yaml"), "--check", "--out", "x", "-q", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    refused = srs_twin(*words, "--bench", "--law", "axis", cwd=tmp_path)
+    assert refused.returncode == 2 and "--law: take it out; on a bench there is no floor" in refused.stderr
+    floor = srs_twin(*words, "-q", cwd=tmp_path)
+    assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr
+
+
+def test_the_clamps_of_both_plants_are_one_place():
+    """So a recording is moved to where either of them is held."""
+    chain = load_robot("gen2")
+    heads = [
+        rollout(plant(chain, base="clamped"), Replay(Schedule(0.1, np.zeros(1), _vented(chain))), 0.1)
+        for plant in (AnalyticalSnake, TwinSnake)
+    ]
+    assert heads[0].position[0, 0] == pytest.approx(heads[1].position[0, 0], abs=1e-6)
+
+
+def _vented(spec):
+    return np.full((1, spec.segments, 2), -1, dtype=np.int8)
