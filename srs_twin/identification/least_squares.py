@@ -79,8 +79,8 @@ def _estimate(search: Search, best: End, ends: Sequence[End], held: Values) -> E
     freedom = max(independent - len(unknowns), 1.0)
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))
-    jacobian = search.jacobian(z)
-    coarser = search.jacobian(z, 2 * search.step) - jacobian
+    jacobian = search.jacobian(z, search.telling)
+    coarser = search.jacobian(z, 2 * search.telling) - jacobian
     # What does not act does not want to be anywhere, least of all at a bound.
     acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(coarser, axis=0)
     bound = acts & ((z - search.low < _AT_BOUND) | (search.high - z < _AT_BOUND))

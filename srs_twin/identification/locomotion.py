@@ -91,11 +91,12 @@ class PlantModel:
         """Return how a search suits the plant.
 
         The twin's motion is smooth to 1e-3 in z. But its path and heading follow the unknowns only up to
-        1e-2, and farther off they say nothing; its bends follow them up to 1, so they lead the search.
+        1e-2, and farther off they say nothing; its bends follow them up to 1, so they lead the search. What
+        data tell is judged over the few per cent that they leave open.
         """
         if self.plant == "twin":
             guide = None if against == "averages" else _is_bend
-            return Manner(3e-3, 3e-2, 1e-4, guide, enough=1e-2, most_runs=MOST_TWIN_RUNS)
+            return Manner(3e-3, 3e-2, 3e-4, guide, telling=3e-2, enough=1e-2, most_runs=MOST_TWIN_RUNS)
         compliant = self.settings.get("model") == "compliant"
         return Manner(*_STEPS["compliant" if compliant else "analytical"])
 

@@ -38,11 +38,13 @@ class Manner:
 
     Attributes:
         step: of the differences, in z; larger for models that are not smooth.
-        coarse: a larger step with which a search that has ended is tried anew, for models with kinks.
+        coarse: a larger step with which a search that has ended is tried anew, for models with kinks; with a
+            guide, that of the search by the guide, and none is tried anew.
         tolerance: share of the sum of squares, or of z, below which a step ends the search; None: what suits
             the step of the differences.
         guide: says which residuals change evenly with the unknowns, however far off these are. A search
-            begins by them alone, with the coarse step, and goes on by all of them.
+            begins by them alone and goes on by all of them.
+        telling: step of the differences by which is judged what the data tell; None: that of the search.
         enough: RMS of the weighted residuals below which a search ends: nothing is left to explain.
         most_runs: how often a search may run the model; one that would run it more often ends at the best it
             has found, as not converged. None: as often as it takes.
@@ -52,6 +54,7 @@ class Manner:
     coarse: float | None = None
     tolerance: float | None = None
     guide: Guide | None = None
+    telling: float | None = None
     enough: float = 0.0
     most_runs: int | None = None
 
@@ -76,7 +79,8 @@ class Search:
     def __init__(
         self, residuals: Residuals, unknowns: tuple[Unknown, ...], manner: Manner, watch: Watch | None
     ) -> None:
-        self.unknowns, self.step, self._manner, self._residuals = unknowns, manner.step, manner, residuals
+        self.unknowns, self._manner, self._residuals = unknowns, manner, residuals
+        self.telling = manner.telling or manner.step
         self._watch, self._runs, self._told = watch, 0, np.inf
         self._searching, self._left, self._best = False, np.inf, End(np.zeros(0), np.inf, False)
         if not unknowns:
@@ -127,9 +131,8 @@ class Search:
             self._told = min(self._told, rms)
             self._watch(self._runs, self._told)
 
-    def jacobian(self, z: np.ndarray, step: float | None = None, only: Guide | None = None) -> np.ndarray:
-        """Return derivatives by central differences, one-sided at bounds, shape (samples, n)."""
-        h = self.step if step is None else step
+    def jacobian(self, z: np.ndarray, h: float, only: Guide | None = None) -> np.ndarray:
+        """Return derivatives by central differences of step h, one-sided at bounds, shape (samples, n)."""
         columns = []
         for i in range(len(z)):
             up, down = z.copy(), z.copy()
@@ -143,9 +146,10 @@ class Search:
         self._best = End(start, np.inf, False)
         self._searching, self._left = True, manner.most_runs or np.inf
         try:
-            if manner.guide is not None:
-                start = self._once(start, manner.coarse or manner.step, manner.guide).z
-            return self._through_kinks(start)
+            if manner.guide is None:
+                return self._through_kinks(start)
+            led = self._once(start, manner.coarse or manner.step, manner.guide)
+            return self._once(led.z, manner.step)
         except _EndedError:
             return self._best
         finally:
@@ -157,16 +161,18 @@ class Search:
 
     def _through_kinks(self, start: np.ndarray) -> End:
         """Search by all residuals; where a kink may have held it up, again with the coarse step, and on."""
-        end = self._once(start, self.step)
-        for _ in range(_ATTEMPTS if self._manner.coarse else 0):
-            before = end
-            coarse = self._once(end.z, self._manner.coarse)
-            end = self._once(coarse.z, self.step) if coarse.cost < before.cost else before
+        fine, coarse = self._manner.step, self._manner.coarse
+        end = self._once(start, fine)
+        for _ in range(_ATTEMPTS):
+            if coarse is None:
+                break
+            before, other = end, self._once(end.z, coarse)
+            end = self._once(other.z, fine) if other.cost < before.cost else before
             if not end.cost < _BETTER * before.cost:
                 break
         return end
 
-    def _once(self, start: np.ndarray, step: float | None, only: Guide | None = None) -> End:
+    def _once(self, start: np.ndarray, step: float, only: Guide | None = None) -> End:
         # Half a second to import: only for who fits.
         from scipy import optimize
 
