@@ -17,7 +17,7 @@ from srs_twin.identification.actuator import actuator_unknowns, fit_actuator
 from srs_twin.identification.data_set import DataSet
 from srs_twin.identification.estimate import Estimate, Parameter
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
-from srs_twin.identification.overrides import robot_override
+from srs_twin.identification.overrides import fitted, robot_override
 from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns, with_values
 from srs_twin.robot_file import RobotFile
 from srs_twin.robots import resolve_robot
@@ -97,6 +97,39 @@ def test_weak_numbers_may_be_left_out():
     assert robot_override(fit)["friction"]["mu_t"]["value"] == pytest.approx(0.05)
     with pytest.raises(InputError, match="nothing in it is identified"):
         robot_override(fit, weak=False)
+
+
+def test_what_a_fit_held_elsewhere_than_its_robot_goes_along_with_what_it_found():
+    """A number found beside a length of 0.2 m is not that of a robot of another length."""
+    found = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
+    spec = load_robot("gen2")
+    held = {"geometry.segment_length_m": 0.2, "friction.mu_n": spec.friction.mu_n, "spin_share": 0.5}
+    fit = fit_file(Estimate((found,), np.eye(1), held=held), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    block = robot_override(fit)
+    assert set(block) == {"base", "friction", "geometry"} and set(block["friction"]) == {"mu_t"}
+    robot = resolved(block)
+    expected = with_values(spec, held | {"friction.mu_t": 0.05})
+    assert fitted(fit, spec) == expected
+    assert replace(robot.spec(), title=spec.title) == expected
+    length = robot.records()["geometry.segment_length_m"]
+    assert length.status == "estimated" and "held in fit bench" in length.source
+
+
+def test_nothing_is_predicted_without_a_number_for_what_was_looked_for(tmp_path: Path):
+    lost = Parameter("friction.mu_n", "1", "not identifiable", why="only the ratio acts")
+    found = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
+    about = ABOUT | {"robot": "gen2", "data": DATA, "averages": {"a.csv": ({"speed": 1.0}, {"speed": 1.1})}}
+    estimate = Estimate((found, lost), np.eye(2))
+    with pytest.raises(InputError, match=r"bench: friction.mu_n got no number, so that nothing can be pred"):
+        fit_file(estimate, **about)
+    whole = fit_file(replace(estimate, held={"friction.mu_n": 0.57}), **about)
+    path = write_fit(whole, tmp_path / "x.yaml")
+    assert load_fit(path) == whole
+    path.write_text(path.read_text().replace("  friction.mu_n: 0.57", "  friction.mu_x: 0.57"))
+    with pytest.raises(
+        InputFileError, match=r"x.yaml:\d+:\d+: .*predicted without a number for friction.mu_n"
+    ):
+        load_fit(path)
 
 
 def test_a_robot_that_draws_its_gains_is_no_base(tmp_path: Path):

@@ -118,9 +118,17 @@ class FitFile(Strict):
             self.quality.converged,
         )  # fmt: skip
 
+    def withheld(self) -> list[str]:
+        """Return what was looked for and has no number, neither found nor held; nothing can be predicted."""
+        return [each.name for each in self.parameters if each.value is None and each.name not in self.held]
+
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of what does not fit together."""
         yield from _apart(self.data)
+        missing = self.withheld()
+        for k, data in enumerate(self.data):
+            if missing and data.predicted is not None:
+                yield ("data", k, "predicted"), f"predicted without a number for {', '.join(missing)}"
         for k, each in enumerate(self.parameters):
             yield from (((("parameters", k, *loc)), said) for loc, said in _doubts(each))
         for name, count in Counter(each.name for each in self.parameters).items():
@@ -155,13 +163,13 @@ def fit_file(
         averages: name of data → what was measured, and what the plant gives with what was found.
 
     Raises:
-        InputError: data that are of both roles.
+        InputError: data that are of both roles, or predictions without a number for what was looked for.
     """
     keep_apart(data)
     shown = {each.name: (averages or {}).get(each.name, (None, None)) for each in data}
     rows = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
     matrix = estimate.correlation[np.ix_(rows, rows)]
-    return FitFile(
+    file = FitFile(
         name=name, title=title, robot=robot, method=method, command=command, versions=dict(versions),
         data=[
             DataEntry(
@@ -181,6 +189,12 @@ def fit_file(
             converged=estimate.converged,
         ),
     )  # fmt: skip
+    if averages and file.withheld():
+        raise InputError(
+            f"{name}: {', '.join(file.withheld())} got no number, so that nothing can be predicted; hold one "
+            "of them at a value that the file states"
+        )
+    return file
 
 
 def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:

@@ -139,8 +139,10 @@ def fit_offsets(
     )
     keep_apart(data_sets(runs, validation))
     wanted = unknowns(drive.spec, names, starts=starting)
+    # Validated where the search ended, also in what these data do not tell: never with what it began from.
+    validating = kept.residuals if validation else None
     manner = Manner(_STEP, tolerance=_ENOUGH)
-    estimate = least_squares(fitted.residuals, wanted, manner=manner, validation=kept.residuals)
+    estimate = least_squares(fitted.residuals, wanted, manner=manner, validation=validating)
     others = unknowns(drive.spec, besides)
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.unknowns import known, unknowns, with_values
 from srs_twin.robots import load_robot_file
 from srs_twin.spec import RobotSpec
 
 _PA_PER_KPA = 1e3
+_ROUNDED = 1e-7  # fit files have nine digits
 _SPREADS = {
     "gain": "gain_spread", "tau_fill": "tau_spread", "tau_vent": "tau_spread", "bias_rad": "bias_spread_rad",
     "sensor_bias_rad": "sensor_bias_spread_rad",
@@ -21,7 +23,7 @@ _SPREADS = {
 def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None) -> dict[str, Any]:
     """Return the block that gives a scenario's robot what a fit found: base, and records by section.
 
-    What is not identifiable stays as the base has it.
+    What is not identifiable stays as the base has it, or where the fit held it.
 
     Args:
         fit: what was found; its robot becomes the base.
@@ -37,8 +39,9 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
     if not taken:
         raise InputError(f"{fit.name}: nothing in it is identified, so there is nothing to change a robot by")
     values = {each.name: each.value for each in taken if each.value is not None}
-    held = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
-    spec = with_values(file.spec() if over is None else over, held | values)
+    held, moved = fit.held.keys() & {"actuator.bend_rad"}, _moved(fit, file.spec())
+    kept = {name: fit.held[name] for name in held} | moved
+    spec = with_values(file.spec() if over is None else over, kept | values)
     block: dict[str, Any] = {"base": fit.robot}
     for each in taken:
         section, key = each.name.split(".", 1)
@@ -50,6 +53,11 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
         block.setdefault("actuator", {}).update(
             {where: record | source for where, record in _records(spec, "actuator", "bend_rad").items()}
         )
+    for name in moved:
+        section, key = name.split(".", 1)
+        source = {"status": "estimated", "source": f"held in fit {fit.name}: its values refer to it"}
+        for where, record in _records(spec, section, key).items():
+            block.setdefault(section, {}).setdefault(where, record | source)
     spread = file.modules
     for key in block.get("modules", {}) if spread else ():
         if getattr(spread, _SPREADS[key]) is not None:
@@ -61,8 +69,19 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
 
 
 def fitted(fit: FitFile, over: RobotSpec, *, weak: bool = True) -> RobotSpec:
-    """Return a robot with what a fit found; arguments as in `robot_override`."""
-    return with_values(over, {each.name: each.value for each in _taken(fit, weak) if each.value is not None})
+    """Return a robot with what a fit found and what it held; arguments as in `robot_override`."""
+    found = {each.name: each.value for each in _taken(fit, weak) if each.value is not None}
+    return with_values(over, _moved(fit, load_robot_file(fit.robot).spec()) | found)
+
+
+def _moved(fit: FitFile, base: RobotSpec) -> dict[str, float]:
+    """Return what a fit held elsewhere than its base has it: its values hold only beside these."""
+    held = {name: value for name, value in fit.held.items() if known(name)}
+    return {
+        each.name: held[each.name]
+        for each in unknowns(base, held)
+        if not math.isclose(each.start, held[each.name], rel_tol=_ROUNDED, abs_tol=_ROUNDED)
+    }
 
 
 def _taken(fit: FitFile, weak: bool) -> list[ParameterEntry]:
