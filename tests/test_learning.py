@@ -15,7 +15,7 @@ from learning_law import SEGMENTS, TICK, Run
 from snakes import chain
 
 from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, rollout
-from srs_twin.control.learning import ILC
+from srs_twin.control.learning import ILC, STEERINGS
 from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.lag import LagPneumatics
@@ -82,6 +82,53 @@ def test_one_clock_for_all_chambers_converges_too():
     assert updates == pytest.approx(np.arange(3, 16), abs=1e-9)
 
 
+# --- the offset on the wave as well -------------------------------------------------------------------------
+
+ON_WAVE = {"target": 0.7, "steering": "targets_and_wave"}
+
+
+def gait_valves(offset: float, ticks: range) -> list[np.ndarray]:
+    """Return Eq. 13's valves in these ticks, shape (100, segments, 2) each."""
+    gait = Gait(1.0, offset)
+    gait.reset(chain((0.03,) * (SEGMENTS + 1)), TICK)
+    valves = [gait.valves_at(k * TICK) for k in ticks]
+    return [np.broadcast_to(each, (100, SEGMENTS, 2)) for each in valves]
+
+
+@settings(max_examples=10, deadline=None)
+@given(offsets, offsets)
+def test_at_full_duty_the_valves_are_those_of_eq_13_with_the_offset_or_without(before, after):
+    for steering, seen in (("targets_and_wave", (before, after)), ("targets", (0.0, 0.0))):
+        controller = ILC(1.0, before, target=0.7, steering=steering, free_periods=50)
+        # As sensors at work read: others would be found dead, and their modules vented.
+        rows = np.tile(0.7 * np.sin(2 * np.pi * TICK * np.arange(300))[:, None], SEGMENTS)
+        valves = valves_of(controller, rows[:150])
+        controller.offset = after
+        valves += [controller.step(state(k, rows[k])) for k in range(150, 300)]
+        expected = gait_valves(seen[0], range(150)) + gait_valves(seen[1], range(150, 300))
+        assert (np.array(valves) == np.array(expected)).all()
+
+
+@pytest.mark.parametrize("offset", [0.3, -0.1])
+def test_clocks_begin_with_the_fills_of_the_wave_that_is_offset(offset):
+    begins = np.array(Run(ILC(1.0, offset, **ON_WAVE)).controller.describe()["fill_begins_s"])
+    slots = np.concatenate(gait_valves(offset, range(300)))
+    for j, side in np.ndindex(SEGMENTS, 2):
+        rises = (np.flatnonzero(np.diff(slots[:, j, side]) > 0) + 1) * 1e-4
+        assert (begins[j, side] + np.arange(1, 3) == pytest.approx(rises[:2], abs=1.1e-4)) or (
+            begins[j, side] + np.arange(2) == pytest.approx(rises[:2], abs=1.1e-4)
+        )
+
+
+@pytest.mark.parametrize("clock", ["chamber", "common"])
+def test_the_targets_are_reached_on_the_wave_that_is_offset_too(clock):
+    run = Run(ILC(1.0, 0.3, clock=clock, **ON_WAVE), 1.2).go(16)
+    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.02)
+    run.controller.offset = -0.3
+    run.go(14)
+    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.4, 0.7], (SEGMENTS, 1)), abs=0.02)
+
+
 # --- any input ----------------------------------------------------------------------------------------------
 
 
@@ -124,11 +171,12 @@ def test_whatever_is_sensed_duties_stay_within_0_and_1(rows, target, offset, hol
     offsets,
     st.sampled_from([1.0, 1.7, 2.5]),
     st.sampled_from(["smallest", 0.5]),
+    st.sampled_from(STEERINGS),
 )
-def test_the_mirror_image_exchanges_the_chambers(rows, offset, frequency, target):
+def test_the_mirror_image_exchanges_the_chambers(rows, offset, frequency, target, steering):
     rows = np.repeat(rows, 10, axis=0)
-    left = valves_of(ILC(frequency, offset, target=target), rows)
-    right = valves_of(ILC(frequency, -offset, target=target, phase=math.pi), -rows)
+    left = valves_of(ILC(frequency, offset, target=target, steering=steering), rows)
+    right = valves_of(ILC(frequency, -offset, target=target, steering=steering, phase=math.pi), -rows)
     assert (np.array(left) == np.array(right)[..., ::-1]).all()
 
 
@@ -309,6 +357,7 @@ def test_refuses_offsets_without_targets(offset):
         ({"free_periods": 0}, "ilc free_periods 0 is not allowed; it must be 1 or more"),
         ({"on_fault": "pause"}, "on_fault 'pause'"),
         ({"clock": "wall"}, "clock 'wall'"),
+        ({"steering": "wave"}, "steering 'wave'"),
     ],
 )
 def test_refuses_what_makes_no_sense(arguments, words):

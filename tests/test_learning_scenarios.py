@@ -67,21 +67,21 @@ def test_settings_reach_the_controller():
         free_periods=3,
         carrier_hz=100,
         on_fault="stop",
+        steering="targets_and_wave",
         phase_rad=1.0,
     )
     controller = given.build_controller()
     snake = given.build_plant("analytical")
     controller.reset(snake.spec, snake.tick)
     about = controller.describe()
-    assert (
-        about | {"k_per_rad": 0.4, "free_periods": 3, "carrier_hz": 100, "target": 0.5, "on_fault": "stop"}
-        == about
-    )
+    settings = {"k_per_rad": 0.4, "free_periods": 3, "carrier_hz": 100, "target": 0.5, "on_fault": "stop"}
+    assert about | settings | {"steering": "targets_and_wave"} == about
     assert controller.offset == 0.2 and controller.frequency == 1.0 and given.layout == "3/2"
     defaults = scenario().build_controller()
     defaults.reset(snake.spec, snake.tick)
     about = defaults.describe()
-    assert about | {"k_per_rad": 0.3, "free_periods": 2, "carrier_hz": 60, "target": "smallest"} == about
+    settings = {"k_per_rad": 0.3, "free_periods": 2, "carrier_hz": 60, "target": "smallest"}
+    assert about | settings | {"steering": "targets"} == about
 
 
 def test_a_target_out_of_reach_is_warned_of():

@@ -63,9 +63,20 @@ class Cycles:
         self.lost: np.ndarray = np.zeros(share.shape)
         self.since: np.ndarray = np.full(share.shape, -math.inf)
         self._most, self._least = np.full(share.shape, -math.inf), np.full(share.shape, math.inf)
+        self._fixed, self._common = self.begins, common
         self._sides: np.ndarray = np.zeros(share.shape)
         self._seen, self._missed = np.zeros(share.shape), np.zeros(share.shape)
         self._plan()
+
+    def steer(self, rise: float) -> None:
+        """Go on with fills that are longer on one side, as Eq. 13's offset φ makes them.
+
+        Args:
+            rise: asin φ, rad: by how much fills of + chambers begin earlier, those of − chambers later.
+        """
+        if not self._common:
+            self.begins = self._fixed + rise / (2 * math.pi) * self.period * np.array([-1, 1])
+            self._plan()
 
     def take(self, reading: np.ndarray, lost: np.ndarray) -> None:
         """Take the readings of a tick and whose are lost, both of shape (segments,)."""

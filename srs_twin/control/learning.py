@@ -4,7 +4,8 @@ The wave is that of the plain gait without offset (Eq. 13). Where it has a chamb
 pulse-width modulated with that chamber's duty, so that duties of 1 make it the plain gait, valve for valve.
 Each chamber has a period of its own (`Cycles`); at its end the duty is corrected by what its segment bent to
 that side (`Duties`, Eq. 32). The amplitude of a + chamber is the largest sensed bend in its period, that of a
-− chamber the smallest one, negated. Steering is by the targets of the two sides alone (`targets`).
+− chamber the smallest one, negated. Steering is by the targets of the two sides (`targets`); where φ is also
+read as Eq. 13's offset (`steering`), the side to turn to is filled for longer besides.
 
 A number of periods are free, at duty 1; the one after them is recorded. Then A is the smallest of all
 recorded amplitudes, which every chamber can reach, or a given one.
@@ -43,6 +44,8 @@ LEAST_PULSES = 4
 SMALLEST = "smallest"
 ON_FAULT = ("go_on", "stop")
 CLOCKS = ("chamber", "common")
+TARGETS = "targets"
+STEERINGS = (TARGETS, "targets_and_wave")
 
 _MOST_LOST = 0.5
 """Share of a period's readings that may be lost before its peak teaches nothing."""
@@ -74,6 +77,7 @@ class ILC(Controller):
         carrier_hz: float = CARRIER_HZ,
         on_fault: str = "go_on",
         clock: str = "chamber",
+        steering: str = TARGETS,
         phase: float = 0.0,
         phase_step: float | None = None,
     ) -> None:
@@ -88,6 +92,7 @@ class ILC(Controller):
             carrier_hz: of the pulse-width modulation, Hz.
             on_fault: "go_on" without a module that has a fault, or "stop" the run.
             clock: "chamber", one for each, or "common", the text's single interrupt a period.
+            steering: "targets", or "targets_and_wave": φ also acts on the wave, as in Eq. 13.
             phase: ψ of the wave, rad.
             phase_step: β, rad; None takes the robot's.
 
@@ -95,7 +100,12 @@ class ILC(Controller):
             InputError: a number out of its range, or too few pulses in a fill.
             UnknownNameError: a word that is none of those above.
         """
-        for what, word, known in (("on_fault", on_fault, ON_FAULT), ("clock", clock, CLOCKS)):
+        words = (
+            ("on_fault", on_fault, ON_FAULT),
+            ("clock", clock, CLOCKS),
+            ("steering", steering, STEERINGS),
+        )
+        for what, word, known in words:
             if word not in known:
                 raise UnknownNameError(what, word, known)
         if isinstance(target, str) and target != SMALLEST:
@@ -118,14 +128,14 @@ class ILC(Controller):
             )
         self.frequency = frequency
         self._given, self._k, self._free, self._carrier = given, k, free_periods, carrier_hz
-        self._on_fault, self._clock = on_fault, clock
+        self._on_fault, self._clock, self._steering = on_fault, clock, steering
         self._events: list[Event] = []
         self._offset = checked_offset(offset)
         self._prepare(0)
 
     @property
     def offset(self) -> float:
-        """φ, the steering offset; it changes the targets only."""
+        """φ, the steering offset; it changes the targets, and the wave only if `steering` says so."""
         return self._offset
 
     @offset.setter
@@ -141,15 +151,18 @@ class ILC(Controller):
             InputError: a tick that is no multiple of 0.1 ms, or too few of them in a period.
         """
         self._gait.reset(spec, tick)
+        self._gait.offset = 0.0
         self._pulses = PulseWidth(self._carrier, tick, spec.segments, together=True, long_ticks=True)
         common = self._clock == "common"
         self._cycles = Cycles(self._gait.lag, self.frequency, tick, common=common)
+        self._steer()
         self._last = np.unravel_index(self._cycles.begins.argmax(), self._cycles.begins.shape)
         self._prepare(spec.segments)
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valves of the coming tick, shape (slots, segments, 2)."""
         time = float(state.time)
+        self._steer()
         self._events += self._readings.take(time, state.sensed)
         self._cycles.take(self._readings.value, self._readings.lost)
         if self.faults.testing:
@@ -187,10 +200,17 @@ class ILC(Controller):
             "target": SMALLEST if self._given is None else self._given,
             "on_fault": self._on_fault,
             "clock": self._clock,
+            "steering": self._steering,
             "fill_begins_s": self._cycles.begins.tolist(),
             "amplitude_rad": self.amplitude,
             "faults": list(self.faults.named),
         }
+
+    def _steer(self) -> None:
+        """Let the wave and the clocks of its fills follow φ."""
+        if self._steering != TARGETS and self._gait.offset != self._offset:
+            self._gait.offset = self._offset
+            self._cycles.steer(math.asin(self._offset))
 
     def _prepare(self, segments: int) -> None:
         self._readings = Readings(segments)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from srs_twin.control.gait import Gait
-from srs_twin.control.learning import ILC
+from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.control.steered import Steered
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.plants.base import Plant
@@ -35,6 +35,7 @@ class Drive:
         controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
         target: of learning, rad.
         plant: "twin", "analytical" (model compliant on wheels), or what makes a plant of the right tick.
+        steering: of learning, see `ILC`.
     """
 
     spec: RobotSpec
@@ -43,6 +44,7 @@ class Drive:
     controller: str = "gait"
     target: float = 0.7
     plant: str | Callable[[], Plant] = "twin"
+    steering: str = TARGETS
 
     def __post_init__(self) -> None:
         """Refuse what cannot be driven.
@@ -110,7 +112,7 @@ class Drive:
             InputError: it cannot have these settings.
         """
         if self.controller == "ilc":
-            return ILC(self.frequency, offset, target=self.target, phase=phase)
+            return ILC(self.frequency, offset, target=self.target, phase=phase, steering=self.steering)
         return Gait(self.frequency, offset, phase=phase)
 
     def steered(self, offset: float, changes: Sequence[tuple[float, float]]) -> Steered:

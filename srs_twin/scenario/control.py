@@ -131,6 +131,7 @@ class LearningSettings:
         free_periods: at full duty before the recorded one.
         carrier_hz: of the pulse-width modulation, Hz.
         on_fault: "go_on" or "stop".
+        steering: "targets" or "targets_and_wave".
         phase: ψ, rad.
         phase_step: β, rad; None takes the robot's.
     """
@@ -142,6 +143,7 @@ class LearningSettings:
     free_periods: int
     carrier_hz: float
     on_fault: str
+    steering: str
     phase: float
     phase_step: float | None
 
@@ -156,7 +158,7 @@ class LearningSettings:
         return ILC(
             self.frequency, self.offset, target=SMALLEST if self.target is None else self.target, k=self.gain,
             free_periods=self.free_periods, carrier_hz=self.carrier_hz, on_fault=self.on_fault,
-            phase=self.phase, phase_step=self.phase_step,
+            steering=self.steering, phase=self.phase, phase_step=self.phase_step,
         )  # fmt: skip
 
 
@@ -230,7 +232,7 @@ def controller_settings(
     if isinstance(given, LearningFile):
         return LearningSettings(
             given.frequency_hz, given.offset, given.target_rad, given.k_per_rad, given.free_periods,
-            given.carrier_hz, given.on_fault, given.phase_rad, given.phase_step_rad,
+            given.carrier_hz, given.on_fault, given.steering, given.phase_rad, given.phase_step_rad,
         )  # fmt: skip
     if isinstance(given, ReplayFile):
         assert recording is not None, "a replay without a recording was reported"

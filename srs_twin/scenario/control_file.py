@@ -146,6 +146,11 @@ class LearningFile(Strict):
         "What a dead sensor or a stuck valve leads to: going on without that module, or the end of the run.",
         "go_on",
     )
+    steering: Literal["targets", "targets_and_wave"] = section(
+        "What the offset acts on: unequal targets, or also the valves' wave (Eq. 13), which then fills the "
+        "chambers of the side to turn to for longer.",
+        learning.TARGETS,
+    )
     phase_rad: float = quantity("Phase at the start", "rad", -6.3, 6.3, 0.0)
     phase_step_rad: float | None = quantity(
         "Lag of each segment behind the one before it (default: the robot's)", "rad", -6.3, 6.3, None
