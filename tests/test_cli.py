@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from xml.etree import ElementTree
 import pytest
 
 from srs_twin.cli import main
+from srs_twin.cli.app import command
 from srs_twin.cli.progress import Progress
 from srs_twin.cli.view import find_recording
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
@@ -112,6 +114,29 @@ def start(monkeypatch, capsys, tmp_path):
 def test_the_command_line_loads_nothing_heavy():
     code = f"import sys, srs_twin.cli.app as a; a.command(); print([m for m in {HEAVY} if m in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+def commands(of=None, words=()):
+    of = of or command()
+    yield words, of
+    for name, each in getattr(of, "commands", {}).items():
+        yield from commands(each, (*words, name))
+
+
+HELPS = [words for words, _ in commands()]
+
+
+@pytest.mark.parametrize("words", HELPS, ids=" ".join)
+def test_help_is_whole_and_says_each_thing_once(start, monkeypatch, words):
+    monkeypatch.setenv("COLUMNS", "80")
+    left = start(*words, "--help")
+    assert left.code == 0
+    listed = left.out.partition("Commands:")[2]
+    assert "..." not in listed
+    assert "......" not in left.out and "...}..." not in left.out and "[[" not in left.out
+    # Types of Python are no words for a value.
+    assert not re.findall(r"--[a-z-]+ +<", left.out)
+    assert not re.findall(r"\[default: [^]]*\]\s+\[default", left.out)
 
 
 @pytest.mark.parametrize(

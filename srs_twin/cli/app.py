@@ -39,7 +39,9 @@ app.command("compare")(compare.compare)
 app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
 app.command("sweep")(sweep.sweep)
-app.command("reproduce")(reproduce.reproduce)
+app.command("reproduce", short_help="Judge every claim of the dissertation for each plant.")(
+    reproduce.reproduce
+)
 app.command("view")(view.view)
 app.command("play")(play.play)
 app.command("render")(render.render)

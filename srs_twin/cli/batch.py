@@ -33,6 +33,10 @@ OutOption = Annotated[
         help="Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]",
     ),
 ]
+OneOutOption = Annotated[
+    str | None,
+    typer.Option("--out", metavar="DIR", help="Folder for the files. [default: runs/SCENARIO]"),
+]
 CheckOption = Annotated[bool, typer.Option("--check", help="Exit with 1 when an expectation fails.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")]
 

@@ -40,7 +40,8 @@ def calibrate() -> None:
 def footprint(
     robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A shipped robot or a file.")],
     controller: Annotated[
-        str, typer.Option("--controller", help="gait (open loop) or ilc (iterative learning).")
+        str,
+        typer.Option("--controller", metavar="NAME", help="gait (open loop) or ilc (iterative learning)."),
     ] = "gait",
     frequency: Annotated[
         float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: 2; ilc: 1.5]")
@@ -50,7 +51,7 @@ def footprint(
         typer.Option("--pressure", metavar="KPA", help="Supply. [default: the robot's own]"),
     ] = None,
     target: Annotated[float, typer.Option("--target", metavar="RAD", help="Bend that ilc aims at.")] = 0.7,
-    plant: Annotated[str, typer.Option("--plant", help="twin or analytical.")] = "twin",
+    plant: Annotated[str, typer.Option("--plant", metavar="NAME", help="twin or analytical.")] = "twin",
     offsets: Annotated[
         str | None,
         typer.Option(
@@ -62,20 +63,32 @@ def footprint(
     transients: Annotated[
         bool, typer.Option("--transients/--no-transients", help="Measure changes of offset as well.")
     ] = True,
-    periods: Annotated[int, typer.Option("--periods", help="Gait periods measured of each run.")] = 6,
-    phases: Annotated[int, typer.Option("--phases", help="Runs an offset, each begun at another phase.")] = 4,
+    periods: Annotated[
+        int, typer.Option("--periods", metavar="N", help="Gait periods measured of each run.")
+    ] = 6,
+    phases: Annotated[
+        int, typer.Option("--phases", metavar="N", help="Runs an offset, each begun at another phase.")
+    ] = 4,
     threads: Annotated[
         int | None,
-        typer.Option("--threads", "-j", min=1, max=4096, help="Runs at once. [default: one a processor]"),
+        typer.Option(
+            "--threads", "-j", metavar="N", min=1, max=4096, help="Runs at once. [default: one a processor]"
+        ),
     ] = None,
     out: Annotated[str, typer.Option("--out", metavar="DIR", help="Folder of the file.")] = FOOTPRINTS,
     name: Annotated[
-        str | None, typer.Option("--name", help="Of the footprint and its file. [default: ROBOT_CONTROLLER]")
+        str | None,
+        typer.Option(
+            "--name", metavar="NAME", help="Of the footprint and its file. [default: ROBOT_CONTROLLER]"
+        ),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure what a robot sweeps at each offset, and as the offset changes, for the planner."""
+    """Measure what a robot sweeps at each offset, for the planner.
+
+    With transients also what it sweeps as the offset changes.
+    """
     wanted = None if offsets is None else _numbers(offsets)
     from srs_twin.folders import open_folder
     from srs_twin.identification.drive import Drive

@@ -45,7 +45,7 @@ def friction(
     robot: RobotOption,
     validate: ValidateOption = None,
     law: Annotated[
-        str, typer.Option("--law", help="Of sliding throws: wheel, axis or ellipse (skids).")
+        str, typer.Option("--law", metavar="NAME", help="Of sliding throws: wheel, axis or ellipse (skids).")
     ] = "wheel",
     wheel_inertia: Annotated[
         bool, typer.Option("--wheel-inertia/--no-wheel-inertia", help="Whether throws spin wheels up.")
@@ -59,7 +59,10 @@ def friction(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Find mu_t and mu_n from a table of pulls with a spring car, or from recordings of throws."""
+    """Find mu_t and mu_n from pulls or from throws.
+
+    Pulls are a table of deflections of a spring car, throws recordings.
+    """
     place = Place.of(context, "friction", robot, name, out, overwrite=overwrite, quiet=quiet)
     from srs_twin.identification.coasting import Coasting, fit_coasting
     from srs_twin.identification.data_set import data_sets
@@ -101,7 +104,7 @@ def actuator(
     pressure: PressureOption = None,
     find: FindOption = None,
     offset: OffsetOption = None,
-    starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Searches.")] = 1,
+    starts: Annotated[int, typer.Option("--starts", metavar="N", min=1, max=100, help="Searches.")] = 1,
     up: UpOption = "auto",
     layout: LayoutOption = "auto",
     head: HeadOption = None,
@@ -111,7 +114,10 @@ def actuator(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Find time constants, gains and biases from step responses, or gains from tables of held pressures."""
+    """Find time constants, gains and biases of free segments.
+
+    From recordings of step responses, or gains alone from tables of held pressures.
+    """
     place = Place.of(context, "actuator", robot, name, out, overwrite=overwrite, quiet=quiet)
     from srs_twin.identification.actuator import Response, fit_actuator
     from srs_twin.identification.data_set import data_sets
@@ -147,21 +153,27 @@ def locomotion(
     pressure: PressureOption = None,
     find: FindOption = _LOCOMOTION,
     plant: Annotated[
-        str, typer.Option("--plant", help="Stands for the robot: analytical or twin.")
+        str, typer.Option("--plant", metavar="NAME", help="Stands for the robot: analytical or twin.")
     ] = "analytical",
     model: Annotated[
-        str | None, typer.Option("--model", help="Of the analytical plant. [default: complete]")
+        str | None,
+        typer.Option("--model", metavar="NAME", help="Of the analytical plant. [default: complete]"),
     ] = None,
     law: Annotated[
-        str | None, typer.Option("--law", help="Of the analytical plant's floor. [default: wheel]")
+        str | None,
+        typer.Option("--law", metavar="NAME", help="Of the analytical plant's floor. [default: wheel]"),
     ] = None,
     against: Annotated[
-        str, typer.Option("--against", help="What is compared: averages, shapes or both.")
+        str, typer.Option("--against", metavar="WHAT", help="What is compared: averages, shapes or both.")
     ] = "both",
     starts: Annotated[
         int | None,
         typer.Option(
-            "--starts", min=1, max=100, help="Searches. [default: 3; 1 where the twin's shapes lead]"
+            "--starts",
+            metavar="N",
+            min=1,
+            max=100,
+            help="Searches. [default: 3; 1 where the twin's shapes lead]",
         ),
     ] = None,
     frequency: FrequencyOption = None,
@@ -175,7 +187,7 @@ def locomotion(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Find what is left (friction, gap, masses, stiffness) from runs of the crawling robot."""
+    """Find friction, gap, masses or stiffness from crawling runs."""
     place = Place.of(context, "locomotion", robot, name, out, overwrite=overwrite, quiet=quiet)
     from srs_twin.identification.data_set import data_sets
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
@@ -209,9 +221,9 @@ def locomotion(
 
 def robot(
     fits: Annotated[
-        list[str], typer.Argument(metavar="FIT...", help="Fit files of one robot; later ones count.")
+        list[str], typer.Argument(metavar="FIT", help="Fit files of one robot; later ones count.")
     ],
-    name: Annotated[str, typer.Option("--name", help="Of the new robot and its file.")],
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the new robot and its file.")],
     out: Annotated[
         str | None,
         typer.Option("--out", metavar="FILE.yaml", help="[default: calibration/robots/NAME.yaml]"),
@@ -222,7 +234,7 @@ def robot(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a robot file: the robot that the fits started from, with what they found."""
+    """Write a robot file: where fits began, with what they found."""
     from pathlib import Path
 
     from srs_twin.files import shown

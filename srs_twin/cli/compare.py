@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from srs_twin.cli.batch import CheckOption, OutOption, QuietOption, run_all
+from srs_twin.cli.batch import CheckOption, OneOutOption, QuietOption, run_all
 
 
 def compare(
     scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a file.")],
-    out: OutOption = None,
+    out: OneOutOption = None,
     check: CheckOption = False,
     quiet: QuietOption = False,
     explain: Annotated[

@@ -26,7 +26,7 @@ def doctor(
     ] = "runs",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
 ) -> None:
-    """Say what is installed, what works here, and what to do about what does not."""
+    """Say what works on this machine, and what to do about the rest."""
     from srs_twin.doctor.check import failing
     from srs_twin.doctor.examination import examine
 

@@ -26,7 +26,7 @@ FITS = "calibration/fits"
 _LONGEST_COMMAND = 2000
 
 FilesArgument = Annotated[
-    list[str], typer.Argument(metavar="FILE...", help="Recordings or tables that the fit is made from.")
+    list[str], typer.Argument(metavar="FILE", help="Recordings or tables that the fit is made from.")
 ]
 RobotOption = Annotated[
     str,
@@ -62,8 +62,10 @@ FindOption = Annotated[
 FrequencyOption = Annotated[
     float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
 ]
-UpOption = Annotated[str, typer.Option("--up", help="Axis of the files that points up.")]
-LayoutOption = Annotated[str, typer.Option("--layout", help="Markers: auto, single, head or pair.")]
+UpOption = Annotated[str, typer.Option("--up", metavar="AXIS", help="Axis of the files that points up.")]
+LayoutOption = Annotated[
+    str, typer.Option("--layout", metavar="NAME", help="Markers: auto, single, head or pair.")
+]
 HeadOption = Annotated[
     str | None, typer.Option("--head", metavar="MARKER", help="At the head. [default: where it crawls to]")
 ]
@@ -72,7 +74,7 @@ GapOption = Annotated[
     typer.Option("--longest-gap", metavar="S", help="Longest gap that is filled. [default: 0.2]"),
 ]
 NameOption = Annotated[
-    str | None, typer.Option("--name", help="Of the fit and its file. [default: ROBOT_WHAT]")
+    str | None, typer.Option("--name", metavar="NAME", help="Of the fit and its file. [default: ROBOT_WHAT]")
 ]
 OutOption = Annotated[
     str | None,

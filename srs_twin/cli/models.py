@@ -18,7 +18,7 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 @app.command()
 def export(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME...]", help="Robots, or files of robots; default all.")
+        list[str] | None, typer.Argument(metavar="NAME", help="Robots, or files of robots; default all.")
     ] = None,
     out: Annotated[str, typer.Option("--out", metavar="DIR", help="Where models/<robot>/ go.")] = "models",
 ) -> None:
@@ -40,10 +40,13 @@ def export(
 def check(
     models: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[FILE|NAME...]", help="MJCF files or robots; default all shipped."),
+        typer.Argument(metavar="FILE|NAME", help="MJCF files or robots; default all shipped."),
     ] = None,
 ) -> None:
-    """Compile models, give each a second of random control; are shipped ones current."""
+    """Compile models and give each a second of random control.
+
+    Shipped ones must be what an export of their robots would write.
+    """
     from srs_twin.files import shipped_names, shown
     from srs_twin.mjcf_check import check_mjcf
 

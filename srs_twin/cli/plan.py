@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS, OutOption, QuietOption
+from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS, OneOutOption, QuietOption
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ PLAN, PICTURE = "plan.json", "plan.png"
 
 def plan(
     scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a file.")],
-    out: OutOption = None,
+    out: OneOutOption = None,
     check: Annotated[
         bool,
         typer.Option(

@@ -10,7 +10,10 @@ import typer
 def play(
     robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A shipped robot, or the file of one.")],
 ) -> None:
-    """Steer the twin of a robot live, in MuJoCo's viewer: arrows, page up and page down."""
+    """Steer the twin of a robot live, in MuJoCo's viewer.
+
+    Keys: arrows, page up and page down.
+    """
     from srs_twin.spec import load_robot
 
     spec = load_robot(robot)

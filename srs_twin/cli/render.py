@@ -40,7 +40,7 @@ class _Job:
 
 
 def render(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Run folders, or names in runs/.")],
+    runs: Annotated[list[str], typer.Argument(metavar="RUN", help="Run folders, or names in runs/.")],
     video: Annotated[
         str | None,
         typer.Option("--video", metavar="FILE.mp4", help="Make a video; of several runs, a folder for them."),

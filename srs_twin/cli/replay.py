@@ -18,7 +18,6 @@ from srs_twin.cli.fitting import (
     LayoutOption,
     OffsetOption,
     PressureOption,
-    RobotOption,
     UpOption,
 )
 from srs_twin.errors import InputError
@@ -32,7 +31,7 @@ _BENCH_HZ = 1000  # bends follow valves within milliseconds
 
 def replay(
     motion: Annotated[str, typer.Argument(metavar="MOTION", help="What cameras saw, or bends on a bench.")],
-    robot: RobotOption,
+    robot: Annotated[str, typer.Option("--robot", "-r", metavar="ROBOT", help="A shipped robot or a file.")],
     valves: Annotated[
         str | None,
         typer.Option(
@@ -57,9 +56,12 @@ def replay(
     plants: Annotated[
         str, typer.Option("--plants", metavar="LIST", help="analytical, twin or both.")
     ] = "analytical,twin",
-    model: Annotated[str, typer.Option("--model", help="Of the analytical plant.")] = "complete",
+    model: Annotated[
+        str, typer.Option("--model", metavar="NAME", help="Of the analytical plant.")
+    ] = "complete",
     law: Annotated[
-        str | None, typer.Option("--law", help="Of the analytical plant's floor. [default: wheel]")
+        str | None,
+        typer.Option("--law", metavar="NAME", help="Of the analytical plant's floor. [default: wheel]"),
     ] = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
@@ -72,9 +74,10 @@ def replay(
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Drive both plants as the robot was driven, and measure how far each is from it.
+    """Drive both plants as the robot was driven, beside what it did.
 
-    The folder's scenario.resolved.yaml is the same replay as a scenario, for `srs-twin run`.
+    How far each is from it is measured. The folder's scenario.resolved.yaml is the same replay as a
+    scenario, for `srs-twin run`.
     """
     from srs_twin.files import results_name
     from srs_twin.scenario import parse_scenario

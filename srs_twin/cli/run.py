@@ -12,7 +12,7 @@ from srs_twin.cli.batch import CheckOption, OutOption, QuietOption, run_all
 def run(
     scenarios: Annotated[
         list[str],
-        typer.Argument(metavar="SCENARIO...", help="Shipped scenarios, files, folders of files."),
+        typer.Argument(metavar="SCENARIO", help="Shipped scenarios, files, folders of files."),
     ],
     out: OutOption = None,
     check: CheckOption = False,

@@ -14,7 +14,7 @@ _KINDS = ("scenario", "sweep")
 
 def schema(
     kind: Annotated[
-        str, typer.Argument(metavar="[KIND]", help="Of which files: scenario or sweep.")
+        str, typer.Argument(metavar="KIND", help="Of which files: scenario or sweep.")
     ] = "scenario",
 ) -> None:
     """Print the JSON Schema of scenario files, or of sweep files."""

@@ -33,13 +33,20 @@ def sweep(
         str | None,
         typer.Option("--out", metavar="DIR", help="Folder of the results. [default: runs/sweeps/SWEEP]"),
     ] = None,
-    engine: Annotated[str, typer.Option("--engine", help="Who runs the points: local or ray.")] = "local",
+    engine: Annotated[
+        str, typer.Option("--engine", metavar="NAME", help="Who runs the points: local or ray.")
+    ] = "local",
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, max=4096, help="How many at once. [default: one a processor]"),
+        typer.Option(
+            "--workers", metavar="N", min=1, max=4096, help="How many at once. [default: one a processor]"
+        ),
     ] = None,
     address: Annotated[
-        str | None, typer.Option("--address", help="Of a Ray cluster. [default: a Ray of this machine's own]")
+        str | None,
+        typer.Option(
+            "--address", metavar="HOST:PORT", help="Of a Ray cluster. [default: a Ray of this machine's own]"
+        ),
     ] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what failed.")] = False,
     changed: Annotated[
@@ -54,7 +61,10 @@ def sweep(
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a scenario over grids, lists or samples of its fields; go on where an earlier start left off."""
+    """Run a scenario over grids, lists or samples of its fields.
+
+    What an earlier start left in the folder is kept, and it goes on from there.
+    """
     chosen = _engine(engine, workers, address)
     from srs_twin.sweep import load_sweep, open_sweep
 

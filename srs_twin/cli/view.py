@@ -18,19 +18,20 @@ def view(
     runs: Annotated[
         list[str],
         typer.Argument(
-            metavar="RUN...", help="Run folders, recordings, or names in runs/; several stand side by side."
+            metavar="RUN", help="Run folders, recordings, or names in runs/; several stand side by side."
         ),
     ],
     web: Annotated[
         bool, typer.Option("--web", help="Serve the viewer for a browser on this machine, until Ctrl-C.")
     ] = False,
     port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of the page. [default: a free one]")
-    ] = 0,
+        int | None,
+        typer.Option("--port", metavar="N", min=1, max=65535, help="Of the page. [default: a free one]"),
+    ] = None,
 ) -> None:
     """Open the recordings of runs."""
     recordings = [find_recording(run) for run in runs]
-    if port and not web:
+    if port is not None and not web:
         raise InputError("--port is for --web")
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         shown = recordings[0]
@@ -40,7 +41,7 @@ def view(
             shown = Path(folder) / "side-by-side.rrd"
             write_side_by_side(shown, named(recordings))
         if web:
-            _serve(shown, port)
+            _serve(shown, port or 0)
         else:
             from srs_twin.viewing.viewer import open_recording
 
