@@ -14,6 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+_FEW = 12  # names that are no wall of words
+
 
 class SrsError(Exception):
     """Base of all errors raised on purpose.
@@ -36,12 +38,17 @@ class InputError(SrsError):
 
 
 class UnknownNameError(InputError):
-    """A name that is not among the available ones; says which is closest."""
+    """A name that is not among the available ones; says which is closest.
+
+    The others are said where none is close, and where they are few.
+    """
 
     def __init__(self, kind: str, given: str, available: Iterable[str]) -> None:
         names = sorted(available)
-        listed = ", ".join(names) if names else "none"
-        super().__init__(f"unknown {kind} '{given}'{did_you_mean(given, names)} (available: {listed})")
+        listed = f" (available: {', '.join(names) or 'none'})"
+        if (close := did_you_mean(given, names)) and len(names) > _FEW:
+            listed = ""
+        super().__init__(f"unknown {kind} '{given}'{close}{listed}")
 
 
 class TimeStepError(InputError):

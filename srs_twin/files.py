@@ -55,7 +55,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
         name_or_path: as a person wrote it.
 
     Raises:
-        InputError: no file is there.
+        InputError: no file is there, or something that is no file of this kind.
         UnknownNameError: no shipped file has that name.
     """
     given = os.fspath(name_or_path)
@@ -63,8 +63,17 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
         return existing(Path(given))
     names = shipped_names(kind)
     if given not in names:
+        _refuse_path(kind, given)
         raise UnknownNameError(kind, given, names)
     return shipped_folder(kind) / f"{given}.yaml"
+
+
+def _refuse_path(kind: str, given: str) -> None:
+    """Refuse what is no name but is there."""
+    if os.path.isfile(given):
+        raise InputError(f"{given}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
+    if os.path.isdir(given):
+        existing(Path(given))
 
 
 def results_name(path: Path) -> str:
@@ -146,7 +155,7 @@ def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "") -> Path:
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
-            hint = f", such as {path / inside[0]}" if inside else ""
+            hint = f", such as {path / inside[0]}" if inside else f" ({suffix}; there is none in it)"
             raise InputError(f"{shown(path)}: a folder; give one file{hint}")
         if path.exists():
             raise InputError(f"{shown(path)}: not a regular file")

@@ -50,6 +50,25 @@ def test_an_unknown_name_says_what_was_meant():
         find("robot", "gen22")
 
 
+def test_a_long_list_of_names_is_said_only_where_none_is_close():
+    with pytest.raises(UnknownNameError) as close:
+        find("scenario", "gen2_strait")
+    assert str(close.value) == "unknown scenario 'gen2_strait'; did you mean gen2_straight?"
+    with pytest.raises(UnknownNameError) as far:
+        find("scenario", "zzz")
+    assert all(name in str(far.value) for name in shipped_names("scenario"))
+
+
+def test_what_is_there_is_not_called_an_unknown_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes.txt").write_text("title: x")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"^notes\.txt: a scenario file ends in \.yaml or \.yml$"):
+        find("scenario", "notes.txt")
+    with pytest.raises(InputError, match=r"^empty: a folder; give one file \(\.yaml; there is none in it\)$"):
+        find("scenario", "empty")
+
+
 def test_a_missing_file_says_which_one_was_meant(tmp_path):
     (tmp_path / "straight.yaml").write_text("")
     with pytest.raises(InputError, match=r"strait\.yaml: no such file; did you mean .*straight\.yaml\?"):
@@ -62,9 +81,9 @@ def test_a_folder_is_no_file(tmp_path):
         find("scenario", f"{tmp_path}/")
 
 
-@pytest.mark.parametrize("name", ["a\0b.yaml", "x" * 5000 + ".yaml", "/dev/null/x.yaml"])
+@pytest.mark.parametrize("name", ["a\0b.yaml", "x" * 5000 + ".yaml", "/dev/null/x.yaml", "a\0b", "x" * 5000])
 def test_impossible_paths(name):
-    with pytest.raises(InputError, match=r"cannot be read|no such file"):
+    with pytest.raises(InputError, match=r"cannot be read|no such file|unknown scenario"):
         find("scenario", name)
 
 

@@ -170,7 +170,7 @@ def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
         ({"recording": None}, "controller: kind: replay has nothing to replay"),
         ({"controller": {"kind": "gait", "frequency_hz": 2.0}}, "recording: nobody replays it"),
         ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
-        ({"recording": {"motion": "none.csv"}}, r"recording.valves: none.valves.csv: no such file"),
+        ({"recording": {"motion": "none.csv"}}, r"recording.motion: none.csv: no such file"),
         ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
         ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*on a bench it is held"),
         ({"valves": {"layout": "in_out"}}, None),
@@ -297,7 +297,7 @@ def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["none.csv"], "none.valves.csv: no such file"),
+        (["none.csv"], "none.csv: no such file"),
         (["w.csv", "--valves", "none.csv"], "none.csv: no such file"),
         (["w.csv", "--plants", "twn"], "--plants: 'twn' is unknown; allowed: analytical, twin"),
         (["w.csv", "--expect", "e.yaml"], "e.yaml:1:19: expect[0].metric"),

@@ -13,6 +13,7 @@ import numpy as np
 
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
+from srs_twin.files import existing
 from srs_twin.identification.bend_log import is_bend_log, read_bends
 from srs_twin.identification.joining import join
 from srs_twin.identification.locomotion import GaitRun
@@ -95,6 +96,7 @@ class Reading:
         Raises:
             InputError: as `body`, `read_valves` and `joined`.
         """
+        existing(Path(path), suffix=".csv")  # missed first: the log's name was made of its name
         log = read_valves(valves, spec)
         return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
 
