@@ -64,6 +64,21 @@ def test_pulls_that_cannot_be_read(tmp_path, text, message):
         read_pulls(pulls_file(tmp_path, text))
 
 
+def test_residuals_stand_on_a_line_each_with_their_path_whole(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    folder = tmp_path / "far" / ("away" * 20)
+    folder.mkdir(parents=True)
+    path = pulls_file(folder).relative_to(tmp_path)
+    with pytest.raises(SystemExit, match="^0$"):
+        main(["calibrate", "friction", str(path), "--robot", "gen2"])
+    lines = [line for line in capsys.readouterr().out.splitlines() if "RMS" in line]
+    # A coefficient has the unit 1, which follows no number.
+    assert [re.sub(r"[\d.]+ RMS", "RMS", line) for line in lines] == [
+        f"  {path} {side}: RMS" for side in ("along", "across")
+    ]
+
+
 def test_pulls_from_the_command_line(tmp_path, srs_twin):
     pulls_file(tmp_path)
     pulls_file(tmp_path, PULLS.replace("2.5,", "2.6,"), "more.csv")

@@ -33,7 +33,7 @@ def show(estimate: Estimate) -> None:
     console.print(table)
     for line in (*_reasons(estimate), *correlations(estimate), *cancelling(estimate)):
         console.print(line, soft_wrap=True)
-    console.print(_residuals(estimate))
+    console.print(_residuals(estimate), soft_wrap=True)  # a path that is cut is no path
     if not estimate.converged:
         console.print("the search did not come to an end")
 
@@ -63,6 +63,11 @@ def cancelling(estimate: Estimate) -> Iterator[str]:
         yield "cancels: " + ", ".join(f"{share:+.2f} {name}" for name, share in row.items())
 
 
+def _unit(unit: str) -> str:
+    """Return a unit as it follows a number; the unit 1 does not."""
+    return "" if unit == "1" else f" {unit}"
+
+
 def _residuals(estimate: Estimate) -> str:
     """Return the residuals of the fit and of the validation, signal by signal where these are few."""
     lines = []
@@ -73,7 +78,7 @@ def _residuals(estimate: Estimate) -> str:
             continue
         of = [each for each in estimate.residuals if each.role == role and len(each.values)]
         lines.append(f"{role}: residuals {whole:.3g} times the expected noise")
-        lines += [f"  {each.name}: {each.rms:.3g} {each.unit} RMS" for each in of[:_MOST_SIGNALS]]
+        lines += [f"  {each.name}: {each.rms:.3g}{_unit(each.unit)} RMS" for each in of[:_MOST_SIGNALS]]
         if len(of) > _MOST_SIGNALS:
             lines.append(f"  and {len(of) - _MOST_SIGNALS} more signals")
     return "\n".join(lines)

@@ -151,19 +151,30 @@ def result_table(metrics: Mapping[str, Any]) -> Markup:
         for name, (value, source) in published(metrics.get("expectations") or ()).items()
     }
     both = {"analytical", "twin"} <= plants.keys()
-    headings = ["metric", "unit", *plants, *(["difference"] if both else []), "published"]
+    headings = [
+        "metric",
+        "unit",
+        *plants,
+        *(["difference"] if both else []),
+        *(["published"] if stated else []),
+    ]
     rows = []
     for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
         values = [measured.get(name) for measured in plants.values()]
         if any(value is not None for value in values):
             apart = [difference(metrics, name)] if both else []
-            rows.append([_words(name), unit, *map(_text, values), *apart, stated.get(name, "")])
+            rows.append([_words(name), unit, *map(_text, values), *apart, *_said(stated, name)])
     for name, unit in COMPARISON_UNITS.items():
         value = (metrics.get("comparison") or {}).get(name)
         if value is not None:
             blank = [""] * len(plants)
-            rows.append([_words(name), unit, *blank, *([_text(value)] if both else []), stated.get(name, "")])
+            rows.append([_words(name), unit, *blank, *([_text(value)] if both else []), *_said(stated, name)])
     return table(headings, rows, numbers=range(2, len(headings)))
+
+
+def _said(stated: Mapping[str, str], name: str) -> list[str]:
+    """Return the cell of what was published; there is no such column where nothing was."""
+    return [stated.get(name, "")] if stated else []
 
 
 def _expectations(expectations: Sequence[Mapping[str, Any]]) -> list[Markup]:
