@@ -182,8 +182,8 @@ def test_fits_make_a_robot(tmp_path, monkeypatch, capsys):
     main_ok("calibrate", "friction", "pulls.csv", "-r", "gen2", "--out", "f.yaml", "-q")
     main_ok("calibrate", "actuator", "held.csv", "-r", "gen2", "--out", "a.yaml", "-q")
     main_ok("calibrate", "robot", "f.yaml", "a.yaml", "--name", "mine")
-    assert "robot in calibration/robots/mine.yaml" in capsys.readouterr().err
-    mine, gen2 = load_robot("calibration/robots/mine.yaml"), load_robot("gen2")
+    assert "robot in robots/mine.yaml" in capsys.readouterr().err
+    mine, gen2 = load_robot("robots/mine.yaml"), load_robot("gen2")
     assert mine.friction.mu_t == pytest.approx(load_fit("f.yaml").parameters[0].value)
     gains = {each.name: each.value for each in load_fit("a.yaml").parameters}
     assert mine.modules.array("gain")[1, 0] == pytest.approx(gains["modules.gain_plus_2"])

@@ -61,7 +61,7 @@ def test_what_was_hidden_lies_in_the_intervals(walked_through):
 
 
 def test_the_robot_of_the_page_is_the_hidden_one(walked_through):
-    robot = load_robot(walked_through / "calibration/robots/my_snake.yaml")
+    robot = load_robot(walked_through / "robots/my_snake.yaml")
     found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
     for unknown in unknowns(robot, found):
         near = {"friction": 0.02, "modules": 0.01, "actuator": 0.05}[unknown.name.partition(".")[0]]

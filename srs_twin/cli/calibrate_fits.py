@@ -226,7 +226,7 @@ def robot(
     name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the new robot and its file.")],
     out: Annotated[
         str | None,
-        typer.Option("--out", metavar="FILE.yaml", help="[default: calibration/robots/NAME.yaml]"),
+        typer.Option("--out", metavar="FILE.yaml", help="[default: robots/NAME.yaml]"),
     ] = None,
     weak: Annotated[
         bool, typer.Option("--weak/--no-weak", help="Take what is only weakly identified as well.")
@@ -240,7 +240,7 @@ def robot(
     from srs_twin.files import shown
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
 
-    path = Path(out) if out else Path("calibration/robots") / f"{name}.yaml"
+    path = Path(out) if out else Path("robots") / f"{name}.yaml"
     if path.exists() and not overwrite:
         raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
     write_robot(fitted_robot(fits, name, weak=weak), path)
