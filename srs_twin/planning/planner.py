@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from dataclasses import replace
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.collision import Checker, inside
-from srs_twin.planning.footprint import checked
+from srs_twin.planning.footprint import Footprint, Transient, checked
 from srs_twin.planning.problem import Plan, Problem
 from srs_twin.planning.settings import Settings
-from srs_twin.world import World
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 PLANNERS = ("best_first", "greedy", "ompl")
 """Names; `ompl` needs the extra of that name."""
@@ -35,9 +36,24 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
     _refuse(problem)
+    _compile()
     begun = time.perf_counter()
     answer = _answer(problem, settings or Settings(), planner)
     return replace(answer, seconds=time.perf_counter() - begun)
+
+
+@functools.cache
+def _compile() -> None:
+    """Compile the kernels, or load them: neither is planning, and no limit in seconds may run out by it."""
+    from srs_twin.planning.search import best_first
+
+    # With obstacles in the way and changes that cost width: a straight way would leave kernels out.
+    circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
+    square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
+    world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
+    change = Transient(-0.3, 0.3, left=0.01, right=0.01, length=0.05)
+    body = replace(Footprint.box(0.06, 0.0, speed=0.1, curvature=2.0), transients=(change,))
+    best_first(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05), world, body), Settings())
 
 
 def _answer(problem: Problem, settings: Settings, planner: str) -> Plan:

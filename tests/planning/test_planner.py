@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -304,3 +306,34 @@ def test_fields_are_drawn_alike_from_one_seed_and_keep_their_gaps():
         strewn(30, FIG54_BOUNDS, 0, gap=0.5)
     with pytest.raises(InputError, match="19 obstacles cannot be drawn from 18 sites"):
         fig54_world(19, 0)
+
+
+COMPILED_LATER = """
+import sys
+from srs_twin.planning import load_footprint, plan, planner
+from srs_twin.planning.problem import Problem
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+
+def kernels():
+    modules = [m for name, m in sorted(sys.modules.items()) if name.startswith("srs_twin.planning.")]
+    return {
+        (m.__name__, name): len(f.signatures)
+        for m in modules for name, f in vars(m).items() if hasattr(f, "signatures")
+    }
+
+planner._compile()
+before = kernels()
+assert any(before.values())
+body = load_footprint("gen4_ilc")
+square = Polygon(((1.4, -0.3), (1.6, -0.3), (1.6, 0.1), (1.4, 0.1)))
+for world in (World(), World((Circle(0.7, 0.05, 0.1),), Bounds((-1.0, 4.0), (-2.0, 2.0)), None, (square,))):
+    for heading in (None, 0.3):
+        found = plan(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, heading, 0.05), world, body))
+        assert found.found
+print([name for name, count in kernels().items() if count != before.get(name, 0)])
+"""
+
+
+def test_nothing_is_compiled_while_time_is_taken():
+    done = subprocess.run([sys.executable, "-c", COMPILED_LATER], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
