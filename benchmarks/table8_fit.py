@@ -1,28 +1,36 @@
-"""Generation 4 from Table 8: fitted on offsets 0 and ±0.3 alone, predicting ±0.1 and ±0.2.
+r"""Generation 4 from Table 8: fitted on offsets 0 and ±0.3 alone, predicting ±0.1 and ±0.2.
 
     uv run python benchmarks/table8_fit.py --plant twin --threads 2
-    uv run python benchmarks/table8_fit.py --show --picture docs/images/table8_fit.png
+    uv run python benchmarks/table8_fit.py --plant analytical --wave
+    uv run python benchmarks/table8_fit.py --show --page docs/dissertation-data.md \
+        --picture docs/images/table8_fit.png
 
-The first fits a plant and writes calibration/fits/gen4_table8_twin.yaml: ten minutes for the analytical plant
-and twenty for the twin on a busy machine of two cores. The second shows what these files hold.
+The first fits a plant and writes calibration/fits/gen4_table8_twin.yaml: ten minutes on a busy machine of two
+cores. The second reads the text otherwise: the offset acts on the valves' wave besides the targets. In both,
+length and mu_t together get no number from these rows, so that one of them is held where the analytical
+plant's fit has it: fit that one first. The last shows what these files hold, and puts it into the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from grid import table
 
 from srs_twin import load_robot
-from srs_twin.files import data_root
+from srs_twin.errors import InputError
+from srs_twin.files import atomic_write, data_root
 from srs_twin.identification.drive import PLANTS, Drive
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
 from srs_twin.identification.offset_runs import fit_offsets, offset_runs, predicted
+from srs_twin.identification.overrides import fitted
 from srs_twin.identification.unknowns import with_values
 from srs_twin.published import PublishedRun, published_runs
 from srs_twin.running import versions
@@ -35,59 +43,133 @@ ASKED = (
     "friction.mu_n", "geometry.rigid_gap_m", "mass.connectors_kg", "bending.stiffness_nm_per_rad",
     "bending.damping_time_s", "modules.bias_rad_1",
 )  # fmt: skip
-"""What is held, and asked after on the analytical plant: Jacobians of the twin take too long."""
+"""What is held at the robot's value, and asked after where that does not take too long."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """One fit to the rows.
+
+    Attributes:
+        plant: that stands for the robot.
+        steering: what the offset acts on, see `ILC`.
+        held: what is not looked for but held where the analytical plant's fit has it, and asked after.
+        asked: what is held at the robot's value, and asked after.
+    """
+
+    plant: str
+    steering: str = "targets"
+    held: tuple[str, ...] = ()
+    asked: tuple[str, ...] = ()
+
+
+STUDIES = {
+    "analytical": Study("analytical", asked=ASKED),
+    "twin": Study("twin", held=("geometry.segment_length_m",)),
+    "analytical_wave": Study("analytical", steering="targets_and_wave", held=("friction.mu_t",)),
+}
 
 
 def main() -> None:
     """Fit, or show what was fitted."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plant", choices=PLANTS, default="analytical")
+    parser.add_argument("--wave", action="store_true", help="the offset acts on the valves' wave as well")
     parser.add_argument("--threads", type=int)
     parser.add_argument("--show", action="store_true")
     parser.add_argument("--picture", type=Path)
+    parser.add_argument("--page", type=Path, help="a page whose tables are to be those of the files")
     given = parser.parse_args()
+    study = given.plant + ("_wave" if given.wave else "")
+    if study not in STUDIES:
+        parser.error("--wave goes with the analytical plant")
     if not given.show:
-        print(write_fit(fit(given.plant, given.threads), place(given.plant)))
-    fits = {plant: load_fit(place(plant)) for plant in PLANTS if place(plant).is_file()}
-    for plant, each in fits.items():
-        print(f"\n{plant}\n{each.estimate().text()}")
-    for each in (values_table, rows_table, pairs_table, boxes_table):
-        print("\n" + each(fits))
+        print(write_fit(fit(study, given.threads), place(study)))
+    fits = shipped()
+    for name, each in fits.items():
+        print(f"\n{name}\n{each.estimate().text()}")
+    tables = [each(fits) for each in (values_table, rows_table, pairs_table, boxes_table)]
+    print("\n" + "\n\n".join(tables))
+    if given.page:
+        text = with_tables(given.page.read_text("utf-8"), tables)
+        with atomic_write(given.page) as part:
+            part.write_text(text, "utf-8")
     if given.picture:
         picture(fits).savefig(given.picture, dpi=130)
 
 
-def place(plant: str) -> Path:
-    """Return where the fit against a plant is kept."""
-    return data_root() / "calibration" / "fits" / f"gen4_table8_{plant}.yaml"
+def with_tables(text: str, tables: Sequence[str]) -> str:
+    """Return a page in which each table stands in place of the one with the same first two headings."""
+    for each in tables:
+        head = "|".join(each.split("|")[:3])
+        text, count = re.subn(rf"(?m)^{re.escape(head)}\|.*(\n\|.*)*", lambda _, new=each: new, text)
+        if count != 1:
+            raise InputError(f"{count} tables begin with {head}|, where one is wanted")
+    return text
 
 
-def drive_of(plant: str) -> Drive:
+def place(study: str) -> Path:
+    """Return where the fit of a study is kept."""
+    return data_root() / "calibration" / "fits" / f"gen4_table8_{study}.yaml"
+
+
+def shipped() -> dict[str, FitFile]:
+    """Return the fits that there are, by study."""
+    return {study: load_fit(place(study)) for study in STUDIES if place(study).is_file()}
+
+
+def drive_of(study: str) -> Drive:
     """Return generation 4 under Section 5.3's iterative learning."""
-    return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant)
+    plant, steering = STUDIES[study].plant, STUDIES[study].steering
+    return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
 
 
-def fit(plant: str, threads: int | None = None) -> FitFile:
+def fit(study: str, threads: int | None = None) -> FitFile:
     """Fit a plant to three rows of Table 8 and predict all."""
-    drive, rows = drive_of(plant), published_runs()
-    fitted = offset_runs([row for row in rows if row.offset in FITTED])
+    drive, rows, held = drive_of(study), published_runs(), held_values(study)
+    fitted_rows = offset_runs([row for row in rows if row.offset in FITTED])
     kept = offset_runs([row for row in rows if row.offset not in FITTED])
+    start = {name: value for name, value in UNKNOWN.items() if name not in held}
     found = fit_offsets(
-        fitted, drive, UNKNOWN, besides=ASKED if plant == "analytical" else (), validation=kept,
-        starting=UNKNOWN, threads=threads,
+        fitted_rows, replace(drive, spec=with_values(drive.spec, held)), start,
+        besides=(*held, *STUDIES[study].asked), validation=kept, starting=start, threads=threads,
     )  # fmt: skip
-    data = [run.data_set("fit") for run in fitted] + [run.data_set("validation") for run in kept]
-    return fit_file(
-        found, name=f"gen4_table8_{plant}", title=f"Generation 4 from Table 8's offsets 0 and ±0.3, {plant}",
-        robot="gen4", method="offsets", command=f"uv run python benchmarks/table8_fit.py --plant {plant}",
-        versions=versions(), data=data, averages=averages(rows, drive, found.values, threads),
+    data = [run.data_set("fit") for run in fitted_rows] + [run.data_set("validation") for run in kept]
+    make = partial(
+        fit_file, found, name=f"gen4_table8_{study}", title=title(study, held), robot="gen4",
+        method="offsets", command=command(study), versions=versions(), data=data,
     )  # fmt: skip
+    bare = make()
+    if bare.withheld():
+        raise InputError(f"{found.text()}\n{', '.join(bare.withheld())} without a number: hold one of them")
+    # Predicted with the numbers that stand in the file, and with no others.
+    return make(averages=averages(rows, replace(drive, spec=fitted(bare, drive.spec)), threads))
 
 
-def averages(rows: Sequence[PublishedRun], drive: Drive, values: dict[str, float], threads: int | None):
+def held_values(study: str) -> dict[str, float]:
+    """Return what a study holds, at the values of the analytical plant's fit."""
+    names = STUDIES[study].held
+    known = load_fit(place("analytical")).estimate().values if names else {}
+    return {name: known[name] for name in names}
+
+
+def title(study: str, held: Iterable[str]) -> str:
+    """Return one line that says what was fitted, and what was held and why."""
+    line = f"Generation 4 from Table 8's offsets 0 and ±0.3, {STUDIES[study].plant}"
+    if STUDIES[study].steering != "targets":
+        line += ", the offset also on the valves' wave"
+    return f"{line}, {', '.join(held)} held at the analytical plant's fit" if held else line
+
+
+def command(study: str) -> str:
+    """Return what makes a study's fit."""
+    wave = " --wave" if STUDIES[study].steering != "targets" else ""
+    return f"uv run python benchmarks/table8_fit.py --plant {STUDIES[study].plant}{wave}"
+
+
+def averages(rows: Sequence[PublishedRun], drive: Drive, threads: int | None):
     """Return what was measured and what the fitted robot does, by name of the data."""
-    moved = replace(drive, spec=with_values(drive.spec, values))
-    paths = predicted(moved, [row.offset for row in rows], threads=threads)
+    paths = predicted(drive, [row.offset for row in rows], threads=threads)
     found = {}
     for row, path in zip(rows, paths, strict=True):
         # The side of offset 0 is not printed: that to which the robot goes.
@@ -119,17 +201,16 @@ def off(one: float, other: float) -> str:
 
 def values_table(fits: dict[str, FitFile]) -> str:
     """Return what was found by each plant, with 95 % intervals."""
-    rows = []
-    for name in UNKNOWN:
-        cells = []
-        for fit in fits.values():
-            each = next(each for each in fit.parameters if each.name == name)
-            numbers = (
-                f"{each.value:.3g} ({each.low:.2g} to {each.high:.2g}), " if each.value is not None else ""
-            )
-            cells.append(numbers + each.verdict)
-        rows.append([name, *cells])
+    rows = [[name, *(value_text(fit, name) for fit in fits.values())] for name in UNKNOWN]
     return table(["parameter", *fits], rows)
+
+
+def value_text(fit: FitFile, name: str) -> str:
+    """Return what a fit says of a number: found, or held."""
+    each = next((each for each in fit.parameters if each.name == name), None)
+    if each and each.value is not None:
+        return f"{each.value:.3g} ({each.low:.2g} to {each.high:.2g}), {each.verdict}"
+    return f"{fit.held[name]:.3g}, held" + (f": {each.verdict}" if each else "")
 
 
 def rows_table(fits: dict[str, FitFile]) -> str:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import pytest
 from table8_fit import (
     FITTED,
+    STUDIES,
     boxes_table,
     drive_of,
+    held_values,
     pairs_table,
-    place,
     rows_table,
+    shipped,
     values_of,
     values_table,
 )
@@ -23,8 +24,8 @@ from srs_twin import load_robot
 from srs_twin.documents import dump_yaml, parse_yaml
 from srs_twin.errors import InputError
 from srs_twin.identification import offset_runs as module
-from srs_twin.identification.drive import PLANTS, Drive
-from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.drive import Drive
+from srs_twin.identification.fit_file import fit_file
 from srs_twin.identification.offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
 from srs_twin.identification.overrides import robot_override
 from srs_twin.identification.steady import SteadyPath
@@ -97,6 +98,19 @@ def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
     assert len(set(asked)) == 2
 
 
+def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own(lawful):
+    """Of the friction only the ratio acts: fit and validation are both met, though neither is told."""
+    names = [*TRUTH, "friction.mu_n"]
+    found = fit_offsets(measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2)))
+    assert [found[name].value for name in ("friction.mu_t", "friction.mu_n")] == [None, None]
+    assert found.rms("fit") < 0.01 and found.rms("validation") < 0.01
+    about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
+    data = [run.data_set("fit") for run in measured(OFFSETS)]
+    assert fit_file(found, **about, data=data).withheld() == ["friction.mu_t", "friction.mu_n"]
+    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n got no number, .* hold one"):
+        fit_file(found, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
+
+
 def test_the_same_row_cannot_fit_and_validate(lawful):
     with pytest.raises(InputError, match="must be new to it"):
         fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
@@ -114,22 +128,31 @@ def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
     assert [run.curvature for run in offset_runs(mirrored)] == [-run.curvature for run in fitted]
 
 
-SHIPPED = [plant for plant in PLANTS if place(plant).is_file()]
+FITS = shipped()
 
 
-def test_a_fit_ships():
-    assert "analytical" in SHIPPED
+def numbers(fit):
+    """Return what a fit's file states, found or held, without a look at how the package takes it."""
+    return fit.held | {each.name: each.value for each in fit.parameters if each.value is not None}
 
 
-@cache
-def shipped(plant):
-    return load_fit(place(plant))
+def test_a_fit_of_each_plant_ships():
+    assert {"analytical", "twin"} <= FITS.keys() <= STUDIES.keys()
 
 
-@pytest.mark.parametrize("plant", SHIPPED)
-def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(plant):
+@pytest.mark.parametrize("study", FITS)
+def test_a_shipped_fit_states_each_unknown_once_found_or_held(study):
+    fit = FITS[study]
+    assert set(TRUTH) <= numbers(fit).keys() and fit.withheld() == []
+    for name, value in held_values(study).items():
+        assert fit.held[name] == numbers(FITS["analytical"])[name] == value
+        assert name in fit.title
+
+
+@pytest.mark.parametrize("study", FITS)
+def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
     rows = {f"offset {row.offset:g}": row for row in published_runs()}
-    fit = shipped(plant)
+    fit = FITS[study]
     assert {each.name for each in fit.data} == set(rows)
     assert {each.name for each in fit.data if each.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
     for each in fit.data:
@@ -138,31 +161,32 @@ def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(plant):
         assert abs(each.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
 
 
-@pytest.mark.parametrize(("plant", "offset"), [("analytical", -0.3), ("analytical", 0.1)])
-def test_the_shipped_predictions_are_what_the_plants_give(plant, offset):
-    fit, drive = shipped(plant), drive_of(plant)
-    values = {each.name: each.value for each in fit.parameters if each.value is not None}
-    moved = replace(drive, spec=with_values(drive.spec, values))
+@pytest.mark.parametrize(("study", "offset"), [("analytical", -0.3), ("analytical", 0.1), ("twin", 0.1)])
+def test_the_shipped_predictions_are_what_the_plants_give(study, offset):
+    fit, drive = FITS[study], drive_of(study)
+    moved = replace(drive, spec=with_values(drive.spec, numbers(fit)))
     (path,) = predicted(moved, [offset], threads=1)
     speed, radius = values_of(fit, "predicted")[offset]
     assert path.speed == pytest.approx(speed, rel=0.01)
     assert 1 / abs(path.curvature) == pytest.approx(radius, rel=0.01)
 
 
-@pytest.mark.parametrize("plant", SHIPPED)
-def test_a_shipped_fit_becomes_a_robot(plant):
-    fit = shipped(plant)
+@pytest.mark.parametrize("study", FITS)
+def test_a_shipped_fit_becomes_a_robot(study):
+    fit = FITS[study]
     document = parse_yaml(dump_yaml({"robot": robot_override(fit)}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
     document.finish()
-    values = {each.name: each.value for each in fit.parameters if each.value is not None}
-    expected = with_values(load_robot("gen4"), values)
+    expected = with_values(load_robot("gen4"), numbers(fit))
     assert file.spec().geometry.segment_length == pytest.approx(expected.geometry.segment_length)
+    assert file.spec().friction.mu_t == pytest.approx(expected.friction.mu_t)
+    status = {"found": "calibrated", "held": "estimated"}
+    length = file.records()["geometry.segment_length_m"]
+    assert length.status == status["held" if held_values(study) else "found"]
     assert file.spec().modules.sensor_bias == pytest.approx(expected.modules.sensor_bias)
 
 
 def test_the_page_shows_the_tables_of_the_shipped_fits():
     page = (Path(__file__).parents[1] / "docs/dissertation-data.md").read_text("utf-8")
-    fits = {plant: shipped(plant) for plant in SHIPPED}
     for shown in (values_table, rows_table, pairs_table, boxes_table):
-        assert shown(fits) in page, shown.__name__
+        assert shown(FITS) in page, shown.__name__
