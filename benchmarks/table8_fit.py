@@ -91,7 +91,7 @@ def main() -> None:
     fits = shipped()
     for name, each in fits.items():
         print(f"\n{name}\n{each.estimate().text()}")
-    tables = [each(fits) for each in (values_table, rows_table, pairs_table, boxes_table)]
+    tables = [each(fits) for each in (values_table, rows_table, pairs_table)]
     print("\n" + "\n\n".join(tables))
     if given.page:
         text = with_tables(given.page.read_text("utf-8"), tables)
@@ -252,18 +252,6 @@ def pairs_table(fits: dict[str, FitFile]) -> str:
         rows.append([f"±{offset:g}", "fit" if offset in FITTED else "predicted", *cells])
     heads = ["offsets", "rows", "mean speed: Table 8 (m/s)", *fits, "mean radius: Table 8 (m)", *fits]
     return table(heads, rows)
-
-
-def boxes_table(fits: dict[str, FitFile]) -> str:
-    """Return how wide the box is at each offset; no row of it was fitted."""
-    rows = []
-    for each in sorted(next(iter(fits.values())).data, key=lambda each: float(each.name.split()[1])):
-        held = width(each.measured)
-        told = [
-            width(other.predicted) for fit in fits.values() for other in fit.data if other.name == each.name
-        ]
-        rows.append([each.name.split()[1], f"{held:.3g}", *(off(value, held) for value in told)])
-    return table(["offset", "width of the box: Table 8 (m)", *fits], rows)
 
 
 def width(of: dict[str, float]) -> float:

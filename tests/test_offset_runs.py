@@ -11,7 +11,6 @@ from table8_fit import (
     FITTED,
     LENGTH,
     STUDIES,
-    boxes_table,
     drive_of,
     held_values,
     pairs_table,
@@ -191,5 +190,5 @@ def test_a_shipped_fit_becomes_a_robot(study):
 
 def test_the_page_shows_the_tables_of_the_shipped_fits():
     page = (Path(__file__).parents[1] / "docs/dissertation-data.md").read_text("utf-8")
-    for shown in (values_table, rows_table, pairs_table, boxes_table):
+    for shown in (values_table, rows_table, pairs_table):
         assert shown(FITS) in page, shown.__name__
