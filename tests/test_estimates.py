@@ -231,3 +231,21 @@ def test_a_search_ends_by_its_runs_or_where_nothing_is_left():
     exact: list[float] = []
     least_squares(_wrapped(0.1, exact), [unknown("a", 0.0)])
     assert len(told) < len(exact)
+
+
+def test_over_the_width_that_data_leave_open_ripple_is_no_doubt():
+    """A line with a ripple far below its noise, but steep: derivatives of small steps are the ripple's."""
+    measured = 2.0 * TIME + 0.1 * np.random.default_rng(1).normal(size=len(TIME))
+
+    def residuals(values):
+        ripple = 0.02 * np.sin(2e3 * values["a"] + 37.0 * np.arange(len(TIME)))
+        return [Residual("line", "1", measured - values["a"] * TIME - ripple, 0.1)]
+
+    near = [unknown("a", 2.0)]
+    small = least_squares(residuals, near, manner=Manner(step=1e-3))
+    assert small["a"].verdict == "not identifiable"
+    found = least_squares(residuals, near, manner=Manner(step=1e-3, telling=0.3))
+    assert found["a"].verdict == "identified"
+    error = 0.1 / np.linalg.norm(TIME)
+    assert 0.5 * error < found["a"].standard_error < 2 * error
+    assert abs(found["a"].value - 2.0) < 4 * error

@@ -79,16 +79,15 @@ def _estimate(search: Search, best: End, ends: Sequence[End], held: Values) -> E
     freedom = max(independent - len(unknowns), 1.0)
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))
-    jacobian = search.jacobian(z, search.telling)
-    coarser = search.jacobian(z, 2 * search.telling) - jacobian
+    jacobian, doubt = search.derivatives(z, noise)
     # What does not act does not want to be anywhere, least of all at a bound.
-    acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(coarser, axis=0)
+    acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(doubt, axis=0)
     bound = acts & ((z - search.low < _AT_BOUND) | (search.high - z < _AT_BOUND))
     inside = np.flatnonzero(~bound)
     known = None
     if inside.size:
         widths = (search.high - search.low)[inside]
-        known = knowledge(jacobian[:, inside], coarser[:, inside], noise, widths)
+        known = knowledge(jacobian[:, inside], doubt[:, inside], noise, widths)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     reach = _rivals(best, ends, variance * samples / independent, stats.chi2.ppf(LEVEL, len(unknowns)))
     found, kept = [], []

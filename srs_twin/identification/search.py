@@ -44,7 +44,8 @@ class Manner:
             the step of the differences.
         guide: says which residuals change evenly with the unknowns, however far off these are. A search
             begins by them alone and goes on by all of them.
-        telling: step of the differences by which is judged what the data tell; None: that of the search.
+        telling: step of the differences by which is judged what the data tell, where they leave open more
+            than the search's step; None: that of the search.
         enough: RMS of the weighted residuals below which a search ends: nothing is left to explain.
         most_runs: how often a search may run the model; one that would run it more often ends at the best it
             has found, as not converged. None: as often as it takes.
@@ -80,7 +81,6 @@ class Search:
         self, residuals: Residuals, unknowns: tuple[Unknown, ...], manner: Manner, watch: Watch | None
     ) -> None:
         self.unknowns, self._manner, self._residuals = unknowns, manner, residuals
-        self.telling = manner.telling or manner.step
         self._watch, self._runs, self._told = watch, 0, np.inf
         self._searching, self._left, self._best = False, np.inf, End(np.zeros(0), np.inf, False)
         if not unknowns:
@@ -139,6 +139,23 @@ class Search:
             up[i], down[i] = min(z[i] + h, self.high[i]), max(z[i] - h, self.low[i])
             columns.append((self.weighted(up, only) - self.weighted(down, only)) / (up[i] - down[i]))
         return np.stack(columns, axis=1)
+
+    def derivatives(self, z: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a Jacobian, and by how much it may be wrong, shape (samples, n) each.
+
+        Args:
+            z: where.
+            noise: of a weighted residual.
+        """
+        step, telling = self._manner.step, self._manner.telling
+        if telling is not None:
+            least = float(np.linalg.svd(self.jacobian(z, telling), compute_uv=False)[-1])
+            step = telling if noise > step * least else step
+        fine, coarse = self.jacobian(z, step), self.jacobian(z, 2 * step)
+        if telling is None:
+            return fine, coarse - fine
+        # Of a model that is not smooth neither is the better one: two samples, and the error of their mean.
+        return (fine + coarse) / 2, (coarse - fine) / 2
 
     def run(self, start: np.ndarray) -> End:
         """Search from a start, by the guide first; where the runs are spent, return the best there was."""
