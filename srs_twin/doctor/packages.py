@@ -15,6 +15,7 @@ DISTRIBUTION = "srs-twin"
 TOPIC, EXTRAS = "installation", "extras"
 
 PURPOSES = {
+    "envs": 'environments for agents (`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`)',
     "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
