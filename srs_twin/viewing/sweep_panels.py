@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from srs_twin.viewing.sweep_table import Values
 
@@ -64,9 +65,12 @@ def legend_above(axes: Axes, handles: Sequence[Line2D] = ()) -> None:
 
 
 def name_ticks(axis: Axis, values: Values) -> None:
-    """Write texts at the ticks of an axis that stands for texts."""
+    """Write texts at the ticks of an axis that stands for texts, and whole numbers where it counts."""
+    known = values.numbers[np.isfinite(values.numbers)]
     if values.names:
         axis.set_ticks(range(len(values.names)), labels=values.names)
+    elif known.size and np.array_equal(known, np.round(known)):
+        axis.set_major_locator(MaxNLocator(integer=True))
 
 
 def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, what: str, *, across: bool = False) -> None:
