@@ -206,6 +206,8 @@ def _of_its_kind(schema: Schema, root: Schema, data: Any) -> list[Schema]:
     """Return what a schema is a choice of, less the blocks that some data are not by their discriminator."""
     while "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
+    if "anyOf" in schema:  # a block that may be left out is a choice of nothing and of its kinds
+        return [o for member in schema["anyOf"] for o in _of_its_kind(member, root, data)]
     key, options = schema.get("discriminator", {}).get("propertyName"), list(_options(schema, root))
     if key is None:
         return options

@@ -132,7 +132,8 @@ def test_table_8_is_that_of_the_sweep():
     assert found["path_radius_m"] == [math.copysign(run.radius_m, run.offset) for run in runs]
     table = load_table("table8")
     assert isinstance(table, RunTable)
-    assert sweep["fixed"]["controller.frequency_hz"] == table.frequency_hz
+    scenario = load_yaml(data_root() / f"scenarios/{sweep['scenario']}.yaml").data
+    assert scenario["controller"]["frequency_hz"] == table.frequency_hz
 
 
 def test_table_9_follows_from_table_8_and_is_that_of_the_footprint():

@@ -51,7 +51,7 @@ MALFORMED = edited(GOOD, {
     "a controller of no kind": ("kind: direct_smc, ", "", ":8:13: controller.kind: missing; it says which"),
     "a controller of another kind": (
         "direct_smc", "direct_smd",
-        ":8:20: controller.kind: must be one of gait, ilc, direct_smc, iterative_smc, hold_valves, foll"),
+        ":8:20: controller.kind: must be one of gait, ilc, direct_smc, iterative_smc, hold_valves, replay"),
     "a controller that is a list": (
         GOOD.decode().splitlines()[7], "controller: [1]", ":8:13: controller: must be a block of keys"),
     "the carrier of another controller": (

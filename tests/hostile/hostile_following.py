@@ -41,8 +41,8 @@ MALFORMED = edited(GOOD, {
     "no footprint": ("footprint: gen2_section52, ", "", "planner.footprint: missing"),
     "no planner of that name": (
         "kind: best_first", "kind: best", "planner.kind: must be one of best_first, greedy, ompl, given"),
-    "greedy without primitives": (
-        "kind: best_first", "kind: greedy", "planner.primitives: missing"),
+    "greedy with what another planner takes": (
+        "kind: best_first", "kind: greedy", "planner.nodes: unknown key; known here: footprint, turn_share"),
     "a budget of nothing": ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
     "a budget without end": ("nodes: 5000", "seconds: .inf", "planner.seconds: "),
     "edges beyond the centre of the turn": (
