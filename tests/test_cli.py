@@ -17,6 +17,7 @@ import pytest
 from srs_twin.cli import main
 from srs_twin.cli.app import command
 from srs_twin.cli.progress import Progress
+from srs_twin.cli.table import asks_why
 from srs_twin.cli.view import find_recording
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.processes import Done
@@ -208,6 +209,20 @@ def test_words_keep_to_the_order_given_whoever_is_first(start):
         "files in runs/c; `srs-twin view runs/c` shows the run",
         "files in runs/d; `srs-twin view runs/d` shows the run",
     ]
+
+
+@pytest.mark.parametrize(
+    ("metric", "met", "more", "asks"),
+    [
+        ("com_speed_rel", False, {}, True),
+        ("yaw_rate_abs", False, {}, True),
+        ("com_speed_rel", True, {}, False),
+        ("com_speed_m_s", False, {}, False),
+        ("com_speed_rel", False, {"attribution": {}}, False),
+    ],
+)
+def test_a_difference_that_was_not_expected_asks_why(metric, met, more, asks):
+    assert asks_why({"expectations": [{"metric": metric, "met": met}], **more}) is asks
 
 
 def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):

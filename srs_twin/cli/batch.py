@@ -216,12 +216,14 @@ def _named(case: Case, error: Exception | None) -> SrsError:
 
 def _report(case: Case, ended: Ended, *, check: bool, quiet: bool) -> None:
     """Show what a run gave."""
-    from srs_twin.cli.table import missed_lines, show
+    from srs_twin.cli.table import asks_why, missed_lines, show
 
     if ended.result is not None and ended.metrics:
         if not quiet:
             show(ended.result)
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
+            if asks_why(ended.metrics):
+                say(f"why the plants differ: `srs-twin compare {case.source} --explain`")
         elif check:
             for line in missed_lines(ended.metrics):
                 say(line)

@@ -105,6 +105,10 @@ class Row:
     published: str = ""
 
 
+_EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
+"""Differences of the plants that `compare --explain` takes apart."""
+
+
 def rows(metrics: Mapping[str, Any]) -> list[Row]:
     """Choose and format the lines of the table.
 
@@ -218,6 +222,12 @@ def expectation_lines(metrics: Mapping[str, Any]) -> list[str]:
 def missed_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Return the lines of the expectations that were missed."""
     return [_expectation(each) for each in metrics["expectations"] if not each["met"]]
+
+
+def asks_why(metrics: Mapping[str, Any]) -> bool:
+    """Say whether the plants differ by more than was expected, and nobody has said why yet."""
+    missed = {each["metric"] for each in metrics["expectations"] if not each["met"]}
+    return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
 def _expectation(each: Mapping[str, Any]) -> str:
