@@ -93,6 +93,9 @@ _WHY_HEADINGS = {
 }
 _NONE = (None, "")
 
+_EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
+"""Differences of the plants that `compare --explain` takes apart."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -103,10 +106,6 @@ class Row:
     plants: tuple[str, ...]
     difference: str = ""
     published: str = ""
-
-
-_EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
-"""Differences of the plants that `compare --explain` takes apart."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[Row]:
