@@ -298,3 +298,15 @@ def test_both_draw_the_same(runs, name, tmp_path):
         ours = stage.picture(canvas, camera.at(row), row).astype(int)
     theirs = imread(tmp_path / "p.png")[..., :3] * 255
     assert np.abs(ours - theirs).mean() < 3.0
+
+
+def test_a_canvas_that_nobody_closes_ends_without_a_word(opengl_here):
+    program = (
+        "import mujoco\n"
+        "from srs_twin.viewing.canvas import Canvas\n"
+        "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
+        f"canvas = Canvas(model, 32, 32, opengl={opengl_here!r})\n"
+        "print(canvas.draw(mujoco.MjData(model), mujoco.MjvCamera()).shape)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "(32, 32, 3)\n", "")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
+import weakref
 from collections.abc import Callable
 from types import TracebackType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,6 +44,10 @@ class Canvas:
         self._opengl.make_current()
         self._drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._drawing)
+        # Also where nobody closes it: OpenGL ends with the interpreter; what is registered last goes first.
+        self._close = weakref.finalize(self, _free, self._drawing, self._opengl)
+        self._close.atexit = False
+        atexit.register(self._close)
 
     def __enter__(self) -> Canvas:
         return self
@@ -51,8 +58,8 @@ class Canvas:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._drawing.free()
-        self._opengl.free()
+        self._close()
+        atexit.unregister(self._close)
 
     def draw(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, decorate: Decorate | None = None
@@ -73,3 +80,9 @@ class Canvas:
         mujoco.mjr_render(self._frame, self._scene, self._drawing)
         mujoco.mjr_readPixels(picture, None, self._frame, self._drawing)
         return picture[::-1]
+
+
+def _free(drawing: mujoco.MjrContext, opengl: Any) -> None:
+    opengl.make_current()
+    drawing.free()
+    opengl.free()
