@@ -17,9 +17,9 @@ from srs_twin.identification.gaps import filled, longest_whole
 from srs_twin.identification.recording import Recording
 from srs_twin.identification.source import Source, read_source
 from srs_twin.identification.summary import BendSummary
-from srs_twin.identification.trajectories import MEASURED, numbered
+from srs_twin.identification.trajectories import metadata, numbered
 from srs_twin.identification.units import ANGLES, TIMES
-from srs_twin.identification.velocity import HALF_WIDTH, moving_slope
+from srs_twin.identification.velocity import moving_slope
 from srs_twin.shape import body_shape, relative_headings
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -140,24 +140,6 @@ def _trajectory(
         **numbered("bend", bend), **numbered("bend_rate", rates),
     }  # fmt: skip
     units = {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
-    about: dict[str, object] = {
-        "plant": MEASURED,
-        "robot": spec.name,
-        "record_hz": summary.rate_hz,
-        "duration_s": summary.end - summary.start,
-        "body_length_m": geometry.body_length,
-        "segment_length_m": geometry.segment_length,
-        "rigid_gap_m": geometry.rigid_gap,
-        "mass_kg": spec.mass.total,
-        "gait_frequency_hz": gait_frequency_hz,
-        "velocity_half_width": HALF_WIDTH,
-        "bends_only": True,
-        "source": {
-            "file": summary.source.replace("\\", "/").rpartition("/")[2],
-            "sha256": summary.sha256,
-            "kind": _KIND,
-            "samples_filled": int(unknown.sum()),
-            "corrections": list(summary.corrections),
-        },
-    }
+    about = metadata(spec, summary, gait_frequency_hz, {"kind": _KIND, "samples_filled": int(unknown.sum())})
+    about["bends_only"] = True
     return Trajectory(columns, units, metadata=about)

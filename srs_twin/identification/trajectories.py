@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from srs_twin.identification.body import Body
-from srs_twin.identification.summary import LogSummary
+from srs_twin.identification.summary import BendSummary, LogSummary
 from srs_twin.identification.velocity import HALF_WIDTH, moving_slope
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -47,7 +49,11 @@ def trajectory_of(
     }  # fmt: skip
     units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
     units |= {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
-    return Trajectory(columns, units, metadata=_metadata(spec, summary, gait_frequency_hz))
+    source = {
+        "kind": summary.kind, "layout": summary.layout, "up": summary.up,
+        "samples_filled": summary.samples_filled, "samples_rejected": summary.samples_rejected,
+    }  # fmt: skip
+    return Trajectory(columns, units, metadata=metadata(spec, summary, gait_frequency_hz, source))
 
 
 def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -55,7 +61,20 @@ def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}_{i}": np.ascontiguousarray(column) for i, column in enumerate(values.T, start=1)}
 
 
-def _metadata(spec: RobotSpec, summary: LogSummary, gait_frequency_hz: float | None) -> dict[str, object]:
+def metadata(
+    spec: RobotSpec,
+    summary: LogSummary | BendSummary,
+    gait_frequency_hz: float | None,
+    source: Mapping[str, object],
+) -> dict[str, object]:
+    """Return what a measured trajectory says of itself.
+
+    Args:
+        spec: the robot.
+        summary: of what was read.
+        gait_frequency_hz: None where it is not known.
+        source: what is to be said of the file besides its name, hash and corrections.
+    """
     geometry = spec.geometry
     return {
         "plant": MEASURED,
@@ -71,11 +90,7 @@ def _metadata(spec: RobotSpec, summary: LogSummary, gait_frequency_hz: float | N
         "source": {
             "file": summary.source.replace("\\", "/").rpartition("/")[2],
             "sha256": summary.sha256,
-            "kind": summary.kind,
-            "layout": summary.layout,
-            "up": summary.up,
-            "samples_filled": summary.samples_filled,
-            "samples_rejected": summary.samples_rejected,
+            **source,
             "corrections": list(summary.corrections),
         },
     }
