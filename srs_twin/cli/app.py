@@ -12,6 +12,7 @@ from srs_twin.cli import (
     DEBUG,
     calibrate,
     compare,
+    diff,
     doctor,
     models,
     plan,
@@ -47,6 +48,7 @@ app.command("play")(play.play)
 app.command("render")(render.render)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
+app.command("diff")(diff.diff)
 app.command("schema")(schema.schema)
 app.command("doctor")(doctor.doctor)
 

@@ -50,6 +50,15 @@ def write_junit(path: Path, cases: Sequence[Case]) -> None:
     root = Element("testsuites", name="srs-twin")
     root.extend(map(_suite, cases))
     sum_up(root, sum(case.ended.wall_s for case in cases if case.ended))
+    write_tree(path, root)
+
+
+def write_tree(path: Path, root: Element) -> None:
+    """Write a report, whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     tree = ElementTree.ElementTree(root)
     ElementTree.indent(tree)
     with atomic_write(path) as part:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from srs_twin.cli.junit import sum_up, writable
-from srs_twin.files import atomic_write
+from srs_twin.cli.junit import sum_up, writable, write_tree
 
 if TYPE_CHECKING:
     from srs_twin.reproduction import Judged
@@ -32,10 +30,7 @@ def write_rows(path: Path, rows: Sequence[Judged]) -> None:
             _cases(suite, row)
         sum_up(suite, 0.0)
     sum_up(root, 0.0)
-    tree = ElementTree.ElementTree(root)
-    ElementTree.indent(tree)
-    with atomic_write(path) as part:
-        tree.write(part, encoding="utf-8", xml_declaration=True)
+    write_tree(path, root)
 
 
 def _cases(suite: Element, row: Judged) -> None:

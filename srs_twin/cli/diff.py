@@ -1,0 +1,113 @@
+"""`srs-twin diff`: what moved from one set of results to another."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+from xml.etree.ElementTree import Element, SubElement
+
+import typer
+
+from srs_twin.cli import say
+
+if TYPE_CHECKING:
+    from srs_twin.comparison.diff import Difference, Leaf
+
+MOVED = 1
+_SHOWN = 40
+
+
+def diff(
+    a: Annotated[str, typer.Argument(metavar="A", help="Reference: a folder of results, or one file.")],
+    b: Annotated[str, typer.Argument(metavar="B", help="Results that are held against it.")],
+    rel: Annotated[
+        float | None, typer.Option("--rel", help="Relative tolerance of a number. [default: 1e-6]")
+    ] = None,
+    abs_: Annotated[
+        float | None, typer.Option("--abs", help="Absolute tolerance of a number. [default: 1e-9]")
+    ] = None,
+    tolerances: Annotated[
+        str | None,
+        typer.Option("--tolerances", metavar="FILE", help="Tolerances by metric, a YAML file (docs/ci.md)."),
+    ] = None,
+    junit: Annotated[
+        str | None, typer.Option("--junit", metavar="FILE", help="Also write what moved as JUnit XML.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Compare results number by number; exit with 1 when one moved.
+
+    A and B are what `run`, `compare`, `replay`, `sweep` or `reproduce` left: metrics.json, results.parquet,
+    reproduce.json, or folders that hold such files.
+    """
+    from srs_twin.cli.junit import report_path
+    from srs_twin.comparison.diff import Tolerances, load_tolerances, read_results
+    from srs_twin.comparison.diff import diff as difference
+    from srs_twin.errors import InputError
+
+    report = None if junit is None else report_path(junit)
+    allowed = load_tolerances(tolerances) if tolerances else Tolerances()
+    given = {name: value for name, value in (("rel", rel), ("abs", abs_)) if value is not None}
+    for name, value in given.items():
+        if not 0 <= value < float("inf"):
+            raise InputError(f"--{name} {value:g} is not allowed; it must be finite and 0 or more")
+    found = difference(read_results(a), read_results(b), allowed.model_copy(update=given))
+    for package, (old, new) in found.versions.items():
+        say(f"made with another {package}: {old} → {new}")
+    if as_json:
+        print(json.dumps(found.document(), indent=1, ensure_ascii=False))
+    else:
+        _show(found)
+    if report is not None:
+        _write_junit(report, found)
+    if found.moved:
+        raise typer.Exit(MOVED)
+
+
+def _show(found: Difference) -> None:
+    """Print what moved as a table, at most `_SHOWN` rows."""
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("where", "metric"):
+        table.add_column(heading, overflow="fold")
+    for heading in ("a", "b", "(b − a)/|a|"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for each in found.moved[:_SHOWN]:
+        rel = "" if each.rel is None else f"{each.rel:+.2g}"
+        table.add_row(escape(each.where), escape(each.metric), _text(each.a), _text(each.b), rel)
+    if found.moved:
+        Console(file=sys.stdout, highlight=False).print(table)
+    if len(found.moved) > _SHOWN:
+        print(f"and {len(found.moved) - _SHOWN} more; --json lists them all")
+    print(f"{len(found.moved)} moved, {found.same} the same")
+
+
+def _text(value: Leaf) -> str:
+    from rich.markup import escape
+
+    if value is None:
+        return "–"
+    return f"{value:.9g}" if isinstance(value, float) else escape(str(value))
+
+
+def _write_junit(path: Path, found: Difference) -> None:
+    """Write a test case a place, a failure where a value moved."""
+    from srs_twin.cli.junit import sum_up, writable, write_tree
+
+    root = Element("testsuites", name="srs-twin diff")
+    suite = SubElement(root, "testsuite", name="diff")
+    for where in found.wheres:
+        case = SubElement(suite, "testcase", classname="diff", name=writable(where), time="0.000")
+        lines = [f"{m.metric}: {_text(m.a)} → {_text(m.b)}" for m in found.moved if m.where == where]
+        if lines:
+            failure = SubElement(case, "failure", message=f"{len(lines)} moved", type="moved")
+            failure.text = writable("\n".join(lines))
+    sum_up(suite, 0.0)
+    sum_up(root, 0.0)
+    write_tree(path, root)

@@ -1,0 +1,190 @@
+"""`srs-twin diff`: what moved between two sets of results."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import pytest
+from conftest import ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.cli import main
+from srs_twin.comparison.diff import Results, Tolerance, diff, read_results
+from srs_twin.documents import parse_yaml
+from srs_twin.errors import InputError
+
+SCENARIO = """\
+robot: gen2
+duration_s: 3
+controller: {{kind: gait, frequency_hz: 2.0, offset: {offset}}}
+plants: {{analytical: {{}}}}
+expect: [{{metric: path_length_m, plant: analytical, below: 100}}]
+"""
+SWEEP = """\
+scenario: gen2_straight
+fixed: {duration_s: 1.5}
+vary: {supply.pressure_kpa: [41, 55]}
+"""
+
+
+def call(capsys, *words):
+    """Return the exit code, stdout and stderr of a command that runs here."""
+    with pytest.raises(SystemExit) as ended:
+        main(list(words))
+    said = capsys.readouterr()
+    return ended.value.code or 0, said.out, said.err
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Return a folder with two runs of one scenario, and one of another offset."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name, offset in (("a", 0.0), ("b", 0.0), ("c", 0.001)):
+        (folder / "walk.yaml").write_text(SCENARIO.format(offset=offset))
+        with pytest.raises(SystemExit):
+            main(["run", str(folder / "walk.yaml"), "--out", str(folder / name / "walk"), "--quiet"])
+    return folder
+
+
+def test_a_run_is_the_same_as_itself(runs, capsys):
+    code, out, err = call(capsys, "diff", str(runs / "a"), str(runs / "b"))
+    assert (code, err) == (0, "") and out.startswith("0 moved, ")
+    assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
+
+
+def test_another_offset_moves_the_yaw_rate(runs, capsys, tmp_path):
+    a, c = str(runs / "a/walk"), str(runs / "c/walk/metrics.json")
+    report = tmp_path / "moved.xml"
+    code, out, _ = call(capsys, "diff", a, c, "--json", "--junit", str(report))
+    found = json.loads(out)
+    assert code == 1 and set(found) == {"moved", "same"}
+    moved = {each["metric"]: each for each in found["moved"]}
+    before = json.loads((runs / "a/walk/metrics.json").read_text())["plants"]["analytical"]
+    after = json.loads((runs / "c/walk/metrics.json").read_text())["plants"]["analytical"]
+    yaw = moved["analytical.yaw_rate_rad_s"]
+    assert (yaw["where"], yaw["a"], yaw["b"]) == ("walk", before["yaw_rate_rad_s"], after["yaw_rate_rad_s"])
+    assert yaw["rel"] == pytest.approx((yaw["b"] - yaw["a"]) / abs(yaw["a"]))
+    assert "analytical.wall_s" not in moved and "expectations[0].met" not in moved
+    (case,) = ElementTree.parse(report).iter("testcase")
+    assert "analytical.yaw_rate_rad_s: " in case.find("failure").text
+    # The difference is small: wide tolerances, of all or of one metric, take it in.
+    assert call(capsys, "diff", a, c, "--rel", "1", "--abs", "10")[0] == 0
+    (tmp_path / "wide.yaml").write_text("metrics: {yaw_rate_rad_s: {abs: 10}}\n")
+    _, out, _ = call(capsys, "diff", a, c, "--tolerances", str(tmp_path / "wide.yaml"), "--json")
+    assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {yaw["metric"]}
+
+
+def test_a_missing_scenario_has_moved(runs, capsys, tmp_path):
+    shutil.copytree(runs / "a", tmp_path / "more")
+    shutil.copytree(runs / "a/walk", tmp_path / "more/other")
+    code, out, _ = call(capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json")
+    moved = json.loads(out)["moved"]
+    assert code == 1 and {each["where"] for each in moved} == {"other/walk"}
+    assert {each["a"] for each in moved} == {None}
+
+
+def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
+    """Keys may differ: another target or another commit has other keys."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweep.yaml").write_text(SWEEP + "plants: [analytical]\n")
+    (tmp_path / "turned.yaml").write_text(SWEEP.replace("[41, 55]", "[55, 41]") + "plants: [analytical]\n")
+    for name in ("sweep", "turned"):
+        call(capsys, "sweep", f"{name}.yaml", "--out", name, "--quiet", "--workers", "1")
+    assert call(capsys, "diff", "sweep", "turned")[0] == 0
+    (tmp_path / "other.yaml").write_text(SWEEP.replace("41", "42") + "plants: [analytical]\n")
+    call(capsys, "sweep", "other.yaml", "--out", "other", "--quiet", "--workers", "1")
+    code, out, _ = call(capsys, "diff", "sweep/results.parquet", "other", "--json")
+    moved = json.loads(out)["moved"]
+    assert code == 1
+    assert {each["where"] for each in moved} == {"supply.pressure_kpa=41", "supply.pressure_kpa=42"}
+
+
+def test_a_verdict_that_changed_has_moved(capsys, tmp_path):
+    outcome = {"verdict": "met", "value": 1.0, "values": [1.0], "error": 0.0, "why": ""}
+    rows = [{"id": "row", "outcomes": {"twin": outcome}}]
+    for name, verdict in (("a", "met"), ("b", "missed")):
+        outcome["verdict"] = verdict
+        (tmp_path / f"{name}.json").write_text(json.dumps({"rows": rows, "versions": {"mujoco": name}}))
+    code, out, err = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
+    assert code == 1 and "row, twin" in out and "missed" in out and "1 moved, 1 the same" in out
+    assert err == "made with another mujoco: a → b\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nowhere", "a"), "nowhere: no such file"),
+        (("empty", "a"), "empty: holds no results (metrics.json, results.parquet, reproduce.json)"),
+        (("a/walk/analytical.parquet", "a"), "analytical.parquet: not the results of a run"),
+        (("junk.json", "a"), "junk.json: not the results of a run"),
+        (("list.json", "a"), "list.json: not the results of a run"),
+        (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
+        (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
+        (("a", "a", "--tolerances", "bad.yaml"), "bad.yaml:1:6: rel: must be a number from 0 to 1"),
+        (("a", "a", "--tolerances", "unknown.yaml"), "unknown metric of a tolerance 'com_sped_m_s'"),
+        (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: not the name of a report"),
+    ],
+)
+def test_bad_input(runs, capsys, monkeypatch, words, said):
+    monkeypatch.chdir(runs)
+    (runs / "empty").mkdir(exist_ok=True)
+    (runs / "junk.json").write_text('{"plants": 3')
+    (runs / "list.json").write_text("[1]")
+    (runs / "bad.yaml").write_text("rel: 2\n")
+    (runs / "unknown.yaml").write_text("metrics: {com_sped_m_s: {rel: 0.1}}\n")
+    code, out, err = call(capsys, "diff", *words)
+    assert code == 2 and said in err and out == ""
+
+
+numbers = st.none() | st.booleans() | st.floats(allow_nan=False) | st.integers() | st.text(max_size=3)
+
+
+@given(st.dictionaries(st.tuples(st.text(max_size=2), st.text(max_size=4)), numbers), st.data())
+def test_every_value_is_counted_once(values, data):
+    other = {place: data.draw(numbers) for place in values if data.draw(st.booleans())}
+    found = diff(Results(values, {}), Results(other, {}))
+    assert len(found.moved) + found.same == len(values.keys() | other.keys())
+    assert {(each.where, each.metric) for each in found.moved} >= values.keys() - other.keys()
+    assert not diff(Results(values, {}), Results(values, {})).moved
+
+
+@given(st.floats(-1e300, 1e300), st.floats(0, 0.1))
+def test_the_tolerance_is_that_of_its_docstring(a, rel):
+    b = a * (1 + 0.05)
+    expected = abs(a - b) <= max(1e-9, rel * max(abs(a), abs(b)))
+    assert Tolerance(rel=rel, abs=1e-9).allows(a, b) == expected
+    assert not Tolerance().allows(True, 1) and not Tolerance().allows(None, 0.0)
+
+
+def test_another_arithmetic_stays_within_the_default_tolerances(tmp_path):
+    """The C library's other variants of sin and exp: last digits differ, no metric moves."""
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    results = {}
+    for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):
+        words = [sys.executable, "-P", "-c", "from srs_twin.cli import main; main()", "sweep", "sweep.yaml"]
+        words += ["--out", name, "--workers", "1"]
+        environment = {**os.environ, "GLIBC_TUNABLES": tunables}
+        subprocess.run(words, cwd=tmp_path, env=environment, check=True, capture_output=True)
+        results[name] = read_results(tmp_path / name)
+    if results["own"].versions == results["other"].versions:
+        pytest.skip("this processor has one variant only")
+    found = diff(results["own"], results["other"])
+    assert not found.moved and found.same > 50 and set(found.versions) == {"arithmetic"}
+
+
+def test_documented_tolerances_load():
+    page = (ROOT / "docs/ci.md").read_text("utf-8")
+    _, _, rest = page.partition("```yaml tolerances\n")
+    text, _, _ = rest.partition("```")
+    assert parse_yaml(text, "page").data["metrics"]
+
+
+def test_results_that_are_none_of_ours(tmp_path):
+    with pytest.raises(InputError, match="holds no results"):
+        read_results(tmp_path)
