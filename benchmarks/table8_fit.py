@@ -32,8 +32,8 @@ from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_
 from srs_twin.identification.offset_runs import fit_offsets, offset_runs, predicted
 from srs_twin.identification.overrides import fitted
 from srs_twin.identification.unknowns import with_values
+from srs_twin.provenance import versions
 from srs_twin.published import PublishedRun, published_runs
-from srs_twin.running import versions
 
 FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
 FITTED = (0.0, 0.3, -0.3)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin import __version__
 from srs_twin.comparison.compare import Comparison, compare
 from srs_twin.comparison.measured import MeasuredDifference
 from srs_twin.comparison.metrics import plant_metrics
@@ -24,6 +21,7 @@ from srs_twin.errors import DivergedError
 from srs_twin.files import shown
 from srs_twin.folders import open_folder, replaced
 from srs_twin.plants.base import Plant
+from srs_twin.provenance import versions
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
 
@@ -257,13 +255,3 @@ def run_scenario(
         InputError: bad input, or a folder that cannot be written; found before simulating.
     """
     return prepare(scenario, out, plants=plants).execute(progress)
-
-
-def versions() -> dict[str, str]:
-    """Return the versions that decide the numbers of a run."""
-    packages = ("mujoco", "dm-control", "numpy", "scipy", "numba")
-    return {
-        "srs_twin": __version__,
-        **{name: metadata.version(name) for name in packages},
-        "python": platform.python_version(),
-    }

@@ -32,7 +32,7 @@ ORDER = (
     ("plants", "control"),
     ("rollout", "rollouts"),
     ("comparison",),
-    ("identification", "scenario"),
+    ("identification", "scenario", "provenance"),
     ("viewing",),
     ("running", "finished"),
     ("doctor",),

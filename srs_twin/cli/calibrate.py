@@ -95,7 +95,7 @@ def footprint(
     from srs_twin.identification.footprint import study as study_of
     from srs_twin.identification.footprint_record import footprint_file, header, refuse_other
     from srs_twin.planning.footprint_file import save_footprint
-    from srs_twin.running import versions
+    from srs_twin.provenance import versions
     from srs_twin.spec import load_robot
 
     spec = load_robot(robot)

@@ -148,7 +148,7 @@ class Place:
         from srs_twin.cli.fit_table import show
         from srs_twin.files import atomic_write
         from srs_twin.identification.fit_file import fit_file, write_fit
-        from srs_twin.running import versions
+        from srs_twin.provenance import versions
         from srs_twin.viewing.fit_report import fit_report
 
         fit = fit_file(

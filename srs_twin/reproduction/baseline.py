@@ -11,8 +11,8 @@ from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.files import atomic_write, data_root, shown
+from srs_twin.provenance import versions
 from srs_twin.reproduction.outcomes import MISSED, RANK, Judged, Outcome
-from srs_twin.running import versions
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.files import atomic_write
+from srs_twin.provenance import versions
 from srs_twin.reproduction.baseline import outcomes_document
 from srs_twin.reproduction.outcomes import EXPLAINED, MET, MISSED, Judged, Outcome
 from srs_twin.reproduction.summary import TITLES, USES, cell, count, percent, published, summary_line
-from srs_twin.running import versions
 from srs_twin.viewing.html import Markup, element, folded, page, picture, table
 
 if TYPE_CHECKING:

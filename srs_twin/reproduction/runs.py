@@ -8,19 +8,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-from srs_twin.files import data_root
+from srs_twin.files import shipped_folder
+from srs_twin.provenance import digest_of, run_key, source_digests, versions
 from srs_twin.reproduction.claims import Measure, Setting, Value
-from srs_twin.running import versions
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep
-from srs_twin.sweep.points import NOT_PHYSICS, Experiment, Point, Sweep
-
-# Parts of the package that no number of a run goes through.
-_NO_PHYSICS = {"attribution", "cli", "doctor", "envs", "reproduction", "running.py", "viewing"}
-_DATA = ("calibration/footprints", "calibration/robots")
+from srs_twin.sweep.points import Experiment, Point, Sweep
 
 Document = dict[str, Any]
 Alter = Callable[[Document], Document]
@@ -108,14 +103,8 @@ class Orders:
         if self._alter is not None:
             document = self._alter(document)
         plants = experiment.plants
-        what = {
-            "scenario": {k: v for k, v in document.items() if k not in NOT_PHYSICS},
-            "plants": plants,
-            "versions": _versions(),
-            "source": source_digest(),
-        }
         whole = Experiment(document, plants, trajectories=keep)
-        return self._kept(Order(_digest(what), whole))
+        return self._kept(Order(run_key(document, plants), whole))
 
     def _kept(self, order: Order) -> Order:
         """Return the order of this key that there is; it keeps trajectories if one of them is to."""
@@ -135,13 +124,14 @@ class Orders:
 
 def computation(name: str, arguments: Mapping[str, Setting]) -> Order:
     """Return the order of a computation."""
-    what = {
-        "law": name,
-        "arguments": dict(arguments),
-        "versions": _versions(),
-        "source": source_digest(computations=True),
-    }
-    return Order(_digest(what), law=name, arguments=dict(arguments))
+    key = digest_of(
+        law=name,
+        arguments=dict(arguments),
+        versions=versions(),
+        sources=source_digests("srs_twin.reproduction.computations"),
+        data=_data_digests(),
+    )
+    return Order(key, law=name, arguments=dict(arguments))
 
 
 def lasting(orders: Iterable[Order]) -> list[Order]:
@@ -158,27 +148,10 @@ def lasting(orders: Iterable[Order]) -> list[Order]:
 
 
 @cache
-def source_digest(*, computations: bool = False) -> str:
-    """Return the SHA-256 of the package's sources and of the data that runs read by name, hex.
-
-    Args:
-        computations: count those of the reproduction as well; no number of a run goes through them.
-    """
-    package = Path(__file__).resolve().parents[1]
-    sources = [
-        path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in _NO_PHYSICS
-    ]
-    sources += [path for folder in _DATA for path in (data_root() / folder).rglob("*.yaml")]
-    sources += [Path(__file__).with_name("computations.py")] if computations else []
-    found = hashlib.sha256()
-    for path in sorted(sources):
-        found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return found.hexdigest()
-
-
-@cache
-def _versions() -> dict[str, str]:
-    return versions()
+def _data_digests() -> dict[str, str]:
+    """Return the shipped robots and footprints, which computations read by name → SHA-256, hex."""
+    files = [path for kind in ("robot", "footprint") for path in shipped_folder(kind).glob("*.yaml")]
+    return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
 
 
 def _counts(place: Mapping[str, Value], where: Mapping[str, Value]) -> bool:
@@ -189,7 +162,3 @@ def _same(one: Value, other: Value) -> bool:
     if isinstance(one, str) or isinstance(other, str):
         return one == other
     return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
-
-
-def _digest(what: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()

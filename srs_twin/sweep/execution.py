@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from srs_twin.errors import InputError, SrsError
 from srs_twin.files import atomic_write, shown
 from srs_twin.folders import open_folder
 from srs_twin.processes import Done
+from srs_twin.provenance import POINTS, file_digests, source_digests
 from srs_twin.sweep.engines import Engine
 from srs_twin.sweep.points import Point, Sweep
 from srs_twin.sweep.report import REPORT, write_report
@@ -203,6 +204,8 @@ class OpenSweep:
             "scenario": self.sweep.experiment.base,
             "fields": self.sweep.fields,
             "versions": self.sweep.versions,
+            "sources": source_digests(POINTS),
+            "files": self._files(),
         }
         now = json.loads(json.dumps(now))
         before = self._store.about("sweep")
@@ -217,6 +220,13 @@ class OpenSweep:
         if before != now:
             self._store.tell("sweep", now)
 
+    def _files(self) -> dict[str, str]:
+        """Return the files that any point reads → SHA-256 of their contents."""
+        experiment, found = self.sweep.experiment, {}
+        for point in self.sweep.points:
+            found |= file_digests(experiment.document(point.changes))
+        return found
+
 
 def _row(point: Point, done: Done[Row]) -> Row:
     if done.result is not None:
@@ -227,14 +237,25 @@ def _row(point: Point, done: Done[Row]) -> Row:
 
 def _difference(before: Any, now: Any) -> str:
     """Say in a few words how two versions of a sweep differ."""
-    if before.get("versions") != now["versions"]:
-        old, new = before.get("versions", {}), now["versions"]
-        changed = [f"{name} {old.get(name)} → {new[name]}" for name in new if old.get(name) != new[name]]
-        return f"made with other versions: {', '.join(changed)}"
+    said = []
+    if changed := list(_changes(before.get("versions", {}), now["versions"], "")):
+        said.append(f"made with other versions: {_few(changed)}")
+    for kind, what in (("sources", "the program has changed"), ("files", "contents have changed")):
+        old, new = before.get(kind, {}), now[kind]
+        names = [name for name in dict.fromkeys((*new, *old)) if old.get(name) != new.get(name)]
+        if names:
+            said.append(f"{what}: {_few(names)}")
     if before.get("fields") != now["fields"]:
-        return f"it varied {', '.join(before.get('fields', ()))}"
-    changed = list(_changes(before.get("scenario", {}), now["scenario"], ""))
-    return f"the scenario has changed: {'; '.join(changed[:3])}" if changed else "the values have changed"
+        said.append(f"it varied {', '.join(before.get('fields', ()))}")
+    elif changed := list(_changes(before.get("scenario", {}), now["scenario"], "")):
+        said.append(f"the scenario has changed: {_few(changed)}")
+    return "; ".join(said) or "the values have changed"
+
+
+def _few(names: Sequence[str]) -> str:
+    """Return a list of at most three, and how many more there are."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more
 
 
 def _changes(before: Any, now: Any, where: str) -> Any:
@@ -243,4 +264,5 @@ def _changes(before: Any, now: Any, where: str) -> Any:
         for key in dict.fromkeys((*before, *now)):
             yield from _changes(before.get(key), now.get(key), f"{where}.{key}" if where else key)
     elif before != now:
-        yield f"{where} {json.dumps(before)} → {json.dumps(now)}"
+        old, new = (each if isinstance(each, str) else json.dumps(each) for each in (before, now))
+        yield f"{where} {old} → {new}"

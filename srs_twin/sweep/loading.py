@@ -12,13 +12,13 @@ from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, MET
 from srs_twin.documents import Document, load_yaml
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
 from srs_twin.files import find, results_name
+from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robots import load_robot_file
-from srs_twin.running import versions
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants_file import PLANTS
 from srs_twin.sweep.beside import check_beside, not_run
 from srs_twin.sweep.file import RangeFile, SweepFile
-from srs_twin.sweep.points import NOT_PHYSICS, Experiment, Sweep, Value, leaves, parts
+from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts
 from srs_twin.sweep.samples import sample
 from srs_twin.validation import validate
 from srs_twin.viewing.sweep_beside import Beside

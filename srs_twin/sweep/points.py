@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import Loc
+from srs_twin.provenance import run_key
 from srs_twin.robot_file import units_of
 from srs_twin.scenario.planner_file import PLANNER_FILES
 from srs_twin.sourced import restated
@@ -26,9 +24,6 @@ Changes = Mapping[str, Value]
 
 BY_A_SWEEP = "varied by a sweep"
 """Source of a robot's number that a sweep sets."""
-
-NOT_PHYSICS = ("name", "title", "expect")
-"""Fields that say how results are named or judged, not what is simulated."""
 
 
 @dataclass(frozen=True)
@@ -121,44 +116,9 @@ class Sweep:
         found: dict[str, Point] = {}
         for row in self.values:
             changes = dict(zip(self.fields, row, strict=True))
-            key = self._key(self.experiment.document(changes))
+            key = run_key(self.experiment.document(changes), self.experiment.plants)
             found.setdefault(key, Point(key, changes))
         return tuple(found.values())
-
-    def _key(self, document: Mapping[str, Any]) -> str:
-        what = {
-            "scenario": {k: v for k, v in document.items() if k not in NOT_PHYSICS},
-            "plants": self.experiment.plants,
-            "versions": self.versions,
-        }
-        if recorded := _recorded(document):
-            what["recorded"] = recorded
-        return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
-
-
-def _recorded(document: Mapping[str, Any]) -> list[str]:
-    """Return the SHA-256 of the files that a scenario replays: their paths do not say what they hold now."""
-    recording = document.get("recording")
-    if not isinstance(recording, Mapping):
-        return []
-    from srs_twin.identification.takes import logs_of
-
-    motion, valves = str(recording.get("motion")), recording.get("valves")
-    return [_sha256(path) for path in (motion, *logs_of([motion], [valves] if valves else []))]
-
-
-def _sha256(path: str) -> str:
-    try:
-        about = os.stat(path)
-    except OSError:
-        return ""  # the run will say so
-    return _sha256_of(path, about.st_mtime_ns, about.st_size)
-
-
-@lru_cache(maxsize=64)
-def _sha256_of(path: str, changed_ns: int, size: int) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _planned_by(document: Any, kind: Value) -> Any:
