@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -37,8 +37,8 @@ Place = tuple[str, str]
 class Tolerance(Strict):
     """By how much a number may differ."""
 
-    rel: float = Field(REL, ge=0, le=1, description="Over the larger of the two.")
-    abs: float = Field(ABS, ge=0, le=1e9, description="In the number's unit.")
+    rel: Annotated[float, Field(ge=0, le=1, description="Over the larger of the two.")] = REL
+    abs: Annotated[float, Field(ge=0, le=1e9, description="In the number's unit.")] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
         """Say whether two values count as the same."""
@@ -50,7 +50,9 @@ class Tolerance(Strict):
 class Tolerances(Tolerance):
     """A file of tolerances: those of all metrics, and of some by name."""
 
-    metrics: dict[str, Tolerance] = Field({}, description="Metric, with or without its plant → its own.")
+    metrics: Annotated[
+        dict[str, Tolerance], Field(description="Metric, with or without its plant → its own.")
+    ] = {}
 
     def of(self, metric: str) -> Tolerance:
         """Return what holds for a metric: of its own name, of it without its plant, or of all."""

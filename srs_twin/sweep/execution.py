@@ -222,7 +222,8 @@ class OpenSweep:
 
     def _files(self) -> dict[str, str]:
         """Return the files that any point reads → SHA-256 of their contents."""
-        experiment, found = self.sweep.experiment, {}
+        experiment = self.sweep.experiment
+        found: dict[str, str] = {}
         for point in self.sweep.points:
             found |= file_digests(experiment.document(point.changes))
         return found
