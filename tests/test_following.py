@@ -16,7 +16,7 @@ from srs_twin.control.following import ENDINGS, Conditions, Follower
 from srs_twin.control.iterative_smc import IterativeSMC
 from srs_twin.control.prediction import Predictor
 from srs_twin.control.reference import Constant
-from srs_twin.control.steering import BearingLaw, PathLaw
+from srs_twin.control.steering import BearingLaw, PathLaw, Steering
 from srs_twin.planning import Footprint, Outcome, Plan
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import Route
@@ -135,6 +135,34 @@ def test_an_offset_arrives_after_the_delay_and_stays_in_bounds():
     first = next(time for time, offset in plant.offsets if offset != 0)
     assert first == pytest.approx(0.1, abs=plant.tick / 2)
     assert max(abs(offset) for _, offset in plant.offsets) == pytest.approx(0.3)
+
+
+class Watcher(Steering):
+    """Turns to and fro by the clock, and keeps the poses that it is given to decide by."""
+
+    predicts = True
+
+    def __init__(self):
+        self.poses = []
+
+    def begin(self, route):
+        pass
+
+    def offset(self, seen):
+        self.poses.append(seen.pose)
+        return 0.2 if len(self.poses) % 120 < 60 else -0.2
+
+
+def test_a_law_decides_by_where_the_snake_will_be_when_its_command_arrives():
+    """Also while the snake still obeys commands that are on their way: they arrive the delay later."""
+    law, delay = Watcher(), 0.3
+    _, plant, way = follow(a_plan(), law=law, delay=delay, duration=8.0)
+    ahead = round(delay / plant.tick)
+    given = np.array([(pose.x, pose.y) for pose in law.poses])[:-ahead]
+    apart = np.hypot(*(given - way[ahead : ahead + len(given), 1:3]).T)
+    settled = slice(round(1.0 / plant.tick), None)
+    assert np.hypot(*np.diff(way[settled, 1:3], axis=0).T).sum() > 1.0
+    assert apart[settled].max() < 0.01
 
 
 def test_prediction_is_better_than_what_the_camera_last_showed():

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from srs_twin import load_robot
+from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
 from srs_twin.sensing.calibration import fit_line
@@ -411,6 +411,25 @@ def test_noise_reaches_the_angle_with_its_rms():
     assert math.radians(0.5) < wanted < math.radians(0.8)
     quiet = make_sensor("hall", GEN4, bits=None, noise=0.0).read(np.array([0.4]), 0.0, 5)
     assert read.mean() == pytest.approx(float(quiet[0]), abs=5 * wanted / math.sqrt(len(time)))
+
+
+@pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
+def test_each_seed_and_each_segment_of_a_run_has_noise_of_its_own(plant):
+    """A gait does not sense: what two runs of different seeds read apart is their noise, and nothing else."""
+    sensor = make_sensor("hall", GEN4, bits=None)
+
+    def read(seed):
+        run = rollout(plant(GEN4, sensor=sensor), Gait(2.0), 1.0, seed=seed)
+        return run.stack("sensed")
+
+    first, again, *others = map(read, (1, 1, 2, 2**40 + 1))
+    assert (first == again).all()
+    apart = np.concatenate([first - other for other in others], axis=1)
+    # The calibration is a line: noise does not depend on the bend.
+    wanted = math.sqrt(2) * abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
+    assert apart.std(axis=0) == pytest.approx(wanted, rel=0.3)
+    for half in np.split(apart, 2, axis=1):
+        assert np.abs(np.corrcoef(half.T) - np.eye(GEN4.segments)).max() < 5 / math.sqrt(len(first))
 
 
 # What a person asks for

@@ -103,6 +103,27 @@ def test_observations_hold_what_sensors_and_a_camera_tell_and_nothing_else(task)
         assert np.isfinite(told).all()
 
 
+@pytest.mark.parametrize("camera", [Camera(10.0, 0.0, 0.05), Camera(10.0, 0.02, 0.0)])
+def test_place_and_heading_are_those_of_the_camera_with_its_noise(camera):
+    """The bearing of the goal as well: whoever knew the true heading would tell a truer one."""
+    episode = CrawlTask("noisy", OPEN, camera=camera).begin(np.random.default_rng(3))
+    names = [each.name for each in make_task("GoTo").observations]
+    off = []
+    for _ in range(40):
+        told = episode.step([0.0, 2.0, 50.0])
+        seen, true = dict(zip(names, told.observation.astype(float), strict=True)), told.info
+        heading = np.arctan2(seen["heading_sin"], seen["heading_cos"])
+        bearing = heading + np.arctan2(seen["goal_left_m"], seen["goal_ahead_m"])
+        goal = np.array([true["goal_x_m"] - seen["x_m"], true["goal_y_m"] - seen["y_m"]])
+        assert np.hypot(seen["goal_ahead_m"], seen["goal_left_m"]) == pytest.approx(np.hypot(*goal), abs=1e-5)
+        assert np.cos(bearing - np.arctan2(goal[1], goal[0])) == pytest.approx(1, abs=1e-9)
+        turn = np.remainder(heading - true["heading_rad"] + np.pi, 2 * np.pi) - np.pi
+        off.append((seen["x_m"] - true["com_x_m"], seen["y_m"] - true["com_y_m"], turn))
+    noise = (camera.position_noise, camera.position_noise, camera.heading_noise)
+    assert np.std(off, axis=0) == pytest.approx(noise, rel=0.35, abs=1e-6)
+    assert np.abs(np.mean(off, axis=0)) == pytest.approx((0, 0, 0), abs=0.02)
+
+
 def test_the_reward_adds_up_to_the_way_made_good():
     env = SnakeEnv("GoTo")
     _, first = env.reset(seed=1)
