@@ -22,6 +22,7 @@ _UNITS = {
     "offset_commanded": "1", "cross_track": "m", "heading_error": "rad", "node": "1", "estimate_x": "m",
     "estimate_y": "m", "estimate_heading": "rad",
     "target_plus": "rad", "target_minus": "rad", "amplitude_plus": "rad", "amplitude_minus": "rad",
+    "reference": "rad", "error": "rad", "sigma": "rad/s", "rate": "rad/s",
 }  # fmt: skip
 
 _OURS = "a trajectory written by srs-twin"

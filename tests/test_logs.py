@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -323,9 +324,12 @@ def test_metadata_and_units(tmp_path):
     assert about["source"]["sha256"] == hashlib.sha256((tmp_path / "take.csv").read_bytes()).hexdigest()
     assert (about["source"]["file"], about["plant"], about["robot"]) == ("take.csv", "measured", "gen2")
     assert about["source"]["corrections"] == list(found.summary.corrections)
-    assert (
-        found.trajectory.unit("com_velocity_x") == "m/s" and found.trajectory.unit("bend_rate_2") == "rad/s"
-    )
+    units = {re.sub(r"_\d+$", "", name): found.trajectory.unit(name) for name in found.trajectory.columns}
+    assert units == {
+        "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
+        "bend": "rad", "com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s",
+        "bend_rate": "rad/s", "filled": "1", "residual": "m",
+    }  # fmt: skip
     path = tmp_path / "x.parquet"
     found.trajectory.to_parquet(path)
     again = Trajectory.from_parquet(path)
