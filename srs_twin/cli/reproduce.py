@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from srs_twin.reproduction.runs import Orders
     from srs_twin.sweep.task import Row
 
-WORSE = 1
+CHANGED = 1
 OUT = Path("runs/reproduce")
 _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
@@ -70,17 +70,18 @@ def reproduce(
             figures = (
                 None if no_figures else _figures(store, orders, jobs, every=not (only or quick), quiet=quiet)
             )
-            worse = _written(out, rows, figures, write_baseline=write_baseline)
+            changes = _written(out, rows, figures, write_baseline=write_baseline)
     except KeyboardInterrupt:
         _say("interrupted; what was finished is kept, start again to go on")
         raise typer.Exit(INTERRUPTED) from None
     if not quiet:
         _show(rows)
         _say(f"files in {out}: reproduce.html, reproduce.json, reproduce.xml")
-    for line in worse:
-        _say(f"worse than the baseline: {line}")
-    if worse:
-        raise typer.Exit(WORSE)
+    for line in changes:
+        _say(f"changed from the baseline: {line}")
+    if changes:
+        _say("explain the change, then let --write-baseline write it")
+        raise typer.Exit(CHANGED)
 
 
 def _judged(
@@ -117,7 +118,7 @@ def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, qui
 def _written(
     out: Path, rows: Sequence[Judged], figures: list[Any] | None, *, write_baseline: bool
 ) -> list[str]:
-    """Write the files; return what is worse than the baseline."""
+    """Write the files; return what has changed from the baseline."""
     from srs_twin.cli.reproduce_junit import write_rows
     from srs_twin.reproduction import load_baseline
     from srs_twin.reproduction.baseline import write_baseline as write
@@ -125,11 +126,11 @@ def _written(
 
     if write_baseline:
         write(rows)
-    worse = load_baseline().worse(rows)
+    changes = load_baseline().changes(rows)
     write_rows(out / "reproduce.xml", rows)
-    write_html(out / HTML, rows, figures or [], worse)
-    write_json(out / JSON, rows, worse)
-    return worse
+    write_html(out / HTML, rows, figures or [], changes)
+    write_json(out / JSON, rows, changes)
+    return changes
 
 
 def _show(rows: Sequence[Judged]) -> None:

@@ -1,4 +1,4 @@
-"""Baseline: the verdicts that are committed, against which a later run may not be worse."""
+"""Baseline: the verdicts that are committed; a later run must come to the same."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from srs_twin.errors import InputError
 from srs_twin.files import atomic_write, data_root, shown
 from srs_twin.provenance import versions
-from srs_twin.reproduction.outcomes import MISSED, RANK, Judged, Outcome
+from srs_twin.reproduction.outcomes import MISSED, VERDICTS, Judged, Outcome
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,10 @@ class Baseline:
     outcomes: Mapping[str, Mapping[str, Outcome]]
     versions: Mapping[str, str]
 
-    def worse(self, rows: Sequence[Judged]) -> list[str]:
-        """Return a line for each outcome that is worse than it was; a row that is new is not.
+    def changes(self, rows: Sequence[Judged]) -> list[str]:
+        """Return a line for each verdict that is not the one it was; a row that is new has no change.
+
+        A better verdict is a change as well: a tolerance may have been widened.
 
         Args:
             rows: judged now.
@@ -37,7 +39,7 @@ class Baseline:
         for row in rows:
             for column, outcome in row.outcomes.items():
                 before = self.outcomes.get(row.claim.id, {}).get(column)
-                if before is not None and RANK[outcome.verdict] < RANK[before.verdict]:
+                if before is not None and outcome.verdict != before.verdict:
                     found.append(f"{row.claim.id}, {column}: {outcome.verdict}, was {before.verdict}")
         return found
 
@@ -112,6 +114,6 @@ def _outcome(given: Mapping[str, Any]) -> Outcome:
     def number(value: float | None) -> float:
         return math.nan if value is None else float(value)
 
-    verdict = given["verdict"] if given["verdict"] in RANK else MISSED
+    verdict = given["verdict"] if given["verdict"] in VERDICTS else MISSED
     values = tuple(map(number, given["values"]))
     return Outcome(verdict, values, number(given["value"]), number(given["error"]), str(given["why"]))

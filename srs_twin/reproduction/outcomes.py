@@ -14,8 +14,7 @@ from srs_twin.reproduction.runs import Order, Orders
 from srs_twin.reproduction.traces import TRACES
 
 MET, EXPLAINED, MISSED = "met", "explained", "missed"
-RANK = {MISSED: 0, EXPLAINED: 1, MET: 2}
-"""Of verdicts, from the worst to the best."""
+VERDICTS = (MET, EXPLAINED, MISSED)
 
 _NOTHING = 1e-12
 """Numbers below are none to divide by."""

@@ -36,13 +36,13 @@ _READING = (
 )
 
 
-def write_json(path: Path, rows: Sequence[Judged], worse: Sequence[str]) -> None:
+def write_json(path: Path, rows: Sequence[Judged], changes: Sequence[str]) -> None:
     """Write rows and outcomes, whole or not at all.
 
     Args:
         path: the file; an earlier one is replaced.
         rows: judged.
-        worse: what is worse than the baseline, in words.
+        changes: verdicts that are not those of the baseline, in words.
 
     Raises:
         InputError: the place cannot be written.
@@ -53,7 +53,7 @@ def write_json(path: Path, rows: Sequence[Judged], worse: Sequence[str]) -> None
             column: {use: count(rows, column, (use,)) for use in USES}
             for column in ("analytical", "twin", "alone")
         },
-        "worse_than_baseline": list(worse),
+        "changed_from_baseline": list(changes),
         "rows": [_row(row, outcomes[row.claim.id]) for row in rows],
         "versions": versions(),
     }
@@ -79,7 +79,7 @@ def _row(row: Judged, outcomes: Any) -> dict[str, Any]:
 
 
 def write_html(
-    path: Path, rows: Sequence[Judged], figures: Sequence[tuple[Picture, Figure]], worse: Sequence[str]
+    path: Path, rows: Sequence[Judged], figures: Sequence[tuple[Picture, Figure]], changes: Sequence[str]
 ) -> None:
     """Write the page, whole or not at all; it needs nothing from outside itself.
 
@@ -87,7 +87,7 @@ def write_html(
         path: the file; an earlier one is replaced.
         rows: judged.
         figures: drawn again, in the order of the text.
-        worse: what is worse than the baseline, in words.
+        changes: verdicts that are not those of the baseline, in words.
 
     Raises:
         InputError: the place cannot be written.
@@ -96,8 +96,8 @@ def write_html(
         element("h1", _TITLE),
         element("p", summary_line(rows), cls="sub"),
         *(
-            [element("h2", "Worse than the baseline"), *(element("p", each) for each in worse)]
-            if worse
+            [element("h2", "Changed from the baseline"), *(element("p", each) for each in changes)]
+            if changes
             else []
         ),
         *(part for use in USES for part in _section(use, [row for row in rows if row.claim.use == use])),

@@ -63,6 +63,13 @@ def test_no_tolerance_is_loosened(claim):
     assert checked
 
 
+def test_the_bounds_of_every_row_are_those_written_down():
+    """No command writes the file: who changes a bound changes it there as well, in the same commit."""
+    head, *written = (ROOT / "tests/reproduction/bounds.csv").read_text("utf-8").splitlines()
+    assert head == "id,low,high"
+    assert [f"{row.id},{row.low:.9g},{row.high:.9g}" for row in CLAIMS] == written
+
+
 def test_uses_are_those_given():
     assert all(row.use == "law" for claim in LAWS for row in named(claim) if row.id != "table9.larger")
     assert all(row.use in ("holdout", "law", "shape") for claim in HOLDOUTS for row in named(claim))
