@@ -81,5 +81,7 @@ def test_the_scenario_has_the_robot_of_the_fits():
 
 
 def test_edges_are_read_with_their_sides():
-    for each in edges(load_fit(place("analytical")), "fit"):
+    found = edges(load_fit(place("analytical")), "fit")
+    assert len(found) == 3
+    for each in found:
         assert min(*each.measured, *each.drawn) > 0

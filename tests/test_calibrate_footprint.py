@@ -192,6 +192,7 @@ def test_shipped_measurements_are_mirror_images_and_plan(name):
     assert body.left == pytest.approx(body.right[::-1], abs=1e-3)
     assert body.speeds == pytest.approx(body.speeds[::-1], rel=0.01)
     changes = {(t.before, t.after): t for t in body.transients}
+    assert changes
     for (before, after), each in changes.items():
         other = changes[-before, -after]
         assert each.dheading == pytest.approx(-other.dheading, abs=0.03)

@@ -291,10 +291,15 @@ def test_recording_more_or_less_often_does_not_change_the_run(build):
 
 
 def test_real_plants_record_their_settings():
-    about = rollout(AnalyticalSnake(SPEC, friction="wheel"), Gait(2.0), 0.1).metadata
-    assert about["model"] == "complete" and about["friction"] == "wheel" and about["timestep_s"] == 0.002
-    assert about["gait_frequency_hz"] == 2.0 and about["controller"] == "gait"
-    twin = rollout(TwinSnake(SPEC, hinges_per_segment=2), Gait(2.0), 0.1)
-    assert twin.metadata["wheels"] == "rolling" and twin.metadata["hinges_per_segment"] == 2
-    # Free joint, two hinges + pitch + roll a segment, two axles a connector.
-    assert twin.stack("qpos").shape == (11, 7 + 4 * 4 + 10)
+    """Settings that are not the defaults, which a constant would tell as well."""
+    model = AnalyticalSnake(SPEC, model="compliant", friction="wheel", timestep=0.001)
+    about = rollout(model, Gait(1.7), 0.1).metadata
+    assert (about["model"], about["friction"], about["timestep_s"]) == ("compliant", "wheel", 0.001)
+    assert (about["gait_frequency_hz"], about["controller"]) == (1.7, "gait")
+    twin = rollout(TwinSnake(SPEC, hinges_per_segment=3, wheels="skid"), Gait(2.0), 0.1)
+    assert (twin.metadata["wheels"], twin.metadata["hinges_per_segment"]) == ("skid", 3)
+    # Free joint, three hinges + pitch + roll a segment.
+    assert twin.stack("qpos").shape == (11, 7 + 4 * 5)
+    rolling = rollout(TwinSnake(SPEC), Gait(2.0), 0.1)
+    # Two hinges, and two axles a connector besides.
+    assert rolling.metadata["wheels"] == "rolling" and rolling.stack("qpos").shape == (11, 7 + 4 * 4 + 10)
