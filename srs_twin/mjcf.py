@@ -6,10 +6,6 @@ with two real hinge wheels or two skids (`mjcf_wheels`); a segment is a chain of
 that the floor's load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
 ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose length is the segment's bend q_j.
 
-Where the hinges stand: with n hinges that share a bend q equally, n ≥ 2, the chord agrees with the arc's
-l·sin(q/2)/(q/2) through order q² when the first and last lie 1/(2(n+1)) of the length from the ends and
-the others evenly between them.
-
 On a bench (`Numerics.base` "clamped") the head is fixed to the world and there is no floor: no wheels, no
 preload, no hinges out of the plane, in which gravity does no work.
 """
@@ -21,22 +17,12 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.mjcf_classes import add_classes, drawn_height
-from srs_twin.mjcf_numerics import Numerics
+from srs_twin.mjcf_numerics import Numerics, hinge_stations
 from srs_twin.mjcf_obstacles import add_hull_class, add_obstacles
 from srs_twin.mjcf_surroundings import add_surroundings
 from srs_twin.mjcf_wheels import add_contacts, add_feet, add_preload, add_wheels, fixed_inertia
 from srs_twin.spec import GRAVITY, GYRATION, RobotSpec
 from srs_twin.world import World
-
-
-def hinge_places(hinges: int) -> np.ndarray:
-    """Return where the bending hinges stand, as fractions of the segment length, shape (hinges,)."""
-    if hinges < 1:
-        raise InputError(f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more")
-    if hinges == 1:
-        return np.array([0.5])
-    edge = 1 / (2 * (hinges + 1))
-    return np.linspace(edge, 1 - edge, hinges)
 
 
 def robot_mjcf(
@@ -178,7 +164,7 @@ def _add_segment(
     g, n, j = spec.geometry, numerics.hinges_per_segment, min(near, far)
     ahead = near - far  # which way it grows along x, ±1
     names = [f"{j}_{k}" for k in range(n + 1)][::-ahead]  # of the pieces between the hinges
-    hinges = g.rigid_gap / 2 + g.segment_length * hinge_places(n)
+    hinges = hinge_stations(n, g.segment_length, g.rigid_gap)
     origins = np.append(hinges[:-1], g.pitch)
     _add_skin(mj, body, spec, f"skin_{names[0]}", 0.0, ahead * hinges[0])
     parent_origin = 0.0

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from srs_twin.errors import InputError
+
+WALL_M = 0.001
+"""Radius of the capsules along the sides of a polygon: what obstacles are larger by than drawn."""
+
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """What a snake may stand on → by how many times its static load each wheel or skid is pressed down.
 
@@ -46,3 +53,26 @@ class Numerics:
     wheel_spin: float = 1.0
     constant_curvature: bool = False
     base: str = "free"
+
+
+def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
+    """Return where the bending hinges of a straight segment stand, m from its front connector.
+
+    With n ≥ 2 hinges that share a bend q equally, the chord agrees with the arc's l·sin(q/2)/(q/2) through
+    order q² when the first and last lie 1/(2(n+1)) of the length from its ends and the others evenly between.
+
+    Args:
+        hinges: n.
+        length: l, of the part that bends, m.
+        gap: L_o, of the straight ends together, m.
+
+    Returns:
+        Shape (n,).
+
+    Raises:
+        InputError: there is no hinge.
+    """
+    if hinges < 1:
+        raise InputError(f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more")
+    edge = 1 / (2 * (hinges + 1)) if hinges > 1 else 0.5
+    return gap / 2 + length * np.linspace(edge, 1 - edge, hinges)

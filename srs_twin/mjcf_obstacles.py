@@ -15,16 +15,13 @@ import mujoco
 import numpy as np
 
 from srs_twin.mjcf_classes import ROOT
-from srs_twin.mjcf_numerics import Numerics
+from srs_twin.mjcf_numerics import WALL_M, Numerics
 from srs_twin.mjcf_wheels import add_force_sensor
 from srs_twin.spec import RobotSpec
 from srs_twin.world import World
 
 FRICTION = 0.5
 """Of silicone on a smooth obstacle, isotropic; an estimate, the text gives none."""
-
-WALL_M = 0.001
-"""Radius of the capsules along the sides of a polygon."""
 
 _BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 _HEIGHT = 2.0  # of a round obstacle over the body's width

@@ -11,6 +11,7 @@ from synthetic import Snake
 
 from srs_twin.comparison.following import FOLLOWING_UNITS, centre_points, following_metrics, legs
 from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
+from srs_twin.mjcf_numerics import WALL_M
 from srs_twin.planning import Footprint
 from srs_twin.trajectory import Trajectory
 
@@ -42,6 +43,7 @@ def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), circles=(), poly
         },
     }  # fmt: skip
     metadata = dict(trajectory.metadata) | {"control": {"following": about}, "body_width_m": WIDTH}
+    metadata |= {"segment_length_m": Snake.segment_length, "rigid_gap_m": Snake.rigid_gap}
     return Trajectory(trajectory.columns, events=trajectory.events, metadata=metadata)
 
 
@@ -143,10 +145,10 @@ def test_clearance_of_circles_and_polygons():
     run = STILL.trajectory()
     for dy, expected in ((0.2, 0.2 - 0.05 - WIDTH / 2), (0.04, 0.04 - 0.05 - WIDTH / 2)):
         metrics = following_metrics(followed(run, [plan([line()])], circles=[(0.5, dy, 0.05)]))
-        assert metrics["clearance_m"] == pytest.approx(expected, abs=1e-3)
+        assert metrics["clearance_m"] == pytest.approx(expected)
     square = [(0.4, 0.1), (0.6, 0.1), (0.6, 0.3), (0.4, 0.3)]
     metrics = following_metrics(followed(run, [plan([line()])], polygons=[square]))
-    assert metrics["clearance_m"] == pytest.approx(0.1 - WIDTH / 2)
+    assert metrics["clearance_m"] == pytest.approx(0.1 - WIDTH / 2 - WALL_M)
 
 
 def test_contacts_are_counted_with_their_time():

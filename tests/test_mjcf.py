@@ -8,8 +8,8 @@ import pytest
 from snakes import GRAVITY, chain, robot
 
 from srs_twin import InputError, load_robot
-from srs_twin.mjcf import hinge_places, robot_mjcf, scene_mjcf
-from srs_twin.mjcf_numerics import Numerics
+from srs_twin.mjcf import robot_mjcf, scene_mjcf
+from srs_twin.mjcf_numerics import Numerics, hinge_stations
 from srs_twin.mjcf_wheels import contact, preload_force, treads
 
 NAMES = ("gen1", "gen2", "gen3", "gen4")
@@ -19,7 +19,7 @@ HINGES = range(1, Numerics.hinges_per_segment + 1)
 
 def hinged_chord(bend: float, hinges: int) -> float:
     """Return the end distance of a unit segment whose hinges share a bend equally."""
-    edges = np.concatenate([[0.0], hinge_places(hinges), [1.0]])
+    edges = np.concatenate([[0.0], hinge_stations(hinges, 1.0, 0.0), [1.0]])
     angles = bend * np.arange(hinges + 1) / hinges
     return float(abs((np.diff(edges) * np.exp(1j * angles)).sum()))
 
@@ -37,12 +37,13 @@ def test_chord_agrees_through_second_order(hinges):
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.05)
 
 
-def test_known_hinge_places():
-    assert hinge_places(1) == pytest.approx([0.5])
-    assert hinge_places(2) == pytest.approx([1 / 6, 5 / 6])
-    assert hinge_places(4) == pytest.approx([0.1, 0.1 + 0.8 / 3, 0.9 - 0.8 / 3, 0.9])
+def test_known_hinge_stations():
+    assert hinge_stations(1, 1.0, 0.0) == pytest.approx([0.5])
+    assert hinge_stations(2, 1.0, 0.0) == pytest.approx([1 / 6, 5 / 6])
+    assert hinge_stations(4, 1.0, 0.0) == pytest.approx([0.1, 0.1 + 0.8 / 3, 0.9 - 0.8 / 3, 0.9])
+    assert hinge_stations(2, 0.06, 0.02) == pytest.approx([0.02, 0.06])
     with pytest.raises(InputError, match=r"hinges_per_segment: 0 is not allowed; a segment needs 1 or more"):
-        hinge_places(0)
+        hinge_stations(0, 1.0, 0.0)
 
 
 @pytest.fixture(scope="module", params=NAMES)

@@ -1,4 +1,4 @@
-"""Where the body is between its connectors: its centre line and its two sides.
+"""Where the body is between its connectors: its centre line, its two sides, the hull that touches obstacles.
 
 Recorded are the connectors only (`x_i`, `y_i`, `theta_i`); between two of them a segment is half its rigid
 gap straight along the front connector's heading, an arc of constant curvature, and half the gap along the
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from srs_twin.mjcf_numerics import Numerics, hinge_stations
 from srs_twin.shape import chord
 from srs_twin.spec import Geometry
 from srs_twin.trajectory import Trajectory
@@ -58,6 +59,32 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> n
     lines = centre_lines(trajectory, geometry, pieces)
     across = geometry.width / 2 * np.stack([-np.sin(headings), np.cos(headings)], axis=-1)
     return np.concatenate([lines + across, lines - across], axis=2).reshape(len(lines), -1, 2)
+
+
+def hull_lines(trajectory: Trajectory) -> np.ndarray:
+    r"""Return the line whose points are half the body's width inside the hull, shape (samples, points, 2), m.
+
+    The twin collides a capsule between each two neighbouring hinges (`mjcf_obstacles`); this is the line of
+    their axes in the plane, through connectors and hinges, head first. A connector's pose places the hinges
+    next to it, so that the line is the twin's own for one or two hinges a segment. With more, the inner
+    ones are taken to share the bend equally. A model without hinges has those that the twin would have in
+    its place: the middle of a segment bent by q is then $$ l\,|q|/24 $$ inside of its arc's, and 5 % more
+    at 1.5 rad (1.5 mm at 1 rad in generation 2).
+
+    Args:
+        trajectory: with `x_1…`, `y_1…`, `theta_1…` and the lengths in its metadata.
+    """
+    about, theta, position = trajectory.metadata, trajectory.stack("theta"), trajectory.position
+    hinges = about.get("hinges_per_segment", Numerics.hinges_per_segment)
+    length, gap = about["segment_length_m"], about["rigid_gap_m"]
+    pieces = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
+    part = np.linspace(0.0, 1.0, hinges + 1)
+    headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * part
+    line = position[:, :-1, None] - np.cumsum(pieces[:, None] * _unit(headings), axis=2)
+    # From the last hinge on the rear connector decides; what is left is spread over the hinges before it.
+    share = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
+    line += share * (position[:, 1:, None] - line[:, :, -1:])
+    return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
 
 
 def _unit(angle: np.ndarray) -> np.ndarray:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.comparison.centre_line import hull_lines
 from srs_twin.comparison.sampling import positive_number
+from srs_twin.mjcf_numerics import WALL_M
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -112,7 +114,8 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
     heading to arrive with).
 
     ``contacts`` and ``contact_time_s`` count forces of obstacles (None where there is nothing to touch),
-    ``clearance_m`` is the least distance between body and obstacles, below 0 inside one (None without any).
+    ``clearance_m`` is the least distance of the hull that the twin collides from obstacles, at the samples; 0
+    or less where it touched one, also between two samples (None without obstacles).
     ``following_time_s`` is the length of the run, ``replans`` the number of new plans. ``plan_…`` tell of
     the first plan.
     """
@@ -265,17 +268,32 @@ def _contacts(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None:
-    half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
-    points = centre_points(trajectory)[0].reshape(-1, 2)
-    nearest = [
-        float(np.hypot(points[:, 0] - c["x"], points[:, 1] - c["y"]).min()) - c["radius"]
-        for c in world["obstacles"]
-    ]
-    if world["polygons"]:
-        import shapely
+def clearances(trajectory: Trajectory, world: Mapping[str, Any]) -> np.ndarray | None:
+    """Return how far the hull that the twin collides is from the nearest obstacle, shape (samples,), m.
 
-        cloud = shapely.points(points)
-        for each in world["polygons"]:
-            nearest.append(float(shapely.distance(shapely.Polygon(each["corners"]), cloud).min()))
-    return min(nearest) - half if nearest else None
+    Args:
+        trajectory: of either plant.
+        world: obstacles and polygons as the metadata of a follower hold them.
+
+    Returns:
+        Below 0 inside an obstacle; None where there is none.
+    """
+    import shapely
+
+    obstacles = [(shapely.Point(c["x"], c["y"]), c["radius"]) for c in world["obstacles"]]
+    obstacles += [(shapely.Polygon(each["corners"]), WALL_M) for each in world["polygons"]]
+    if not obstacles:
+        return None
+    hull = shapely.linestrings(hull_lines(trajectory))
+    half = trajectory.metadata["body_width_m"] / 2
+    apart = [shapely.distance(each, hull) - size - half for each, size in obstacles]
+    return np.asarray(np.min(apart, axis=0))
+
+
+def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None:
+    apart = clearances(trajectory, world)
+    if apart is None:
+        return None
+    least = float(apart.min())
+    # Between two samples nothing but a force tells of a touch.
+    return min(least, 0.0) if touches(trajectory) else least

@@ -1,0 +1,148 @@
+"""Clearance of obstacles, held against MuJoCo's own distances between the bodies that it collides."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from snakes import robot
+
+from srs_twin import Trajectory, TwinSnake, rollout
+from srs_twin.comparison.centre_line import centre_lines, hull_lines
+from srs_twin.comparison.following import clearances, following_metrics
+from srs_twin.scenario import parse_scenario
+from srs_twin.world import Circle, Polygon, World
+
+WORLD = World(
+    (Circle(0.3, 0.1, 0.06), Circle(-0.4, -0.35, 0.11)),
+    polygons=(
+        Polygon(((0.1, -0.5), (0.4, -0.5), (0.4, -0.46), (0.1, -0.46))),
+        Polygon(((-0.5, 0.3), (-0.1, 0.45), (-0.4, 0.36), (-0.48, 0.34))),
+    ),
+)
+"""Obstacles that are too narrow for a body to lie in: it would touch no side."""
+
+ROUNDING_M = 1e-12
+TILT_M = 1e-6
+"""What pitch and roll of a crawling snake, fractions of a degree, make of a distance in the plane."""
+
+
+def recorded(world: World) -> dict:
+    """Return a world as a follower's metadata hold it."""
+    return {
+        "obstacles": [vars(each) for each in world.obstacles],
+        "polygons": [{"corners": each.corners} for each in world.polygons],
+    }
+
+
+def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
+    """Return the least distance between the snake's and the obstacles' geoms for each qpos, m."""
+    model = twin.physics.model.ptr
+    data = mujoco.MjData(model)
+    names = [model.geom(k).name for k in range(model.ngeom)]
+    hulls = [k for k, name in enumerate(names) if name.startswith("hull_")]
+    solid = [k for k, name in enumerate(names) if name.startswith(("obstacle_", "polygon_"))]
+    found = []
+    for qpos in places:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        found.append(min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a in hulls for b in solid))
+    return np.array(found)
+
+
+def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarray:
+    """Draw poses anywhere among the obstacles, segments bent by up to 1.5 rad, shape (count, nq)."""
+    draw, model = np.random.default_rng(seed), twin.physics.model.ptr
+    found = np.tile(twin.physics.data.qpos, (count, 1))
+    heading = draw.uniform(-np.pi, np.pi, count)
+    found[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
+    found[:, 3], found[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
+    segments, hinges = twin.spec.segments, twin.describe()["hinges_per_segment"]
+    angles = draw.uniform(-1.5, 1.5, (count, segments, hinges if unequal else 1)) / hinges
+    for j in range(segments):
+        for k in range(hinges):
+            found[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[:, j, k if unequal else 0]
+    return found
+
+
+def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
+    """Return what a trajectory holds of these places, a sample each."""
+    states = np.concatenate(
+        [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
+    )
+    view, geometry = twin.physics.look(states), twin.spec.geometry
+    # Headings are recorded without jumps along the body.
+    theta = view.headings[:, :1] - np.cumsum(np.pad(view.bends, ((0, 0), (1, 0))), axis=1)
+    columns = {"time": np.arange(len(places), dtype=float)}
+    for i in range(geometry.connectors):
+        columns |= {f"x_{i + 1}": view.positions[:, i, 0], f"y_{i + 1}": view.positions[:, i, 1]}
+        columns[f"theta_{i + 1}"] = theta[:, i]
+    lengths = {
+        "body_width_m": geometry.width, "segment_length_m": geometry.segment_length,
+        "rigid_gap_m": geometry.rigid_gap,
+    }  # fmt: skip
+    return Trajectory(columns, metadata=twin.describe() | lengths)
+
+
+@pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
+@pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
+def test_clearance_is_mujocos_least_distance(name, hinges, unequal):
+    twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges)
+    places = poses(twin, 40, unequal=unequal, seed=hinges)
+    run, distance = seen(twin, places), mujoco_distances(twin, places)
+    apart = clearances(run, recorded(WORLD))
+    assert apart == pytest.approx(distance, abs=ROUNDING_M)
+    assert distance.min() < 0 < distance.max()
+
+
+def test_inner_hinges_that_bend_unequally_are_bounded():
+    """From three hinges a segment on connectors do not place the inner ones."""
+    twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
+    places = poses(twin, 100, unequal=True, seed=7)
+    apart = clearances(seen(twin, places), recorded(WORLD))
+    error = np.abs(apart - mujoco_distances(twin, places)).max()
+    assert ROUNDING_M < error < twin.spec.geometry.segment_length * 1.0 / 8
+
+
+def test_the_hull_is_within_its_bound_of_the_arc():
+    twin = TwinSnake(robot("gen2"), world=WORLD)
+    places = poses(twin, 100, unequal=False, seed=3)
+    run, geometry = seen(twin, places), twin.spec.geometry
+    bend = np.abs(np.diff(run.stack("theta"), axis=1))
+    hinges = hull_lines(run)[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]
+    middle = centre_lines(run, geometry, pieces=2)[:, :, 2]
+    beside = np.linalg.norm(hinges.mean(axis=2) - middle, axis=-1)
+    bound = geometry.segment_length * bend / 24  # of small bends
+    assert (beside < 1.05 * bound + 1e-9).all()
+    assert beside.max() > bound.max()
+
+
+@pytest.mark.parametrize(
+    ("shape", "aside", "touched"),
+    [
+        ("circle", 0.0, True), ("circle", 0.135, True), ("circle", 0.137, True), ("circle", 0.139, True),
+        ("circle", 0.145, False), ("square", 0.0, True), ("square", 0.16, False),
+    ],
+)  # fmt: skip
+def test_a_run_that_touches_has_no_clearance_and_another_has(shape, aside, touched):
+    """The twin of generation 2 goes by a circle of 0.1 m, or a square, so far beside its path, m."""
+    corners = [[0.35, aside - 0.1], [0.55, aside - 0.1], [0.55, aside + 0.1], [0.35, aside + 0.1]]
+    world = {
+        "circle": {"obstacles": [{"x_m": 0.45, "y_m": aside, "radius_m": 0.1}]},
+        "square": {"polygons": [{"corners_m": corners}]},
+    }[shape]
+    given = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5}
+    gait = {"kind": "gait", "frequency_hz": 2.0}
+    scenario = parse_scenario(
+        {
+            "robot": "gen2", "duration_s": 4, "record_hz": 50, "world": world, "planner": given,
+            "controller": {"kind": "follow", "gait": gait}, "plants": {"twin": {}},
+        }
+    )  # fmt: skip
+    twin = scenario.build_plant("twin")
+    run = rollout(twin, scenario.build_controller(), 4.0, record_hz=50)
+    metrics = following_metrics(run)
+    assert (metrics["contacts"] > 0, metrics["clearance_m"] <= 0) == (touched, touched)
+    assert metrics["clearance_m"] > -0.001  # how far the engine lets bodies into each other
+    apart = clearances(run, run.metadata["control"]["following"]["world"])
+    assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
