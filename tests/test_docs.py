@@ -212,3 +212,11 @@ def test_errata_that_the_project_names_are_listed():
         for number in re.findall(r"\(E(\d+)\b", path.read_text("utf-8"))
     }
     assert named and named <= set(range(1, 30))
+
+
+def test_what_is_known_to_be_missed_names_the_section_that_shows_why():
+    reasons = {each.known for name in shipped_names("scenario") for each in load_scenario(name).expect}
+    for reason in reasons - {None}:
+        named = re.search(r"\((docs/[\w-]+\.md)#([\w-]+)\)$", reason)
+        assert named, reason
+        assert named[2] in BY_PATH[ROOT / named[1]].anchors, reason

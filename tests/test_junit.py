@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -130,6 +131,28 @@ def test_every_kind_of_end(tmp_path):
     assert "twin diverged at t = 1.5 s" in found["flew"]["runs"][1]
     assert "killed by SIGKILL" in found["died"]["runs"][1]
     assert "bad.yaml:1:2: wrong\nbad.yaml:3:4: too" in found["bad"]["runs"][1]
+
+
+def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
+    known = tuple(replace(each, known="never <measured>") for each in EXPECT)
+    scenario = SimpleNamespace(name="ran", expect=(*EXPECT, *known))
+    ended = Ended(RunResult("ran", Path("runs/ran"), {}, METRICS), (), 1.5)
+    for fails, of_known in (
+        (frozenset({"missed"}), ["passed", "skipped", "passed"]),
+        (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
+    ):
+        write_junit(tmp_path / "r.xml", [Case("ran", scenario, ended=ended)], fails)
+        found = read(tmp_path / "r.xml")["ran"]
+        assert kinds(found) == ["passed", "passed", "failure", "passed", *of_known]
+        _, words = found["comparison com_speed_rel (3)"]
+        assert (
+            words
+            == {
+                "skipped": "known: never <measured>\n",
+                "failure": "comparison com_speed_rel (3) = -0.2, allowed -0.12 to 0.12\n"
+                "value: -0.2\nallowed: -0.12 to 0.12\nsource: ours\nknown: never <measured>",
+            }[of_known[1]]
+        )
 
 
 @given(st.text(min_size=1), st.text(min_size=1))

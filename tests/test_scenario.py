@@ -405,6 +405,16 @@ def test_an_outcome_carries_the_published_value():
     assert (outcome.near, outcome.source, outcome.allowed) == (0.214, "Table 10", "0.1819 to 0.2461")
 
 
+@pytest.mark.parametrize(
+    ("known", "value", "verdict"),
+    [(None, 0.2, "met"), (None, 0.3, "missed"), ("drag", 0.2, "holds"), ("drag", 0.3, "known")],
+)
+def test_an_expectation_may_be_known_to_be_missed(known, value, verdict):
+    each = expectation(near=0.214, rel=0.15, **({"known": known} if known else {}))
+    outcome = each.check({"plants": {"twin": {"com_speed_m_s": value}}})
+    assert (outcome.known, outcome.verdict, outcome.met) == (known, verdict, value == 0.2)
+
+
 def test_expectations_of_the_comparison():
     (each,) = scenario(expect=[{"metric": "com_speed_rel", "of": "comparison", "near": 0, "abs": 0.1}]).expect
     assert each == Expectation("com_speed_rel", "comparison", -0.1, 0.1, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -38,14 +39,22 @@ OneOutOption = Annotated[
     typer.Option("--out", metavar="DIR", help="Folder for the files. [default: runs/SCENARIO]"),
 ]
 CheckOption = Annotated[bool, typer.Option("--check", help="Exit with 1 when an expectation fails.")]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="--check, which also fails on what is marked `known`, met or missed.")
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")]
+
+
+def failing(*, check: bool, strict: bool) -> frozenset[str]:
+    """Return the verdicts on expectations (`scenario.expectation.verdict`) with which the exit code is 1."""
+    return frozenset({"missed", "known", "holds"} if strict else {"missed"} if check else ())
 
 
 def run_all(
     given: Sequence[str],
     *,
     out: str | None,
-    check: bool,
+    fails: frozenset[str],
     quiet: bool,
     jobs: int | None = None,
     junit: str | None = None,
@@ -59,7 +68,7 @@ def run_all(
     Args:
         given: shipped names, files, folders of files.
         out: where the files go; the folder itself for one scenario, a folder in it for each of several.
-        check: let failed expectations decide the exit code.
+        fails: the verdicts that decide the exit code, see `failing`.
         quiet: print errors only.
         jobs: how many scenarios at once, in worker processes; 1: here, one after the other; default one a
             processor.
@@ -77,25 +86,25 @@ def run_all(
     report = None if junit is None else report_path(junit)
     if report is not None:
         # Found out now that it cannot be written; and whatever ends this process, no old report is left.
-        write_junit(report, cases)
+        write_junit(report, cases, fails)
     try:
         _load_all(cases, out, plants)
         task = partial(simulate, plants=plants, explain=explain)
-        code = _run_all(cases, task, jobs, check=check, quiet=quiet)
+        code = _run_all(cases, task, jobs, fails=fails, quiet=quiet)
     finally:
         if report is not None:
-            write_junit(report, cases)
+            write_junit(report, cases, fails)
     if code:
         raise typer.Exit(code)
 
 
-def run_loaded(scenario: Scenario, folder: Path, *, check: bool, quiet: bool) -> None:
+def run_loaded(scenario: Scenario, folder: Path, *, fails: frozenset[str], quiet: bool) -> None:
     """Run one scenario that is loaded already.
 
     Args:
         scenario: what to run.
         folder: for its files.
-        check: let failed expectations decide the exit code.
+        fails: the verdicts that decide the exit code, see `failing`.
         quiet: print errors only.
 
     Raises:
@@ -106,7 +115,7 @@ def run_loaded(scenario: Scenario, folder: Path, *, check: bool, quiet: bool) ->
 
     case = Case(scenario.name, scenario, folder)
     prepare(*case.order)
-    code = _run_all([case], simulate, 1, check=check, quiet=quiet)
+    code = _run_all([case], simulate, 1, fails=fails, quiet=quiet)
     if code:
         raise typer.Exit(code)
 
@@ -159,7 +168,9 @@ def _ending(case: Case) -> Iterator[None]:
         case.ended = Ended(None, (error,))
 
 
-def _run_all(cases: Sequence[Case], task: Task, jobs: int | None, *, check: bool, quiet: bool) -> int:
+def _run_all(
+    cases: Sequence[Case], task: Task, jobs: int | None, *, fails: frozenset[str], quiet: bool
+) -> int:
     """Run what has not ended yet; return the exit code."""
     to_do = [case for case in cases if case.ended is None]
     for case in () if quiet else to_do:
@@ -172,12 +183,17 @@ def _run_all(cases: Sequence[Case], task: Task, jobs: int | None, *, check: bool
     try:
         with closing(run):
             for case, ended in run:
-                _report(case, ended, check=check, quiet=quiet)
+                _report(case, ended, fails=fails, quiet=quiet)
     except KeyboardInterrupt:
         complete = [str(case.folder) for case in to_do if case.ended and case.ended.metrics]
         say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
         return INTERRUPTED
-    return max((_exit_code(case, check=check) for case in cases), default=0)
+    if fails and not quiet:
+        from srs_twin.scenario.expectation import tally
+
+        verdicts = sum((case.ended.verdicts for case in to_do if case.ended), Counter())
+        say(f"expectations: {tally(verdicts)}")
+    return max((_exit_code(case, fails=fails) for case in cases), default=0)
 
 
 def _run_here(cases: Sequence[Case], task: Task, quiet: bool) -> Runs:
@@ -214,9 +230,9 @@ def _named(case: Case, error: Exception | None) -> SrsError:
     return error
 
 
-def _report(case: Case, ended: Ended, *, check: bool, quiet: bool) -> None:
+def _report(case: Case, ended: Ended, *, fails: frozenset[str], quiet: bool) -> None:
     """Show what a run gave."""
-    from srs_twin.cli.table import asks_why, missed_lines, show
+    from srs_twin.cli.table import asks_why, expectation_lines, show
 
     if ended.result is not None and ended.metrics:
         if not quiet:
@@ -224,16 +240,16 @@ def _report(case: Case, ended: Ended, *, check: bool, quiet: bool) -> None:
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
             if asks_why(ended.metrics):
                 say(f"why the plants differ: `srs-twin compare {case.source} --explain`")
-        elif check:
-            for line in missed_lines(ended.metrics):
+        elif fails:
+            for line in expectation_lines(ended.metrics, fails | {"holds"}):
                 say(line)
     for error in ended.errors:
         show_traceback(error)
         say(str(error))
 
 
-def _exit_code(case: Case, *, check: bool) -> int:
+def _exit_code(case: Case, *, fails: frozenset[str]) -> int:
     if case.ended is None:
         return 0
     codes = [error.exit_code for error in case.ended.errors]
-    return max([*codes, EXPECTATION_FAILED if check and case.ended.missed else 0])
+    return max([*codes, EXPECTATION_FAILED if fails & case.ended.verdicts.keys() else 0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,9 +38,12 @@ class Ended:
         return {} if self.result is None else self.result.metrics
 
     @property
-    def missed(self) -> bool:
-        """Whether an expectation was missed."""
-        return not all(each["met"] for each in self.metrics.get("expectations", ()))
+    def verdicts(self) -> Counter[str]:
+        """How many expectations came out how; see `scenario.expectation.verdict`."""
+        from srs_twin.scenario.expectation import verdict
+
+        expectations = self.metrics.get("expectations", ())
+        return Counter(verdict(each["met"], each.get("known")) for each in expectations)
 
 
 @dataclass

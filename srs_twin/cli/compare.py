@@ -6,13 +6,14 @@ from typing import Annotated
 
 import typer
 
-from srs_twin.cli.batch import CheckOption, OneOutOption, QuietOption, run_all
+from srs_twin.cli.batch import CheckOption, OneOutOption, QuietOption, StrictOption, failing, run_all
 
 
 def compare(
     scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a file.")],
     out: OneOutOption = None,
     check: CheckOption = False,
+    strict: StrictOption = False,
     quiet: QuietOption = False,
     explain: Annotated[
         bool, typer.Option("--explain", help="Say why the plants differ: the share of each assumption.")
@@ -20,4 +21,11 @@ def compare(
 ) -> None:
     """Run a scenario on both plants and measure the difference."""
     both = ("analytical", "twin")
-    run_all([scenario], out=out, check=check, quiet=quiet, plants=both, explain=explain)
+    run_all(
+        [scenario],
+        out=out,
+        fails=failing(check=check, strict=strict),
+        quiet=quiet,
+        plants=both,
+        explain=explain,
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -34,21 +34,22 @@ def report_path(given: str) -> Path:
     return path
 
 
-def write_junit(path: Path, cases: Sequence[Case]) -> None:
+def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()) -> None:
     """Write a report: a suite for each scenario, a test case for its run and for each of its expectations.
 
     A missed expectation is a failure; a divergence, bad input or a dead worker is an error of the test case
-    ``runs``; what was not reached or could not be measured is skipped.
+    ``runs``; what was not reached, could not be measured or is known to be missed is skipped.
 
     Args:
         path: the file; an earlier one is replaced.
         cases: the scenarios, whether they have ended or not.
+        fails: verdicts on expectations that are failures besides "missed".
 
     Raises:
         InputError: it cannot be written.
     """
     root = Element("testsuites", name="srs-twin")
-    root.extend(map(_suite, cases))
+    root.extend(_suite(case, fails | {"missed"}) for case in cases)
     sum_up(root, sum(case.ended.wall_s for case in cases if case.ended))
     write_tree(path, root)
 
@@ -65,7 +66,7 @@ def write_tree(path: Path, root: Element) -> None:
         tree.write(part, encoding="utf-8", xml_declaration=True)
 
 
-def _suite(case: Case) -> Element:
+def _suite(case: Case, fails: Set[str]) -> Element:
     suite = Element("testsuite", name=writable(case.name))
     wall_s = case.ended.wall_s if case.ended else 0.0
     run = _test(suite, case, "runs", wall_s)
@@ -79,11 +80,13 @@ def _suite(case: Case) -> Element:
         test = _test(suite, case, name, 0.0)
         if outcome is None:
             SubElement(test, "skipped", message="there is no whole run to measure")
-        elif not outcome.met:
+        elif outcome.verdict in fails:
             said = f"{name} = {outcome.value}, allowed {outcome.allowed}"
             failure = SubElement(test, "failure", message=writable(said), type="expectation")
-            source = outcome.source or "ours"
-            failure.text = writable(f"value: {outcome.value}\nallowed: {outcome.allowed}\nsource: {source}")
+            text = f"value: {outcome.value}\nallowed: {outcome.allowed}\nsource: {outcome.source or 'ours'}"
+            failure.text = writable(text + (f"\nknown: {outcome.known}" if outcome.known else ""))
+        elif outcome.verdict == "known":
+            SubElement(test, "skipped", message=writable(f"known: {outcome.known}"))
     sum_up(suite, wall_s)
     return suite
 

@@ -33,6 +33,7 @@ def plan(
     quiet: QuietOption = False,
 ) -> None:
     """Plan the way of a scenario; nothing is simulated."""
+    from srs_twin.cli.table import WORDS
     from srs_twin.comparison.following import plan_metrics
     from srs_twin.folders import open_folder
     from srs_twin.scenario import load_scenario
@@ -49,11 +50,9 @@ def plan(
     _write(folder, loaded, loaded.controller, found, metrics)
     if not quiet:
         _show(loaded, found, folder)
-    missed = [each for each in outcomes if not each.met]
-    for each in () if quiet and not check else outcomes:
-        if not (quiet and each.met):
-            verdict = "met   " if each.met else "MISSED"
-            print(f"{verdict} {each.metric} = {each.value}, allowed {each.allowed}")
+    missed = [each for each in outcomes if each.verdict == "missed"]
+    for each in outcomes if not quiet else missed if check else ():
+        print(f"{WORDS[each.verdict]:6} {each.metric} = {each.value}, allowed {each.allowed}")
     judged = any(each.metric == "plan_found" for each in outcomes)
     if check and (missed or not (found.found or judged)):
         raise typer.Exit(EXPECTATION_FAILED)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli import say
-from srs_twin.cli.batch import RUNS, CheckOption, QuietOption, run_loaded
+from srs_twin.cli.batch import RUNS, CheckOption, QuietOption, StrictOption, failing, run_loaded
 from srs_twin.cli.fitting import (
     FrequencyOption,
     GapOption,
@@ -49,6 +49,7 @@ def replay(
         ),
     ] = None,
     check: CheckOption = False,
+    strict: StrictOption = False,
     bench: Annotated[
         bool, typer.Option("--bench", help="It hung in the air, held at its head; also of one module.")
     ] = False,
@@ -82,8 +83,10 @@ def replay(
     from srs_twin.files import results_name
     from srs_twin.scenario import parse_scenario
 
-    if check and expect is None:
-        raise InputError("--check: nothing is expected; give --expect FILE.yaml")
+    fails = failing(check=check, strict=strict)
+    if fails and expect is None:
+        asked = "--check" if check else "--strict"
+        raise InputError(f"{asked}: nothing is expected; give --expect FILE.yaml")
     snake = _robot(robot, fit or [])
     recording = _given(
         motion=motion, valves=valves, offset_s=offset, gait_frequency_hz=frequency, up=up, layout=layout,
@@ -105,7 +108,7 @@ def replay(
     if pressure is not None:
         document["supply"] = {"pressure_kpa": pressure}
     scenario = parse_scenario(document, name="replay")
-    run_loaded(scenario, Path(out) if out else RUNS / name, check=check, quiet=quiet)
+    run_loaded(scenario, Path(out) if out else RUNS / name, fails=fails, quiet=quiet)
 
 
 def _given(**settings: object) -> dict[str, Any]:

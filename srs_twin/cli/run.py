@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from srs_twin.cli.batch import CheckOption, OutOption, QuietOption, run_all
+from srs_twin.cli.batch import CheckOption, OutOption, QuietOption, StrictOption, failing, run_all
 
 
 def run(
@@ -16,6 +16,7 @@ def run(
     ],
     out: OutOption = None,
     check: CheckOption = False,
+    strict: StrictOption = False,
     junit: Annotated[
         str | None,
         typer.Option(
@@ -36,4 +37,6 @@ def run(
     quiet: QuietOption = False,
 ) -> None:
     """Run scenarios on the plants they name."""
-    run_all(scenarios, out=out, check=check, quiet=quiet, jobs=jobs, junit=junit)
+    run_all(
+        scenarios, out=out, fails=failing(check=check, strict=strict), quiet=quiet, jobs=jobs, junit=junit
+    )

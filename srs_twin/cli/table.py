@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.comparison.summary import difference, published
+from srs_twin.scenario.expectation import verdict
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -92,6 +93,8 @@ _WHY_HEADINGS = {
     "shape_rms_m": ("shape", "m"),
 }
 _NONE = (None, "")
+WORDS = {"met": "met", "missed": "MISSED", "known": "known", "holds": "HOLDS"}
+"""Verdict on an expectation → how a line begins."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences of the plants that `compare --explain` takes apart."""
@@ -213,14 +216,9 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
     ]  # fmt: skip
 
 
-def expectation_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return a line for each expectation: met or missed, what came out, what is allowed, says who."""
-    return [_expectation(each) for each in metrics["expectations"]]
-
-
-def missed_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the expectations that were missed."""
-    return [_expectation(each) for each in metrics["expectations"] if not each["met"]]
+def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = WORDS) -> list[str]:
+    """Return a line for each expectation of these verdicts: what came out, what is allowed, says who."""
+    return [_expectation(each) for each in metrics["expectations"] if _verdict(each) in verdicts]
 
 
 def asks_why(metrics: Mapping[str, Any]) -> bool:
@@ -229,8 +227,13 @@ def asks_why(metrics: Mapping[str, Any]) -> bool:
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
+def _verdict(each: Mapping[str, Any]) -> str:
+    return verdict(each["met"], each.get("known"))
+
+
 def _expectation(each: Mapping[str, Any]) -> str:
-    verdict = "met   " if each["met"] else "MISSED"
     source = f" ({each['source']})" if each.get("source") else ""
+    known = f"; known: {each['known']}" if each.get("known") else ""
     value = _number(each["value"]) or "none"
-    return f"{verdict} {each['of']} {each['metric']} = {value}, allowed {each['allowed']}{source}"
+    said = f"{each['of']} {each['metric']} = {value}, allowed {each['allowed']}"
+    return f"{WORDS[_verdict(each)]:6} {said}{source}{known}"

@@ -207,4 +207,4 @@ def _expectation(file: ExpectationFile) -> Expectation:
     if file.near is not None:
         tolerance = file.abs if file.abs is not None else (file.rel or 0.0) * abs(file.near)
         low, high = file.near - tolerance, file.near + tolerance
-    return Expectation(file.metric, of, low, high, file.near, file.source)
+    return Expectation(file.metric, of, low, high, file.near, file.source, file.known)

@@ -10,6 +10,12 @@ from typing import Any
 from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS
 
 COMPARISON = "comparison"
+_TALLY = {
+    "met": "met",
+    "missed": "missed",
+    "known": "known to be missed",
+    "holds": "met though known to be missed (take `known` out)",
+}
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,7 @@ class Outcome:
         met: whether the value is allowed; never so without a value.
         near: the value that was expected, None for one-sided bounds.
         source: where the expectation is from, None for our own.
+        known: why it is missed, where the scenario says so.
     """
 
     metric: str
@@ -33,6 +40,25 @@ class Outcome:
     met: bool
     near: float | None
     source: str | None
+    known: str | None = None
+
+    @property
+    def verdict(self) -> str:
+        """As `verdict` has it."""
+        return verdict(self.met, self.known)
+
+
+def verdict(met: bool, known: str | None) -> str:
+    """Return "met", "missed", "known" (missed, as the scenario says) or "holds" (met, though it says so)."""
+    if known is None:
+        return "met" if met else "missed"
+    return "holds" if met else "known"
+
+
+def tally(verdicts: Mapping[str, int]) -> str:
+    """Return in words how many expectations came out how."""
+    said = [f"{verdicts[each]} {words}" for each, words in _TALLY.items() if verdicts.get(each)]
+    return ", ".join(said) or "none"
 
 
 @dataclass(frozen=True)
@@ -46,6 +72,7 @@ class Expectation:
         high: inf where there is no upper bound.
         near: the middle of the range where it was given so.
         source: where it is from.
+        known: why it is missed; None where it is to be met.
     """
 
     metric: str
@@ -54,6 +81,7 @@ class Expectation:
     high: float
     near: float | None = None
     source: str | None = None
+    known: str | None = None
 
     @property
     def allowed(self) -> str:
@@ -74,7 +102,7 @@ class Expectation:
         found = metrics.get(COMPARISON) if comparison else (metrics.get("plants") or {}).get(self.of)
         value = (found or {}).get(self.metric)
         met = value is not None and math.isfinite(value) and self.low <= value <= self.high
-        return Outcome(self.metric, self.of, value, self.allowed, met, self.near, self.source)
+        return Outcome(self.metric, self.of, value, self.allowed, met, self.near, self.source, self.known)
 
 
 def known_metrics(of: str | None = None) -> tuple[str, ...]:

@@ -34,10 +34,17 @@ class ExpectationFile(Strict):
         max_length=1000,
         description="Where the value is published; none for our own.",
     )
+    known: str | None = Field(
+        None,
+        title="Known",
+        min_length=1,
+        max_length=1000,
+        description="Why it is missed, where that is known: `--check` lets it pass, `--strict` does not.",
+    )
 
     @field_validator("metric")
     @classmethod
-    def _known(cls, metric: str) -> str:
+    def _is_a_metric(cls, metric: str) -> str:
         if metric not in known_metrics():
             raise ValueError(str(UnknownNameError("metric", metric, known_metrics())))
         return metric

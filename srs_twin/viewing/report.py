@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +13,7 @@ from srs_twin.comparison.following import following
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.comparison.summary import difference, published
+from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.checks import check_drawable
@@ -180,26 +182,15 @@ def _said(stated: Mapping[str, str], name: str) -> list[str]:
 def _expectations(expectations: Sequence[Mapping[str, Any]]) -> list[Markup]:
     if not expectations:
         return []
+    verdicts = [verdict(each["met"], each.get("known")) for each in expectations]
+    keys = ["allowed", "source", *(["known"] if {"known", "holds"} & set(verdicts) else [])]
     rows = []
-    for each in expectations:
-        verdict = (
-            element("span", "met", cls="met") if each["met"] else element("span", "missed", cls="missed")
-        )
-        of = each.get("of") or ""
-        rows.append(
-            [
-                verdict,
-                each["metric"],
-                of,
-                _text(each.get("value")),
-                each.get("allowed") or "",
-                each.get("source") or "",
-            ]
-        )
-    missed = sum(not each["met"] for each in expectations)
-    summary = f"{missed} of {len(expectations)} missed" if missed else f"all {len(expectations)} met"
-    headings = ["", "metric", "of", "value", "allowed", "source"]
-    return [element("h2", f"Expectations: {summary}"), table(headings, rows, numbers=[3])]
+    for word, each in zip(verdicts, expectations, strict=True):
+        mark = element("span", word, cls="missed" if word == "missed" else "met" if each["met"] else "sub")
+        texts = [each.get(key) or "" for key in keys]
+        rows.append([mark, each["metric"], each.get("of") or "", _text(each.get("value")), *texts])
+    headings = ["", "metric", "of", "value", *keys]
+    return [element("h2", f"Expectations: {tally(Counter(verdicts))}"), table(headings, rows, numbers=[3])]
 
 
 def _pictures(
