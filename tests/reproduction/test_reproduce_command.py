@@ -117,6 +117,11 @@ def test_the_baseline_has_every_row_and_no_other():
     }
 
 
+def test_ci_runs_every_row():
+    commands = re.findall(r"srs-twin reproduce(.*)", (ROOT / ".ci/run").read_text("utf-8"))
+    assert commands == [' --out "$room"']
+
+
 def test_all_laws_are_met():
     missed = {
         (row.claim.id, column)
