@@ -156,4 +156,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    import following
+
+    following.main()  # of the module: workers import `run` from there, not from the program that is run

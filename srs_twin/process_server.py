@@ -13,10 +13,12 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import forkserver, get_context, resource_tracker
 from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any
 
 METHOD = "forkserver" if sys.platform == "linux" else "spawn"
@@ -25,6 +27,8 @@ METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 # One thread of linear algebra a worker: there are as many workers as processors, and a process that is
 # forked should have no other threads.
 _ENVIRONMENT = {"PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+_main_module = threading.RLock()
 
 
 def start_server(preload: str | None = None) -> None:
@@ -57,7 +61,8 @@ def start_process(target: Callable[..., None], arguments: tuple[Any, ...]) -> Ba
     start_server()
     process = get_context(METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
     # The server is deaf to Ctrl-C and so is who comes from it, while this process may have to wait for it.
-    with contextlib.nullcontext() if METHOD == "forkserver" else _interrupts_held_back():
+    held_back = contextlib.nullcontext() if METHOD == "forkserver" else _interrupts_held_back()
+    with held_back, empty_main_module():
         try:
             process.start()
         except (OSError, EOFError):
@@ -65,6 +70,22 @@ def start_process(target: Callable[..., None], arguments: tuple[Any, ...]) -> Ba
             raise
     started: BaseProcess = process
     return started
+
+
+@contextmanager
+def empty_main_module() -> Iterator[None]:
+    """Put an empty module in the place of the program that is run, which is what a worker has there.
+
+    multiprocessing has a process import that program again, and a script without ``__name__ == "__main__"``
+    would run twice. Here it finds none; and what only the program defines cannot be pickled for a worker.
+    """
+    with _main_module:
+        program = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = program
 
 
 def _end_server(left: int = 0) -> None:

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
 from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedError
-from srs_twin.process_server import start_process
+from srs_twin.process_server import empty_main_module, start_process
 from srs_twin.threads import processors
 
 Argument = TypeVar("Argument")
@@ -69,7 +69,8 @@ def each(
         prepare: called once in each worker before its first task.
 
     Raises:
-        InputError: fewer than one worker or attempt.
+        InputError: fewer than one worker or attempt; what only the program that is run defines, or what
+            cannot be pickled, among task and arguments.
         SrsError: ``prepare`` raised it; no task can run.
         TaskFailedError: ``prepare`` raised anything else, or the task cannot be imported.
         WorkerDiedError: ``attempts`` workers one after another died before their first task.
@@ -78,7 +79,7 @@ def each(
     for name, given in (("workers", count), ("attempts", attempts)):
         if given < 1:
             raise InputError(f"{name}: {given} is not allowed; it must be 1 or more")
-    return _run(_Pool(pickle.dumps((task, prepare)), arguments, count, attempts))
+    return _run(_Pool(_packed((task, prepare)), arguments, count, attempts))
 
 
 def _run(pool: _Pool) -> Generator[Done[Any], None, None]:
@@ -189,8 +190,9 @@ class _Worker:
 
     def give(self, number: int, argument: Any) -> bool:
         """Send an argument; return whether the worker was there to take it."""
+        raw = _packed(argument)
         try:
-            self.pipe.send(argument)
+            self.pipe.send_bytes(raw)
         except OSError:
             return False
         if not self.numbers:
@@ -226,6 +228,18 @@ class _Worker:
         code = self.process.exitcode
         self.process.close()
         return code if code is not None else 0
+
+
+def _packed(sent: Any) -> bytes:
+    """Pickle what a worker is to have."""
+    try:
+        with empty_main_module():
+            return pickle.dumps(sent)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InputError(
+            f"worker processes cannot be given this: {error}. They import functions and classes by name, "
+            "but not the program that is run: define them in a module and import that"
+        ) from error
 
 
 def _work(pipe: Connection, program: bytes) -> None:

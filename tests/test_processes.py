@@ -200,6 +200,45 @@ def test_what_stops_every_worker_stops_the_whole(prepare, kind, words):
         list(each(square, [1, 2], workers=2, attempts=2, prepare=prepare))
 
 
+OF_THE_SCRIPT = """
+from dataclasses import dataclass
+from functools import partial
+from srs_twin.errors import InputError
+from srs_twin.processes import each
+from test_processes import square
+
+def mine(x):
+    return x
+
+@dataclass
+class Mine:
+    x: int
+
+for task, arguments in ((mine, [1]), (partial(max, key=mine), [1]), (lambda x: x, [1]), (square, [Mine(1)])):
+    try:
+        print(*each(task, arguments, workers=1))
+    except InputError as error:
+        print(error)
+"""
+
+
+def script(folder, text, *words, **further):
+    """Write a script that can import the modules of tests; return the arguments for `subprocess`."""
+    (folder / "script.py").write_text(text)
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    return {"args": [sys.executable, folder / "script.py", *words], "env": env, "text": True, **further}
+
+
+def test_what_only_the_script_defines_is_refused(tmp_path):
+    run = subprocess.run(**script(tmp_path, OF_THE_SCRIPT, capture_output=True))
+    assert run.stderr == ""
+    lines = run.stdout.splitlines()
+    assert len(lines) == 4
+    for line, name in zip(lines, ("mine", "mine", "<lambda>", "Mine"), strict=True):
+        assert line.startswith("worker processes cannot be given this: ") and name in line
+        assert line.endswith("but not the program that is run: define them in a module and import that")
+
+
 PARENT = """
 import sys
 from functools import partial
@@ -207,24 +246,17 @@ from pathlib import Path
 from test_processes import write_slowly
 from srs_twin.processes import each
 
-if __name__ == "__main__":
-    list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
+list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
 """
 
 
 @pytest.fixture
 def parent(tmp_path):
     """A process whose worker is in the middle of writing a file: (it, folder, the worker's id)."""
-    script, folder = tmp_path / "parent.py", tmp_path / "results"
+    folder = tmp_path / "results"
     folder.mkdir()
-    script.write_text(PARENT)
-    paths = {"PYTHONPATH": str(Path(__file__).parent)}
     with subprocess.Popen(
-        [sys.executable, str(script), str(folder)],
-        env={**os.environ, **paths},
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
+        **script(tmp_path, PARENT, str(folder), stderr=subprocess.PIPE, start_new_session=True)
     ) as process:
         wait_until(lambda: (folder / "pid").exists() and (folder / "pid").read_text())
         yield process, folder, int((folder / "pid").read_text())
@@ -257,29 +289,20 @@ from test_processes import loaded
 from srs_twin.process_server import start_server
 from srs_twin.processes import each
 
-if __name__ == "__main__":
-    start_server("srs_twin.sweep.warm")
-    names = ("srs_twin.sweep.warm", "srs_twin.plants.analytical", "mujoco")
-    print(*(done.result for name in names for done in each(partial(loaded, name), [0], workers=1)))
+start_server("srs_twin.sweep.warm")
+names = ("srs_twin.sweep.warm", "srs_twin.plants.analytical", "mujoco")
+print(*(done.result for name in names for done in each(partial(loaded, name), [0], workers=1)))
 """
 
 
 @pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system load everything themselves")
 def test_workers_begin_with_what_the_server_has_loaded_from_no_folder_of_the_users(tmp_path):
     # multiprocessing keeps silent about a module that cannot be imported: this is where it would be seen.
-    script, elsewhere = tmp_path / "parent.py", tmp_path / "elsewhere"
-    script.write_text(PRELOADING)
+    elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     for name in ("numpy", "numba", "srs_twin", "random"):
         (elsewhere / f"{name}.py").write_text("raise SystemExit('of the folder that we stand in')")
-    paths = {"PYTHONPATH": str(Path(__file__).parent)}
-    run = subprocess.run(
-        [sys.executable, str(script)],
-        cwd=elsewhere,
-        env={**os.environ, **paths},
-        capture_output=True,
-        text=True,
-    )
+    run = subprocess.run(**script(tmp_path, PRELOADING, cwd=elsewhere, capture_output=True))
     assert (run.stdout, run.stderr) == ("True True False\n", "")
 
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 
+import nbformat
 import pytest
 from conftest import ROOT
+from nbclient import NotebookClient
 from small import SMALL, write
 
 from srs_twin.cli import main
@@ -17,6 +21,7 @@ from srs_twin.sweep.file import BesideFile, PlotFile, SweepFile
 
 PAGE = (ROOT / "docs" / "sweeps.md").read_text("utf-8")
 FENCES = dict(reversed(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S)))  # the first of each kind
+EXAMPLE = FENCES["python"].replace('"fig32_simplified"', '"small.yaml"')
 
 
 def test_the_file_that_is_printed_loads(tmp_path):
@@ -43,6 +48,24 @@ def test_the_files_that_are_promised_are_left(tmp_path):
     }
     assert left == promised
     assert all((tmp_path / "out" / name).exists() for name in summary.files)
+
+
+@pytest.mark.parametrize("words", [("example.py",), ("-c", EXAMPLE), ("-",)], ids=lambda words: words[0])
+def test_the_example_runs_without_a_main_guard(words, tmp_path):
+    (tmp_path / "example.py").write_text(EXAMPLE)
+    write(tmp_path)
+    program = [sys.executable, *words]
+    run = subprocess.run(program, cwd=tmp_path, input=EXAMPLE, capture_output=True, text=True)
+    assert run.stderr == ""
+    assert re.fullmatch(r"[0-9a-f]{64}\n", run.stdout), "by this process, and by no worker"
+
+
+def test_the_example_runs_in_a_notebook(tmp_path):
+    write(tmp_path)
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(EXAMPLE)])
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    (output,) = notebook.cells[0].outputs
+    assert re.fullmatch(r"[0-9a-f]{64}\n", output["text"])
 
 
 def test_every_key_has_words_for_editors(capsys):
