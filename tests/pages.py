@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -75,6 +78,11 @@ class Page:
         return found
 
     @property
+    def script(self) -> str:
+        """All blocks of Python as the one script that a reader makes of them."""
+        return "\n".join(block.text for block in self.blocks if block.language == "python")
+
+    @property
     def mentions(self) -> list[str]:
         """Commands in the prose; they may lack what they need: `srs-twin compare --explain`."""
         found = re.findall(r"`((?:uv run )?(?:srs-twin [a-z-]|python benchmarks)[^`]*)`", self.prose)
@@ -84,6 +92,24 @@ class Page:
     def files(self) -> set[str]:
         """Names of files that the page has a reader save."""
         return {block.file for block in self.blocks if block.file}
+
+    def save_files(self, folder: Path) -> None:
+        """Save in a folder what a reader is told to save, beside what ships."""
+        for name in ("scenarios", "calibration"):
+            # Examples write beside what ships, so not links: that would be into the checkout.
+            shutil.copytree(ROOT / name, folder / name)
+        for block in self.blocks:
+            if block.file:
+                (folder / block.file).write_text(block.text, "utf-8")
+
+    def run_script(self, folder: Path) -> str:
+        """Run the Python of the page in a folder as a script of its own; return what it prints."""
+        self.save_files(folder)
+        (folder / "example.py").write_text(self.script, "utf-8")
+        words = [sys.executable, "example.py"]
+        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=600)
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        return done.stdout
 
 
 def words_of(command: str) -> list[str]:

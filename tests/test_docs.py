@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib
 import re
-import shutil
 from functools import cache
 
 import pytest
@@ -163,36 +162,39 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
     assert load(str(path))
 
 
-EXAMPLES = [page for page in PAGES if any(block.mark == "runnable" for block in page.blocks)]
+COMMANDED = [page for page in PAGES if any(block.mark == "runnable" for block in page.blocks)]
+SCRIPTED = [page for page in PAGES if page.script]
 
 
-@pytest.mark.parametrize("page", [page for page in EXAMPLES if page.name != "README.md"], ids=name_of)
-def test_examples_run_from_top_to_bottom(page, tmp_path, monkeypatch, srs_twin):
+@pytest.mark.parametrize("page", [page for page in COMMANDED if page.name != "README.md"], ids=name_of)
+def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin):
     """As a reader would: save what is to be saved, type what is to be typed. README: tests/test_readme.py."""
-    for name in ("scenarios", "calibration"):
-        # Examples write beside what ships, so not links: that would be into the checkout.
-        shutil.copytree(ROOT / name, tmp_path / name)
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    page.save_files(tmp_path)
     for block in page.blocks:
-        if block.file:
-            (tmp_path / block.file).write_text(block.text, "utf-8")
-    for block in page.blocks:
-        if block.mark != "runnable":
-            continue
-        if block.language == "python":
-            exec(compile(block.text, page.name, "exec"), names)
-        else:
+        for line in block.text.splitlines() if block.mark == "runnable" else ():
             assert block.language == "sh"
-            for line in block.text.splitlines():
-                words = words_of(line)
-                done = srs_twin(*words[words.index("srs-twin") + 1 :], cwd=tmp_path)
-                assert done.returncode == 0, done.stderr
+            words = words_of(line)
+            done = srs_twin(*words[words.index("srs-twin") + 1 :], cwd=tmp_path)
+            assert done.returncode == 0, done.stderr
 
 
-def test_the_new_pages_have_examples():
-    assert {page.name for page in EXAMPLES} >= {
-        "README.md", "docs/quickstart.md", "docs/add-a-controller.md", "docs/add-a-robot.md"
+@pytest.mark.parametrize("page", [page for page in SCRIPTED if page.name != "README.md"], ids=name_of)
+def test_python_runs_as_a_script(page, tmp_path):
+    """README: tests/test_readme.py."""
+    page.run_script(tmp_path)
+
+
+def test_a_script_that_fails_is_noticed(tmp_path):
+    path = tmp_path / "page.md"
+    path.write_text("```python\nnumber = 1\n```\n\n```python\nassert number == 2\n```\n")
+    with pytest.raises(AssertionError, match="assert number == 2"):
+        Page(path).run_script(tmp_path)
+
+
+def test_the_pages_have_examples():
+    assert {page.name for page in COMMANDED} >= {"README.md", "docs/quickstart.md", "docs/add-a-robot.md"}
+    assert {page.name for page in SCRIPTED} >= {
+        "README.md", "docs/quickstart.md", "docs/add-a-controller.md", "docs/sweeps.md", "docs/logs.md"
     }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import shlex
 
 import pytest
 from conftest import ROOT
+from pages import PAGES
 
 README = (ROOT / "README.md").read_text("utf-8")
 FENCES = re.findall(r"^```(\w*)( runnable)?\n(.*?)^```$", README, re.M | re.S)
@@ -82,9 +83,9 @@ def test_scenario_of_the_readme_loads(tmp_path):
     assert len(scenario.expect) == 2
 
 
-def test_python_of_the_readme_runs(capsys):
-    exec(compile(fence("python"), "README.md", "exec"), {})
-    assert abs(float(capsys.readouterr().out)) < 1
+def test_python_of_the_readme_runs(tmp_path):
+    (page,) = (page for page in PAGES if page.name == "README.md")
+    assert abs(float(page.run_script(tmp_path))) < 1
 
 
 def test_links_and_pictures_are_there():
