@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import re
 import signal
@@ -24,6 +25,7 @@ from srs_twin.processes import Done
 from srs_twin.running import RunResult
 from srs_twin.scenario import Expectation
 
+COMMAND = Path(sys.executable).with_name("srs-twin")
 HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
 METRICS = {
     "plants": {
@@ -401,3 +403,46 @@ def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
     (tmp_path / "x.csv").touch()
     with pytest.raises(InputError, match=r"^x.csv: not a recording"):
         find_recording("x.csv")
+
+
+BRIEF = """\
+robot: gen2
+duration_s: 2
+supply: {pressure_kpa: 48.3}
+controller: {kind: gait, frequency_hz: 2.0}
+plants: {analytical: {}}
+expect: [{metric: com_speed_m_s, plant: analytical, near: 0, abs: LIMIT}]
+"""
+
+
+def into_closed_pipe(words, folder, closed):
+    """Run `srs-twin` with streams that lead to a pipe whose reader has left."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | dict.fromkeys(closed, writer)
+        return subprocess.run([COMMAND, *words], cwd=folder, text=True, **streams)
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.parametrize("words", ["--help", "--version", "schema", "models check gen2"])
+def test_a_closed_pipe_is_no_error(tmp_path, words):
+    done = into_closed_pipe(words.split(), tmp_path, ["stdout"])
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("last", "code", "closed"),
+    [("1", 0, ["stdout"]), ("none", 2, ["stdout", "stderr"])],
+)
+def test_a_closed_pipe_ends_printing_and_no_work(tmp_path, last, code, closed):
+    for name, limit in (("a", "1"), ("b", "1"), ("c", last)):
+        (tmp_path / f"{name}.yaml").write_text(BRIEF.replace("LIMIT", limit))
+    words = ("run", "./a.yaml", "./b.yaml", "./c.yaml", "--check", "--jobs", "2", "--junit", "r.xml")
+    done = into_closed_pipe(words, tmp_path, closed)
+    assert done.returncode == code
+    assert "BrokenPipe" not in (done.stderr or "")
+    ran = {path.parent.name for path in tmp_path.glob("runs/*/metrics.json")}
+    assert ran == ({"a", "b"} if code == 2 else {"a", "b", "c"})
+    assert len(ElementTree.parse(tmp_path / "r.xml").findall(".//testsuite")) == 3

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 from srs_twin.errors import SrsError
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 DEBUG = "SRS_TWIN_DEBUG"
 INTERRUPTED = 130
@@ -17,11 +22,13 @@ def main(argv: list[str] | None = None) -> None:
     """Run `srs-twin` and leave the process with its exit code.
 
     0 done; 1 an expectation failed under ``--check``; 2 bad input; 3 a simulation diverged; 4 internal
-    error; 130 interrupted. Messages go to stderr, results to stdout.
+    error; 130 interrupted. Messages go to stderr, results to stdout; where nobody reads them any more
+    (``| head -1``), the work goes on and the exit code is that of its results.
 
     Args:
         argv: the words after the program's name; None takes those of this process.
     """
+    sys.stdout, sys.stderr = _unread_allowed(sys.stdout), _unread_allowed(sys.stderr)
     try:
         from srs_twin.cli.app import command
 
@@ -38,6 +45,34 @@ def main(argv: list[str] | None = None) -> None:
         show_traceback(error)
         print(_internal(error), file=sys.stderr)
         sys.exit(SrsError.exit_code)
+
+
+class _StandardStream(io.FileIO):
+    """Where a standard stream of the process leads: a pipe whose reader leaves becomes the null device."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Write bytes; return how many were taken."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            # The descriptor itself: what libraries and child processes write to it ends there as well.
+            os.dup2(nowhere, self.fileno())
+            os.close(nowhere)
+            return super().write(data)
+
+
+def _unread_allowed(stream: TextIO) -> TextIO:
+    """Return a standard stream as one that may lose its reader; any other as it is."""
+    if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
+        return stream
+    stream.flush()
+    file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
+    return io.TextIOWrapper(
+        file if stream.write_through else io.BufferedWriter(file),
+        encoding=stream.encoding, errors=stream.errors, line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )  # fmt: skip
 
 
 def say(*lines: str, quiet: bool = False) -> None:
