@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -42,3 +45,24 @@ def srs_twin() -> Command:
         )
 
     return start
+
+
+@contextmanager
+def on_interrupt(handler: Any) -> Iterator[None]:
+    """Let this process, and children that it starts meanwhile, do something else on SIGINT.
+
+    Children that are to be interrupted need that: a program that a script starts in the background ignores
+    SIGINT, and so does all that it starts.
+    """
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Children of the test, and itself, can be interrupted, whether or not pytest can be."""
+    with on_interrupt(signal.default_int_handler):
+        yield

@@ -318,6 +318,7 @@ def test_progress_counts_the_jobs_done_on_the_calling_thread(threads):
     assert told == [(k, threading.get_ident()) for k in range(1, 6)]
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_interrupt_ends_all_runs_soon(threads):
     lived: list[float] = []

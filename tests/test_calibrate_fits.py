@@ -198,6 +198,7 @@ def test_fits_make_a_robot(tmp_path, monkeypatch, capsys):
         assert end.value.code == 2 and message in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_leaves_nothing(tmp_path):
     """A fit against the twin takes minutes: it is ended as soon as it has read its recordings."""
     script = Path(sys.executable).with_name("srs-twin")

@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, on_interrupt
 
 from srs_twin.doctor import children, machine, packages, simulation, viewers
 from srs_twin.doctor.check import Check, failing
@@ -334,6 +334,16 @@ def test_command_on_a_broken_machine(srs_twin, tmp_path):
     assert len(bad) >= 4 and all(lines[i + 1].strip().startswith("→ ") for i in bad)
 
 
+def test_the_web_viewer_that_was_tried_out_ends_where_interrupts_are_ignored(tmp_path):
+    with on_interrupt(signal.SIG_IGN):
+        done = subprocess.run(
+            [sys.executable, "-m", "srs_twin.doctor.probes", "web_viewer"],
+            cwd=tmp_path, capture_output=True, text=True,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.skipif(os.name == "nt", reason="interrupts by a signal")
 def test_an_interrupt_ends_the_children(tmp_path):
     script = Path(sys.executable).with_name("srs-twin")

@@ -251,7 +251,7 @@ list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
 
 
 @pytest.fixture
-def parent(tmp_path):
+def parent(tmp_path, interruptible):
     """A process whose worker is in the middle of writing a file: (it, folder, the worker's id)."""
     folder = tmp_path / "results"
     folder.mkdir()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import on_interrupt
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import DivergedError, InputError
@@ -174,6 +176,7 @@ def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tm
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace("analytical: {}, ", "")
     brief = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
@@ -193,6 +196,24 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     assert (tmp_path / "runs/brief/metrics.json").is_file()
     assert [path.name for path in (tmp_path / "runs/long").iterdir()] == [kept.name]
     assert kept.read_text() == "of an earlier run"
+
+
+def test_a_command_that_is_started_to_ignore_interrupts_does_so(tmp_path):
+    """As in the background of a script; so do its workers."""
+    for name, duration in (("brief", "0.2"), ("long", "5")):
+        document = SCENARIO.replace("duration_s: 2", f"duration_s: {duration}").split("expect:")[0]
+        write(tmp_path, name, document.replace("analytical: {}, ", ""))
+    words = [Path(sys.executable).with_name("srs-twin"), "run", "./brief.yaml", "./long.yaml", "--jobs", "2"]
+    with on_interrupt(signal.SIG_IGN):
+        child = subprocess.Popen(
+            words, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+    while child.poll() is None and not (tmp_path / "runs/brief/metrics.json").exists():
+        time.sleep(0.05)
+    os.killpg(child.pid, signal.SIGINT)
+    _, said = child.communicate(timeout=300)
+    assert (child.returncode, "interrupted" in said) == (0, False), said
+    assert (tmp_path / "runs/long/metrics.json").is_file()
 
 
 @pytest.mark.parametrize(

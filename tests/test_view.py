@@ -130,6 +130,7 @@ def test_the_page_asks_for_nothing_from_outside(recordings):
     assert all(process.status() == psutil.STATUS_ZOMBIE for process in left)
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_the_page_is_served_until_it_is_ended(recordings, end):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")

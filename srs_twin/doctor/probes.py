@@ -137,6 +137,8 @@ def web_viewer() -> Iterator[dict[str, Any]]:
         str(rerun_executable()), "--serve-web", "--bind", HOST, "--port", str(free_port()),
         "--web-viewer-port", str(port),
     ]  # fmt: skip
+    # A child would go on to ignore interrupts where this process was started to.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # Not `rerun_beside`: in a group of its own Rerun would outlive a probe that is killed with its group.
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

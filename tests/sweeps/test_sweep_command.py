@@ -110,6 +110,7 @@ def started(tmp_path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_keeps_what_is_finished(srs_twin, tmp_path):
     process = started(tmp_path)
     process.send_signal(signal.SIGINT)
