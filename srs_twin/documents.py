@@ -9,6 +9,7 @@ safe loader keeps no positions.)
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import SafeRepresenter
 
 from srs_twin.errors import InputFileError
-from srs_twin.files import read_text, shown
+from srs_twin.files import printable, read_text, shown
 
 Loc = tuple[str | int, ...]
 Position = tuple[int, int]
@@ -258,13 +259,18 @@ class _Builder:
         if plain and not event.value and frame and frame.key is not None:
             # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
             self.last = self.document.keys[*frame.loc, frame.key]
-        if any("\ud800" <= c <= "\udfff" for c in event.value):
-            self._refuse("half a surrogate pair is no character")
-            self._put("")
-        elif frame and isinstance(frame.value, dict) and frame.key is None:
-            self._key(frame, event.value, plain)
+        is_key = frame is not None and isinstance(frame.value, dict) and frame.key is None
+        # A value may have several lines; anything else that a terminal would obey is no text.
+        text = printable(event.value, keep="" if is_key else "\n\t")
+        if text != event.value:
+            bad = event.value[len(os.path.commonprefix([text, event.value]))]
+            surrogate = "\ud800" <= bad <= "\udfff"
+            what = "half a surrogate pair" if surrogate else f"the control character {printable(bad)}"
+            self._refuse(f"{what} is no character of a text")
+        if frame is not None and is_key:
+            self._key(frame, text, plain)
         else:
-            self._put(_plain(event.value) if plain else event.value)
+            self._put(_plain(text) if plain else text)
 
     def _key(self, frame: _Frame, key: str, plain: bool) -> None:
         loc = (*frame.loc, key)

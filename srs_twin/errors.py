@@ -74,6 +74,10 @@ class InputFileError(InputError):
         super().__init__("\n".join(self.lines))
 
 
+class CacheWarning(UserWarning):
+    """Machine code cannot be kept: every start compiles it again."""
+
+
 class DivergedError(SrsError):
     """A simulation left the range of the finite and plausible. Exit code 3.
 

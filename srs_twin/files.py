@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
@@ -22,6 +22,8 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
+# C0, DEL and C1; halves of surrogate pairs, as which Python keeps bytes that are no UTF-8.
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def data_root() -> Path:
@@ -81,11 +83,41 @@ def results_name(path: Path) -> str:
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
+def printable(text: str, *, keep: str = "") -> str:
+    r"""Return text with escapes for control characters and for bytes that are no UTF-8.
+
+    A terminal obeys them: a title with ``\x1b[31m`` colours whatever follows.
+
+    Args:
+        text: from anywhere.
+        keep: control characters that stay, such as line ends.
+    """
+    return _UNPRINTABLE.sub(lambda found: found[0] if found[0] in keep else _escape(found[0]), text)
+
+
+def _escape(character: str) -> str:
+    # What Python makes of a byte 0x80 to 0xff in a file name that is not UTF-8 (surrogateescape).
+    byte = ord(character) - 0xDC00
+    return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(character)[1:-1]
+
+
+def refuse_unprintable(given: str | os.PathLike[str]) -> None:
+    """Refuse a path, or any word of a command: files of results name it, and they are UTF-8 YAML.
+
+    Raises:
+        InputError: it is not UTF-8 or has control characters.
+    """
+    text = os.fspath(given)
+    if found := _UNPRINTABLE.search(text):
+        reason = "not UTF-8" if found[0] >= "\ud800" else "a control character in it"
+        raise InputError(f"{printable(text)}: cannot be used ({reason}); rename it")
+
+
 def shown(path: Path) -> str:
-    """Return a path as messages show it: from the current folder where it lies inside it."""
+    """Return a path as messages show it: from the current folder where it lies inside it, printable."""
     if path.is_absolute() and path.is_relative_to(Path.cwd()):
-        return str(path.relative_to(Path.cwd()))
-    return str(path)
+        path = path.relative_to(Path.cwd())
+    return printable(str(path))
 
 
 def read_text(path: Path) -> str:
@@ -108,12 +140,40 @@ def read_text(path: Path) -> str:
         raise InputError(f"{shown(path)}: not UTF-8 text ({byte}); save it as UTF-8") from error
 
 
+def missing_folders(folder: Path) -> list[Path]:
+    """Return a folder and its parents as far as they do not exist, the innermost first."""
+    return [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders that hold nothing; somebody else may have begun to write to the others."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make a folder and its parents for a block; after an error those that this made and are empty go again.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    missing = missing_folders(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        remove_empty(missing)
+        raise
+
+
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a path beside ``path`` to write to; it becomes ``path`` when the block ends without an error.
 
     Missing folders are made. Whoever looks at ``path`` sees the old file or the whole new one; after an
-    error nothing is left.
+    error nothing is left, no folder either.
 
     Raises:
         InputError: the place cannot be written.
@@ -122,21 +182,16 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     # The suffix stays last: some writers choose their format by it.
     part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        yield part
-        part.replace(target)
+        with made_folder(target.parent):
+            try:
+                yield part
+                part.replace(target)
+            finally:
+                # Where the folder itself cannot be used there is nothing to remove: the first error counts.
+                with suppress(OSError):
+                    part.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{shown(target)}: cannot be written ({error.strerror or error})") from error
-    finally:
-        _remove(part)
-
-
-def _remove(part: Path) -> None:
-    try:
-        part.unlink(missing_ok=True)
-    except OSError:
-        # Where the folder itself cannot be used there is nothing to remove, and the first error counts.
-        return
 
 
 def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "") -> Path:
@@ -148,22 +203,23 @@ def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "") -> Path:
         remedy: what to say besides where there is none.
 
     Raises:
-        InputError: it is something else, or not there.
+        InputError: it is something else, not there, or its name cannot be used.
     """
+    refuse_unprintable(path)
     try:
         if path.is_file():
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
-            hint = f", such as {path / inside[0]}" if inside else f" ({suffix}; there is none in it)"
+            hint = f", such as {shown(path / inside[0])}" if inside else f" ({suffix}; there is none in it)"
             raise InputError(f"{shown(path)}: a folder; give one file{hint}")
         if path.exists():
             raise InputError(f"{shown(path)}: not a regular file")
         if path.is_symlink():
             raise InputError(f"{shown(path)}: a link that leads to no file")
-    except (OSError, ValueError) as error:
-        # ValueError: a NUL in the name; OSError: a name too long, a folder that may not be entered.
-        raise InputError(f"{shown(path)!r}: cannot be read ({error})") from error
+    except OSError as error:
+        # A name too long, a folder that may not be entered.
+        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
     raise InputError(f"{shown(path)}: no such file{_sibling(path, suffix) or remedy}")
 
 

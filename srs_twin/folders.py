@@ -11,27 +11,45 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from srs_twin.errors import InputError
-from srs_twin.files import shown
+from srs_twin.files import made_folder, missing_folders, refuse_unprintable, shown
 
 _FRESH = ".part-"
 
 
-def open_folder(folder: Path) -> None:
-    """Make a folder and see that it can be written.
+def open_folder(folder: Path, products: Sequence[str] = ()) -> None:
+    """See that files can be written to a folder, which need not exist; leave nothing behind.
+
+    Args:
+        folder: where the files belong.
+        products: their names.
 
     Raises:
-        InputError: it cannot.
+        InputError: the folder cannot be made or written, or a folder stands where a file belongs.
     """
+    refuse_unprintable(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # Permission bits say nothing to root and little on network drives: try it.
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        place = Path(os.path.abspath(folder))
+        missing = missing_folders(place)
+        present = missing[-1].parent if missing else place
+        # Permission bits say nothing to root and little on network drives: try it, names included.
+        with tempfile.TemporaryDirectory(dir=present) as scratch:
+            trial = scratch / place.relative_to(present)
+            trial.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=trial):
+                pass
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
-            f"{folder}: cannot write there ({reason}); give another folder with --out"
+            f"{shown(folder)}: cannot write there ({reason}); give another folder with --out"
         ) from error
+    _refuse_folders(folder, products)
+
+
+def _refuse_folders(folder: Path, products: Sequence[str]) -> None:
+    """Refuse a folder that stands where a file belongs."""
+    for product in products:
+        if (folder / product).is_dir():
+            raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
 
 
 @contextlib.contextmanager
@@ -42,18 +60,16 @@ def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     holds files of two runs beside the first product: that goes first and comes last.
 
     Args:
-        folder: where the files belong.
+        folder: where the files belong; made where it is missing.
         products: names of all files that a run may leave there.
 
     Raises:
         InputError: the files cannot be written, for want of space or of permission.
     """
     try:
-        with _fresh(folder) as fresh:
+        with made_folder(folder), _fresh(folder) as fresh:
             yield fresh
-            for product in products:
-                if (folder / product).is_dir():
-                    raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
+            _refuse_folders(folder, products)
             for product in products:
                 (folder / product).unlink(missing_ok=True)
             for product in reversed(products):

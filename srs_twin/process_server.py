@@ -26,7 +26,13 @@ METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 # What the server imports is what this process would: nothing from the folder that it happens to stand in.
 # One thread of linear algebra a worker: there are as many workers as processors, and a process that is
 # forked should have no other threads.
-_ENVIRONMENT = {"PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
+# This process warns of machine code that cannot be kept; workers need not say it again.
+_WARNINGS = (os.environ.get("PYTHONWARNINGS"), "ignore::UserWarning:srs_twin.compiled")
+_ENVIRONMENT = {
+    "PYTHONSAFEPATH": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
+}
 
 _main_module = threading.RLock()
 

@@ -241,8 +241,9 @@ def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = Non
         InputError: a plant, a controller or the folder cannot be had as asked.
     """
     kinds = tuple(plants or scenario.plants)
-    parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
-    open_folder(out)
+    with scenario.named_in_errors():
+        parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
+    open_folder(out, _OF_REPLAYS)
     return PreparedRun(scenario, out, parts)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 
 from srs_twin.documents import MAX_DEPTH, dump_yaml, parse_yaml
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
-from srs_twin.files import MAX_BYTES, atomic_write, find, read_text, shipped_names
+from srs_twin.files import MAX_BYTES, atomic_write, find, printable, read_text, shipped_names, shown
+from srs_twin.viewing.html import element, page
 
 ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 
@@ -83,7 +85,7 @@ def test_a_folder_is_no_file(tmp_path):
 
 @pytest.mark.parametrize("name", ["a\0b.yaml", "x" * 5000 + ".yaml", "/dev/null/x.yaml", "a\0b", "x" * 5000])
 def test_impossible_paths(name):
-    with pytest.raises(InputError, match=r"cannot be read|no such file|unknown scenario"):
+    with pytest.raises(InputError, match=r"cannot be (read|used)|no such file|unknown scenario"):
         find("scenario", name)
 
 
@@ -156,7 +158,13 @@ def test_what_is_refused_comes_all_at_once():
         ("a: b: c\n", "f.yaml:1:5: not YAML: mapping values are not allowed here"),
         ("a: 1\nb: \x00\n", r"f.yaml:2:4: not YAML: unusable character U\+0000"),
         ('a: "\\UFFFFFFFF"\n', r"f.yaml:1:\d: not YAML: Python int too large|f.yaml:1:\d: not YAML: chr"),
-        ('a: "\\ud800"\n', "f.yaml:1:4: half a surrogate pair"),
+        ('a: "x\\e[31m"\n', r"f.yaml:1:4: the control character \\x1b is no character of a text"),
+        ('a: "\\x9b1m"\n', r"f.yaml:1:4: the control character \\x9b is no character of a text"),
+        ('a: "\\x7f"\n', r"f.yaml:1:4: the control character \\x7f is no character of a text"),
+        ('a: "\\r"\n', r"f.yaml:1:4: the control character \\r is no character of a text"),
+        ('"b\\e[0m": 1\n', r"f.yaml:1:1: the control character \\x1b is no character of a text"),
+        ('"b\\nc": 1\n', r"f.yaml:1:1: the control character \\n is no character of a text"),
+        ('a: "\\ud800"\n', "f.yaml:1:4: half a surrogate pair is no character"),
         ("? [1]\n: 2\n", "f.yaml:1:3: a key must be plain text"),
         ("[" * (MAX_DEPTH + 1), f"f.yaml:1:17: nested more than {MAX_DEPTH} deep"),
         ("[" + "1," * 10_000 + "1]", "f.yaml:1:20000: more than 10000 keys and values"),
@@ -165,6 +173,31 @@ def test_what_is_refused_comes_all_at_once():
 def test_what_stops_the_parser(text, words):
     (line,) = lines(text)
     assert re.search(words, line), line
+
+
+def test_values_may_have_several_lines():
+    document = parse_yaml('a: |\n  one\n  \ttwo\nb: "three\\n\\tfour"\n', "x")
+    document.finish()
+    assert document.data == {"a": "one\n\ttwo\n", "b": "three\n\tfour"}
+
+
+@given(st.text(st.characters()), st.sampled_from(["", "\n\t"]))
+def test_nothing_that_a_terminal_obeys_is_printed(text, keep):
+    said = printable(text, keep=keep)
+    assert not any(unicodedata.category(c) in ("Cc", "Cs") and c not in keep for c in said)
+    assert printable(said, keep=keep) == said
+    clean = all(unicodedata.category(c) not in ("Cc", "Cs") or c in keep for c in text)
+    assert (said == text) == clean
+
+
+def test_names_are_shown_as_a_shell_could_write_them():
+    assert shown(Path(os.fsdecode(b"runs/\xff\x1b[31m\n"))) == r"runs/\xff\x1b[31m\n"
+
+
+def test_pages_hold_no_control_characters():
+    text = page("a\x1b[31m", element("p", "b\x9b1m\nc", cls="d\x07"))
+    assert r"<title>a\x1b[31m</title>" in text
+    assert '<p class="d\\x07">b\\x9b1m\nc</p>' in text
 
 
 def test_an_alias_bomb_costs_nothing():
@@ -210,3 +243,11 @@ def test_atomic_write_says_where_it_cannot_write(tmp_path):
         with pytest.raises(InputError, match=r": cannot be written \("), atomic_write(target) as part:
             part.write_text("x")
     assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
+
+
+def test_atomic_write_leaves_no_folder_behind_either(tmp_path):
+    (tmp_path / "old").mkdir()
+    for folder in ("new/er", "old/new", "x" * 400, f"new/{'x' * 400}"):
+        with pytest.raises(InputError), atomic_write(tmp_path / folder / "x" / ("y" * 400)) as part:
+            part.write_text("x")
+        assert os.listdir(tmp_path) == ["old"] and not os.listdir(tmp_path / "old")

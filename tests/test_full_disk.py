@@ -14,7 +14,7 @@ import pytest
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
-from srs_twin.folders import replaced
+from srs_twin.folders import open_folder, replaced
 from srs_twin.running import PRODUCTS, prepare
 
 SCENARIO = """\
@@ -150,3 +150,49 @@ def test_two_runs_in_one_folder_do_not_disturb_each_other(tmp_path):
         "first": "of one",
         "second": "of two",
     }
+
+
+@pytest.mark.parametrize("words", [["schema"], ["--version"], ["--help"]])
+@pytest.mark.parametrize("buffered", ["", "1"])
+def test_a_full_disk_behind_stdout_is_no_fault_of_ours(words, buffered, tmp_path):
+    script = Path(sys.executable).with_name("srs-twin")
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [script, *words],
+            stdout=full, stderr=subprocess.PIPE, text=True, timeout=300,
+            env=os.environ | {"PYTHONUNBUFFERED": buffered},
+        )  # fmt: skip
+    said = "stdout: cannot be written (No space left on device)\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
+def test_what_was_computed_stays_though_it_cannot_be_printed(room):
+    script = Path(sys.executable).with_name("srs-twin")
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [script, "run", "./brief.yaml", "--out", "new"],
+            cwd=room, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "stdout: cannot be written (No space left on device)"
+    assert {path.name for path in (room / "new").iterdir()} == {*PRODUCTS} - {"twin.parquet"}
+
+
+def test_looking_whether_a_folder_can_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to("nowhere")
+    before = sorted(tmp_path.rglob("*"))
+    for good in ("old", "new/er/est", "no/../../old", "old/new"):
+        open_folder(tmp_path / good)
+    for bad in ("file", "file/x", "link", "link/x", f"new/{'x' * 400}", "new/\udcff", "new/\x1b"):
+        with pytest.raises(InputError):
+            open_folder(tmp_path / bad)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_set_of_files_that_fails_leaves_no_folder(tmp_path):
+    with pytest.raises(ZeroDivisionError), replaced(tmp_path / "new/folder", ("first",)) as fresh:
+        (fresh / "first").write_text("half")
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())

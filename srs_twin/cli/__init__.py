@@ -6,16 +6,21 @@ import io
 import os
 import sys
 import traceback
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.errors import SrsError
+from srs_twin.errors import CacheWarning, InputError, SrsError
+from srs_twin.files import printable, refuse_unprintable
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
+    from rich.console import Console
+    from rich.text import Text
 
 DEBUG = "SRS_TWIN_DEBUG"
 INTERRUPTED = 130
+_PYTHONS_WORDS = warnings.formatwarning
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -28,14 +33,21 @@ def main(argv: list[str] | None = None) -> None:
     Args:
         argv: the words after the program's name; None takes those of this process.
     """
-    sys.stdout, sys.stderr = _unread_allowed(sys.stdout), _unread_allowed(sys.stderr)
+    sys.stdout, sys.stderr = _guarded(sys.stdout), _guarded(sys.stderr)
+    warnings.formatwarning = _worded  # type: ignore[assignment]
     try:
+        for word in sys.argv[1:] if argv is None else argv:
+            refuse_unprintable(word)
         from srs_twin.cli.app import command
 
-        command()(args=argv, prog_name="srs-twin")
+        try:
+            command()(args=argv, prog_name="srs-twin")
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()  # now, while an error can still be said and decides the exit code
     except SrsError as error:
         show_traceback(error)
-        print(error, file=sys.stderr)
+        say(str(error))
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
@@ -43,27 +55,38 @@ def main(argv: list[str] | None = None) -> None:
         if _interrupted(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
-        print(_internal(error), file=sys.stderr)
+        say(_internal(error))
         sys.exit(SrsError.exit_code)
 
 
 class _StandardStream(io.FileIO):
-    """Where a standard stream of the process leads: a pipe whose reader leaves becomes the null device."""
+    """Where a standard stream of the process leads: once it cannot be written, to the null device.
+
+    A pipe whose reader leaves is no error; the disk behind it may be full, which is.
+    """
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write bytes; return how many were taken."""
+        """Write bytes; return how many were taken.
+
+        Raises:
+            InputError: they cannot be written.
+        """
         try:
             return super().write(data)
-        except BrokenPipeError:
+        except OSError as error:
             nowhere = os.open(os.devnull, os.O_WRONLY)
-            # The descriptor itself: what libraries and child processes write to it ends there as well.
+            # The descriptor itself: what libraries, child processes and the interpreter's end write to it
+            # goes there as well.
             os.dup2(nowhere, self.fileno())
             os.close(nowhere)
-            return super().write(data)
+            if isinstance(error, BrokenPipeError):
+                return super().write(data)
+            name = "stdout" if self.fileno() == 1 else "stderr"
+            raise InputError(f"{name}: cannot be written ({error.strerror})") from error
 
 
-def _unread_allowed(stream: TextIO) -> TextIO:
-    """Return a standard stream as one that may lose its reader; any other as it is."""
+def _guarded(stream: TextIO) -> TextIO:
+    """Return a standard stream of the process on a `_StandardStream`; any other, and none, as it is."""
     if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
         return stream
     stream.flush()
@@ -76,15 +99,31 @@ def _unread_allowed(stream: TextIO) -> TextIO:
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Say something on stderr at once, unless the command is to be quiet."""
+    """Say something on stderr at once, control characters escaped, unless the command is to be quiet."""
     for line in () if quiet else lines:
-        print(line, file=sys.stderr, flush=True)
+        print(printable(line, keep="\n\t"), file=sys.stderr, flush=True)
+
+
+def console() -> Console:
+    """Return rich's console on stdout for text as it stands: no markup, control characters escaped."""
+    import rich.console
+
+    class Plain(rich.console.Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(printable(text, keep="\n\t"), **options | {"markup": False})
+
+    return Plain(file=sys.stdout, highlight=False, emoji=False)
 
 
 def show_traceback(error: Exception) -> None:
     """Print an error's traceback to stderr where somebody asked for it."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
-        traceback.print_exception(error)
+        say("".join(traceback.format_exception(error)).rstrip())
+
+
+def _worded(message: Any, kind: type[Warning], *place: Any) -> str:
+    """Return a warning as it is printed: where in the code is of no use where the machine is meant."""
+    return f"warning: {message}\n" if kind is CacheWarning else _PYTHONS_WORDS(message, kind, *place)
 
 
 def _interrupted(error: BaseException | None) -> bool:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, calibrate_fits
+from srs_twin.cli import INTERRUPTED, calibrate_fits, console, say
 from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.counting import Counting
 from srs_twin.errors import InputError
+from srs_twin.files import shown
 
 if TYPE_CHECKING:
     from srs_twin.identification.measured import Measured
@@ -109,18 +109,18 @@ def footprint(
     path = Path(out) / f"{called}.yaml"
     if not overwrite:
         refuse_other(path, study, robot, called)
-    open_folder(path.parent)
+    open_folder(path.parent, (path.name,))
     try:
         with Counting(called, study.runs, quiet=quiet) as counting:
             measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
     except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
+        say("interrupted; nothing was written")
         raise typer.Exit(INTERRUPTED) from None
     if not quiet:
         _show(measured)
     save_footprint(footprint_file(measured, called), path, header=header(study, robot, called, versions()))
     if not quiet:
-        print(f"footprint in {path}", file=sys.stderr)
+        say(f"footprint in {shown(path)}")
 
 
 def _numbers(text: str) -> list[float]:
@@ -159,7 +159,6 @@ def _show(measured: Measured) -> None:
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -167,6 +166,6 @@ def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = Console(file=sys.stdout, highlight=False)
-    console.width = max(console.width, _WIDTH)  # cut numbers would be wrong numbers
-    console.print(table)
+    terminal = console()
+    terminal.width = max(terminal.width, _WIDTH)  # cut numbers would be wrong numbers
+    terminal.print(table)

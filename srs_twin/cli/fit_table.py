@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from itertools import combinations
 from typing import TYPE_CHECKING
+
+from srs_twin.cli import console
 
 if TYPE_CHECKING:
     from srs_twin.identification.estimate import Estimate, Parameter, Role
@@ -19,23 +20,22 @@ _MOST_SIGNALS = 24
 def show(estimate: Estimate) -> None:
     """Print what was found."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(file=sys.stdout, highlight=False, markup=False)
-    console.width = max(console.width, _WIDTH)  # cut numbers would be wrong numbers
+    terminal = console()
+    terminal.width = max(terminal.width, _WIDTH)  # cut numbers would be wrong numbers
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("parameter", "value", "95 % interval", "unit", "verdict"):
         right = heading in ("value", "95 % interval")
         table.add_column(heading, justify="right" if right else "left", no_wrap=True)
     for each in estimate.parameters:
         table.add_row(*_row(each))
-    console.print(table)
+    terminal.print(table)
     for line in (*_reasons(estimate), *correlations(estimate), *cancelling(estimate)):
-        console.print(line, soft_wrap=True)
-    console.print(_residuals(estimate), soft_wrap=True)  # a path that is cut is no path
+        terminal.print(line, soft_wrap=True)
+    terminal.print(_residuals(estimate), soft_wrap=True)  # a path that is cut is no path
     if not estimate.converged:
-        console.print("the search did not come to an end")
+        terminal.print("the search did not come to an end")
 
 
 def _row(each: Parameter) -> tuple[str, ...]:

@@ -124,7 +124,7 @@ class Place:
             _refuse_other(path, command)
         from srs_twin.folders import open_folder
 
-        open_folder(path.parent)
+        open_folder(path.parent, (path.name, path.with_suffix(".html").name))
         return cls(given, path, command, quiet)
 
     @contextmanager
@@ -146,7 +146,7 @@ class Place:
     ) -> None:
         """Write report and fit file, the fit last, and show what was found."""
         from srs_twin.cli.fit_table import show
-        from srs_twin.files import atomic_write
+        from srs_twin.files import atomic_write, shown
         from srs_twin.identification.fit_file import fit_file, write_fit
         from srs_twin.provenance import versions
         from srs_twin.viewing.fit_report import fit_report
@@ -162,7 +162,7 @@ class Place:
         write_fit(fit, self.path)
         if not self.quiet:
             show(estimate)
-            say(f"fit in {self.path}, residuals in {report}")
+            say(f"fit in {shown(self.path)}, residuals in {shown(report)}")
 
 
 def _refuse_other(path: Path, command: str) -> None:

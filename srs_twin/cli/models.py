@@ -23,17 +23,18 @@ def export(
     out: Annotated[str, typer.Option("--out", metavar="DIR", help="Where models/<robot>/ go.")] = "models",
 ) -> None:
     """Write robots as MJCF, each in a folder of its own."""
-    from srs_twin.files import shipped_names
+    from srs_twin.files import printable, shipped_names
     from srs_twin.folders import open_folder
-    from srs_twin.mjcf_export import export_robot
+    from srs_twin.mjcf_export import SCENE, export_robot
     from srs_twin.spec import load_robot
 
     robots = [load_robot(name) for name in names or shipped_names("robot")]
-    for robot in robots:
-        folder = Path(out) / robot.name
-        open_folder(folder)
+    folders = {Path(out) / robot.name: robot for robot in robots}
+    for folder, robot in folders.items():
+        open_folder(folder, (f"{robot.name}.xml", SCENE))
+    for folder, robot in folders.items():
         export_robot(robot, folder)
-        typer.echo(str(folder / "scene.xml"))
+        typer.echo(printable(str(folder / SCENE)))
 
 
 @app.command()
@@ -47,7 +48,7 @@ def check(
 
     Shipped ones must be what an export of their robots would write.
     """
-    from srs_twin.files import shipped_names, shown
+    from srs_twin.files import printable, shipped_names, shown
     from srs_twin.mjcf_check import check_mjcf
 
     bad = 0
@@ -57,7 +58,7 @@ def check(
         faults = [*report.faults, *_stale(robot, path.parent)]
         bad += bool(faults)
         for line in faults or [_praise(report, current=robot is not None)]:
-            typer.echo(f"{shown(path)}: {line}", err=bool(faults))
+            typer.echo(f"{shown(path)}: {printable(line)}", err=bool(faults))
     if bad:
         raise typer.Exit(InputError.exit_code)
 

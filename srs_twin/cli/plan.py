@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from srs_twin.cli import say
 from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS, OneOutOption, QuietOption
 from srs_twin.errors import InputError
+from srs_twin.files import shown
 
 if TYPE_CHECKING:
     from srs_twin.planning import Plan
@@ -43,8 +44,9 @@ def plan(
     if not isinstance(loaded.controller, FollowSettings):
         raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
     folder = Path(out) if out else RUNS / loaded.name
-    open_folder(folder)
-    found = loaded.controller.planner.plan()
+    open_folder(folder, (PLAN, PICTURE))
+    with loaded.named_in_errors():
+        found = loaded.controller.planner.plan()
     metrics = plan_metrics(found.found, found.segments, found.expanded)
     outcomes = _outcomes(loaded, metrics)
     _write(folder, loaded, loaded.controller, found, metrics)
@@ -72,14 +74,14 @@ def _show(scenario: Scenario, found: Plan, folder: Path) -> None:
             f"{len(found.segments)} segments, kink {found.kink:.3g} rad"
         )
     print(f"{found.expanded} nodes, {1000 * found.seconds:.1f} ms")
-    print(f"files in {folder}: {PLAN}, {PICTURE}", file=sys.stderr)
+    say(f"files in {shown(folder)}: {PLAN}, {PICTURE}")
 
 
 def _write(
     folder: Path, scenario: Scenario, settings: FollowSettings, found: Plan, metrics: dict[str, Any]
 ) -> None:
     """Write the plan as data and as a picture."""
-    from srs_twin.files import atomic_write
+    from srs_twin.folders import replaced
     from srs_twin.viewing.following_plot import plan_plot
 
     problem = settings.planner.problem
@@ -93,8 +95,7 @@ def _write(
         "segments": [asdict(each) for each in found.segments],
         "metrics": metrics,
     }
-    with atomic_write(folder / PLAN) as part:
-        part.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
     figure = plan_plot(about, found.segments, problem.footprint, f"{scenario.title}: {found.outcome.value}")
-    with atomic_write(folder / PICTURE) as part:
-        figure.savefig(part, format="png", dpi=150)
+    with replaced(folder, (PLAN, PICTURE)) as fresh:
+        (fresh / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
+        figure.savefig(fresh / PICTURE, format="png", dpi=150)

@@ -14,6 +14,7 @@ import typer
 from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.progress import Progress
 from srs_twin.errors import InputError
+from srs_twin.files import printable, shown
 
 if TYPE_CHECKING:
     from srs_twin.finished import FinishedRun
@@ -80,6 +81,7 @@ def render(
 
     usable_opengl()  # first: MuJoCo, imported from here on, refuses a name in MUJOCO_GL that it does not know
     from srs_twin.finished import load_run
+    from srs_twin.folders import open_folder
 
     job = _job(video, image, _size(size), fps, speed)
     target = None if (given := video if video is not None else out) is None else Path(given)
@@ -88,18 +90,23 @@ def render(
         raise InputError(f"{target}: one file for {len(runs)} runs; give a folder")
     if target is not None and target.suffix not in ("", job.suffix):
         raise InputError(f"{target}: the file must end in {job.suffix}")
-    for name in runs:
-        run = load_run(name)
-        if (twin := run.trajectories.get("twin")) is None:
+    found = [load_run(name) for name in runs]
+    paths = [
+        target if target is not None and target.suffix else (target or run.folder) / job.name(run.name)
+        for run in found
+    ]
+    for run, path in zip(found, paths, strict=True):
+        if "twin" not in run.trajectories:
             raise InputError(
-                f"{run.folder}: the twin did not run, and MuJoCo draws nothing else; "
+                f"{shown(run.folder)}: the twin did not run, and MuJoCo draws nothing else; "
                 "`srs-twin view` shows the analytical model"
             )
-        path = target if target is not None and target.suffix else (target or run.folder) / job.name(run.name)
+        open_folder(path.parent, (path.name,))
+    for run, path in zip(found, paths, strict=True):
         with Progress(run.name, quiet=quiet) as progress:
-            job.make(path, run, twin, partial(progress, "drawing"))
+            job.make(path, run, run.trajectories["twin"], partial(progress, "drawing"))
         if not quiet:
-            typer.echo(str(path))
+            typer.echo(printable(str(path)))
 
 
 def _job(video: str | None, image: str | None, size: Size, fps: int, speed: float) -> _Job:

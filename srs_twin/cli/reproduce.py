@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli import INTERRUPTED
+from srs_twin.cli import INTERRUPTED, say
 from srs_twin.cli.counting import Counting
 
 if TYPE_CHECKING:
@@ -56,8 +55,10 @@ def reproduce(
     # First of all: it loads what workers need while this process loads what it needs itself.
     start_server("srs_twin.sweep.warm")
     from srs_twin.errors import InputError
+    from srs_twin.files import shown
     from srs_twin.reproduction import load_claims, open_store
     from srs_twin.reproduction.claims import chosen
+    from srs_twin.reproduction.execution import HTML, JSON, JUNIT
     from srs_twin.reproduction.runs import Orders
 
     if write_baseline and (only or quick):
@@ -72,15 +73,15 @@ def reproduce(
             )
             changes = _written(out, rows, figures, write_baseline=write_baseline)
     except KeyboardInterrupt:
-        _say("interrupted; what was finished is kept, start again to go on")
+        say("interrupted; what was finished is kept, start again to go on")
         raise typer.Exit(INTERRUPTED) from None
     if not quiet:
         _show(rows)
-        _say(f"files in {out}: reproduce.html, reproduce.json, reproduce.xml")
+        say(f"files in {shown(out)}: {HTML}, {JSON}, {JUNIT}")
     for line in changes:
-        _say(f"changed from the baseline: {line}")
+        say(f"changed from the baseline: {line}")
     if changes:
-        _say("explain the change, then let --write-baseline write it")
+        say("explain the change, then let --write-baseline write it")
         raise typer.Exit(CHANGED)
 
 
@@ -97,7 +98,7 @@ def _judged(
     def progress(row: Row) -> None:
         counts[-1](failed=row.exit_code != 0)
         if row.exit_code and not quiet:
-            _say(f"a run failed: {row.reason}")
+            say(f"a run failed: {row.reason}")
 
     return judge(claims, store, orders, workers=jobs, progress=progress, planned=planned)
 
@@ -122,12 +123,13 @@ def _written(
     from srs_twin.cli.reproduce_junit import write_rows
     from srs_twin.reproduction import load_baseline
     from srs_twin.reproduction.baseline import write_baseline as write
-    from srs_twin.reproduction.report import HTML, JSON, write_html, write_json
+    from srs_twin.reproduction.execution import HTML, JSON, JUNIT
+    from srs_twin.reproduction.report import write_html, write_json
 
     if write_baseline:
         write(rows)
     changes = load_baseline().changes(rows)
-    write_rows(out / "reproduce.xml", rows)
+    write_rows(out / JUNIT, rows)
     write_html(out / HTML, rows, figures or [], changes)
     write_json(out / JSON, rows, changes)
     return changes
@@ -168,7 +170,3 @@ def _narrow(outcome: Any) -> str:
         return text
     first, last = (f"{float(short(outcome.values[k])):.2g}" for k in (0, -1))
     return f"{first}…{last}"
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

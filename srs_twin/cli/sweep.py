@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, say
+from srs_twin.cli import INTERRUPTED, console, say
 from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.counting import Counting
 from srs_twin.errors import InputError
+from srs_twin.files import shown
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -72,8 +72,8 @@ def sweep(
     for warning in () if quiet else found.warnings:
         say(f"warning: {warning}")
     folder = Path(out) if out else SWEEPS / found.name
+    wanted = wanted_points(found, without or ())
     with open_sweep(found, folder, changed=changed) as opened:
-        wanted = wanted_points(found, without or ())
         missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in wanted)
         there = len(wanted) - len(missing)
         if there and not quiet:
@@ -143,7 +143,6 @@ def _failed(row: Row) -> bool:
 def _show(summary: Summary) -> None:
     """Print what the results span, and where they are."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -151,34 +150,33 @@ def _show(summary: Summary) -> None:
         table.add_column(heading, justify="left" if heading == "metric" else "right", no_wrap=True)
     for name, (least, median, most) in summary.spans.items():
         table.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
-    console = Console(file=sys.stdout, highlight=False)
+    terminal = console()
     if summary.spans:
-        console.print(table)
+        terminal.print(table)
     if summary.beside is not None and len(summary.beside.rows) <= _MOST_BESIDE:
-        console.print(_beside(summary.beside))
+        terminal.print(_beside(summary.beside))
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
-    print(f"report {summary.folder / 'report.html'}")
+    print(f"report {shown(summary.folder / 'report.html')}")
     say(f"files in {summary.folder}: {', '.join(summary.files)}")
 
 
 def _beside(found: BesideTable) -> Table:
     """Return the table of published values: under the name of each metric a line a place."""
     from rich import box
-    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {escape(found.source)}")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {found.source}")
     table.title_justify = "left"
     numbers = found.headings.index("published")  # names of fields may be broken, numbers not
     for i, heading in enumerate(found.headings[1:], start=1):
-        table.add_column(escape(heading), justify="left" if i == 1 else "right", no_wrap=i >= numbers)
+        table.add_column(heading, justify="left" if i == 1 else "right", no_wrap=i >= numbers)
     metric = None
     for name, *cells in found.rows:
         if name != metric:
-            table.add_row(escape(name))
+            table.add_row(name)
         metric = name
-        table.add_row(*(escape(f"{'' if i else '  '}{cell}") for i, cell in enumerate(cells)))
+        table.add_row(*(f"{'' if i else '  '}{cell}" for i, cell in enumerate(cells)))
     return table
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from srs_twin.cli import console
 from srs_twin.comparison.summary import difference, published
 from srs_twin.scenario.expectation import verdict
 
@@ -152,7 +152,6 @@ def _followed_or_held(plants: Mapping[str, Mapping[str, Any]]) -> bool:
 def show(result: RunResult) -> None:
     """Print the table and the expectations of a run to stdout."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     lines = rows(result.metrics)
@@ -171,12 +170,12 @@ def show(result: RunResult) -> None:
         cells += [line.difference] if "difference" in headings else []
         cells += [line.published] if "published" in headings else []
         table.add_row(line.heading, line.unit, *cells)
-    console = Console(file=sys.stdout, highlight=False)
-    console.print(table)
+    terminal = console()
+    terminal.print(table)
     if "attribution" in result.metrics:
-        console.print(_why(result.metrics["attribution"]))
+        terminal.print(_why(result.metrics["attribution"]))
     for text in [*event_lines(result.metrics), *expectation_lines(result.metrics)]:
-        for part in textwrap.wrap(text, console.width, subsequent_indent=" " * 7, break_long_words=False):
+        for part in textwrap.wrap(text, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
             print(part)
 
 

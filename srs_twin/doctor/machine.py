@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from srs_twin.doctor.check import Check
 from srs_twin.errors import InputError
-from srs_twin.files import atomic_write, shown
+from srs_twin.files import shown
+from srs_twin.folders import open_folder
 
 TOPIC = "machine"
 LEAST_MEMORY_BYTES = 1 << 30
@@ -92,21 +92,11 @@ def memory_check(machine: Machine) -> Check:
 
 def output_check(folder: Path) -> Check:
     """Judge whether results can be written to a folder, by writing there; leave nothing behind."""
-    made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
-    trial = folder / ".srs-twin-doctor"
     try:
-        with atomic_write(trial) as part:
-            part.write_bytes(b"")
-        trial.unlink()
-    except (InputError, OSError) as error:
-        remedy = "change to a folder you may write, or give another one with --out"
-        reason = str(error).replace(shown(trial), shown(folder))
+        open_folder(folder)
+    except InputError as error:
+        reason, _, remedy = str(error).partition("; ")
         return Check(TOPIC, "results", "broken", reason, remedy, necessary=True)
-    finally:
-        for each in made:
-            # Only empty folders go: somebody else may have begun to write there.
-            with suppress(OSError):
-                each.rmdir()
     return Check(TOPIC, "results", "ok", f"{shown(folder)} can be written", necessary=True)
 
 

@@ -22,6 +22,7 @@ from srs_twin.trajectory import Trajectory
 Progress = Callable[[Row], None]
 
 _TRAJECTORIES = "trajectories"
+HTML, JSON, JUNIT = "reproduce.html", "reproduce.json", "reproduce.xml"
 
 
 def open_store(folder: Path) -> Store:
@@ -30,7 +31,7 @@ def open_store(folder: Path) -> Store:
     Raises:
         InputError: the folder cannot be written, is locked, or holds something else.
     """
-    open_folder(folder)
+    open_folder(folder, (HTML, JSON, JUNIT))
     return Store(folder, RowStore(folder))
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from srs_twin.reproduction.figures import Picture
 
-JSON, HTML = "reproduce.json", "reproduce.html"
 
 _TITLE = "The dissertation, reproduced"
 _HEADINGS = ("row", "statement", "published", "allowed", "analytical", "error", "twin", "error", "why")

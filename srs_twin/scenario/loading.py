@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from srs_twin.documents import Document, load_yaml
@@ -86,7 +87,8 @@ def _scenario(document: Document, name: str) -> Scenario:
         warnings.append(
             "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
         )
-    return build(file, robot, file.name or name, controller, layout, tuple(warnings), world, recording)
+    found = build(file, robot, file.name or name, controller, layout, tuple(warnings), world, recording)
+    return replace(found, source=document.name)
 
 
 def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Recording | None:

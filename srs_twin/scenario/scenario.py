@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.errors import UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.pneumatics.faults import StuckValve
 from srs_twin.scenario.control import ControllerSettings, LearningSettings, ReplaySettings
 from srs_twin.scenario.expectation import Expectation
@@ -59,6 +60,7 @@ class Scenario:
         document: plain data of a file that loads as an equal scenario, defaults and robot written out.
         warnings: what a person should know before believing the results.
         measured: what was recorded of the robot, on the clock of the run; None where nothing is replayed.
+        source: the file, as messages show it.
     """
 
     name: str
@@ -83,6 +85,20 @@ class Scenario:
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
     measured: Trajectory | None = field(default=None, compare=False, repr=False)
+    source: str = field(default="", compare=False)
+
+    @contextmanager
+    def named_in_errors(self) -> Iterator[None]:
+        """Say in a block's errors which file it was: what only building finds knows of no file.
+
+        Raises:
+            InputError: the block raised one.
+        """
+        try:
+            yield
+        except InputError as error:
+            error.args = (f"{self.source}: {error}",)
+            raise
 
     def build_plant(self, kind: str, *, robot: RobotSpec | None = None, **changes: Any) -> Plant:
         """Return a plant, fresh and at rest; one that the file does not name gets its defaults.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.documents import dump_yaml
 from srs_twin.errors import InputError, SrsError
-from srs_twin.files import atomic_write, shown
+from srs_twin.files import atomic_write, printable, shown
 from srs_twin.folders import open_folder
 from srs_twin.processes import Done
 from srs_twin.provenance import POINTS, file_digests, source_digests
@@ -21,7 +21,7 @@ from srs_twin.sweep.engines import Engine
 from srs_twin.sweep.points import Point, Sweep
 from srs_twin.sweep.report import REPORT, write_report
 from srs_twin.sweep.results import RESULTS, digest, shown_columns, shown_metrics, spans, table, write
-from srs_twin.sweep.store import RowStore
+from srs_twin.sweep.store import About, RowStore
 from srs_twin.sweep.task import DONE, FAILED, Row
 from srs_twin.viewing.sweep_beside import BesideTable, beside_table
 from srs_twin.viewing.sweep_table import SweepTable
@@ -78,7 +78,7 @@ def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> OpenSwee
     Raises:
         InputError: the folder cannot be written, is locked, or belongs to another version of the sweep.
     """
-    open_folder(folder)
+    open_folder(folder, (RESULTS, SWEEP, SCENARIO, REPORT, SUMMARY))
     store = RowStore(folder)
     try:
         return OpenSweep(sweep, folder, store, changed=changed)
@@ -199,17 +199,11 @@ class OpenSweep:
 
     def _settle(self, *, changed: bool) -> None:
         """Refuse a folder that belongs to another version of the sweep, unless told; note whose it is."""
-        now = {
-            "keys": digest([Row(point.key, DONE) for point in self.sweep.points]),
-            "scenario": self.sweep.experiment.base,
-            "fields": self.sweep.fields,
-            "versions": self.sweep.versions,
-            "sources": source_digests(POINTS),
-            "files": self._files(),
-        }
-        now = json.loads(json.dumps(now))
-        before = self._store.about("sweep")
-        if before is not None and before.get("keys") != now["keys"]:
+        keys = digest([Row(point.key, DONE) for point in self.sweep.points])
+        rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
+        rest = json.loads(json.dumps((*rest, source_digests(POINTS), self._files())))
+        now, before = About(keys, *rest), self._store.about()
+        if before is not None and before.keys != now.keys:
             if not changed:
                 raise InputError(
                     f"{shown(self.folder)}: its rows are of another version of this sweep "
@@ -218,7 +212,7 @@ class OpenSweep:
                 )
             self._store.keep(point.key for point in self.sweep.points)
         if before != now:
-            self._store.tell("sweep", now)
+            self._store.tell(now)
 
     def _files(self) -> dict[str, str]:
         """Return the files that any point reads → SHA-256 of their contents."""
@@ -233,22 +227,24 @@ def _row(point: Point, done: Done[Row]) -> Row:
     if done.result is not None:
         return done.result
     code = done.error.exit_code if isinstance(done.error, SrsError) else SrsError.exit_code
-    return Row(point.key, FAILED, reason=" ".join(str(done.error).split()), exit_code=code)
+    return Row(point.key, FAILED, reason=printable(" ".join(str(done.error).split())), exit_code=code)
 
 
-def _difference(before: Any, now: Any) -> str:
+def _difference(before: About, now: About) -> str:
     """Say in a few words how two versions of a sweep differ."""
     said = []
-    if changed := list(_changes(before.get("versions", {}), now["versions"], "")):
+    if changed := list(_changes(before.versions, now.versions, "")):
         said.append(f"made with other versions: {_few(changed)}")
-    for kind, what in (("sources", "the program has changed"), ("files", "contents have changed")):
-        old, new = before.get(kind, {}), now[kind]
+    for old, new, what in (
+        (before.sources, now.sources, "the program has changed"),
+        (before.files, now.files, "contents have changed"),
+    ):
         names = [name for name in dict.fromkeys((*new, *old)) if old.get(name) != new.get(name)]
         if names:
             said.append(f"{what}: {_few(names)}")
-    if before.get("fields") != now["fields"]:
-        said.append(f"it varied {', '.join(before.get('fields', ()))}")
-    elif changed := list(_changes(before.get("scenario", {}), now["scenario"], "")):
+    if before.fields != now.fields:
+        said.append(f"it varied {', '.join(before.fields)}")
+    elif changed := list(_changes(before.scenario, now.scenario, "")):
         said.append(f"the scenario has changed: {_few(changed)}")
     return "; ".join(said) or "the values have changed"
 

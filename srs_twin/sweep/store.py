@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
 
 from srs_twin.errors import InputError
-from srs_twin.files import shown
+from srs_twin.files import missing_folders, remove_empty, shown
 from srs_twin.sweep.task import FAILED, Row
 
 FILE = "rows.sqlite"
@@ -25,16 +29,49 @@ FILE = "rows.sqlite"
 _LONGEST_BYTES = 1_000_000
 
 
+Parsed = TypeVar("Parsed")
+
+
+@dataclass(frozen=True)
+class About:
+    """Which sweep rows belong to, as plain data of JSON.
+
+    Attributes:
+        keys: hash of the keys of all points.
+        scenario: the base's document.
+        fields: what is varied.
+        versions: package → version.
+        sources: module that computes rows → hash of its source; none where it was not kept yet.
+        files: file that rows read → hash of its contents.
+    """
+
+    keys: str
+    scenario: dict[str, Any]
+    fields: list[str]
+    versions: dict[str, Any]
+    sources: dict[str, str] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
+
+
+_ABOUT = TypeAdapter(About)
+_ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
+
+
 class RowStore:
     """The rows of one sweep; a context manager that locks the folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Open or make the file.
+        """Open or make the file, and the folder.
 
         Raises:
             InputError: the folder cannot be written, another sweep works in it, or the file is none of ours.
         """
         self._path = folder / FILE
+        self._new, self._missing = not os.path.lexists(self._path), missing_folders(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{shown(folder)}: cannot be made ({error.strerror})") from error
         try:
             self._base = sqlite3.connect(self._path, timeout=0, isolation_level=None)
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_BYTES)
@@ -66,19 +103,27 @@ class RowStore:
         self.close()
 
     def close(self) -> None:
-        """Unlock the folder."""
+        """Unlock the folder; a file that this made is not left without a row."""
         # Closing also tidies up; on a full disk there is nothing to tidy with, and every row is safe.
-        with contextlib.suppress(sqlite3.Error):
+        with contextlib.suppress(sqlite3.Error, OSError):
+            empty = self._new and not self._base.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
             self._base.close()
+            if empty:
+                self._path.unlink()
+        remove_empty(self._missing)
 
-    def about(self, name: str) -> Any:
-        """Return a JSON value that `tell` kept, None where there is none."""
-        found = self._read("SELECT value FROM about WHERE name = ?", name)
-        return json.loads(found[0][0]) if found else None
+    def about(self) -> About | None:
+        """Return what `tell` kept, None where it never did.
 
-    def tell(self, name: str, value: Any) -> None:
-        """Keep a JSON value."""
-        self._write("INSERT OR REPLACE INTO about VALUES (?, ?)", name, json.dumps(value))
+        Raises:
+            InputError: something else stands there.
+        """
+        found = self._read("SELECT value FROM about WHERE name = 'sweep'")
+        return self._parsed(_ABOUT, found[0][0]) if found else None
+
+    def tell(self, about: About) -> None:
+        """Keep which sweep the rows belong to."""
+        self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", json.dumps(asdict(about)))
 
     def add(self, row: Row) -> None:
         """Keep a row; one of the same key is replaced."""
@@ -88,7 +133,7 @@ class RowStore:
     def rows(self) -> Iterator[Row]:
         """Yield all rows in the order of their keys."""
         for key, status, content in self._read("SELECT key, status, row FROM rows ORDER BY key"):
-            values, wall, reason, exit_code = self._parsed(content)
+            values, wall, reason, exit_code = self._parsed(_ROW, content)
             yield Row(key, status, values, wall, reason, exit_code)
 
     def keys(self, *, failed: bool) -> set[str]:
@@ -105,14 +150,11 @@ class RowStore:
             self._base.executemany("DELETE FROM rows WHERE key = ?", gone)
             self._base.execute("COMMIT")
 
-    def _parsed(self, content: str) -> list[Any]:
+    def _parsed(self, kind: TypeAdapter[Parsed], content: Any) -> Parsed:
         try:
-            values, wall, reason, exit_code = json.loads(content)
-            if not isinstance(values, dict):
-                raise TypeError
-        except (ValueError, TypeError) as error:
+            return kind.validate_json(content)
+        except ValidationError as error:
             raise InputError(f"{shown(self._path)}: not the rows of a sweep; give another --out") from error
-        return [values, wall, reason, exit_code]
 
     def _read(self, query: str, *arguments: Any) -> list[Any]:
         with self._guarded():

@@ -8,6 +8,8 @@ import io
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Literal
 
+from srs_twin.files import printable
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -47,9 +49,14 @@ class Markup(str):
 
 def element(tag: str, *content: str, cls: str = "") -> Markup:
     """Return one element; content that is no `Markup` is escaped."""
-    inner = "".join(part if isinstance(part, Markup) else html.escape(part) for part in content)
-    attribute = f' class="{html.escape(cls)}"' if cls else ""
+    inner = "".join(part if isinstance(part, Markup) else _escaped(part) for part in content)
+    attribute = f' class="{_escaped(cls)}"' if cls else ""
     return Markup(f"<{tag}{attribute}>{inner}</{tag}>")
+
+
+def _escaped(text: str) -> str:
+    # No control characters: HTML may not hold them, and a terminal that prints the file obeys them.
+    return html.escape(printable(text, keep="\t\n"))
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int] = ()) -> Markup:
@@ -85,7 +92,7 @@ def picture(figure: Figure, caption: str) -> Markup:
 def image(content: bytes, kind: Literal["svg+xml", "png"], caption: str) -> Markup:
     """Return what a file of a picture holds, inside the page."""
     data = base64.b64encode(content).decode("ascii")
-    shown = Markup(f'<img alt="{html.escape(caption)}" src="data:image/{kind};base64,{data}">')
+    shown = Markup(f'<img alt="{_escaped(caption)}" src="data:image/{kind};base64,{data}">')
     return element("figure", shown, element("figcaption", caption))
 
 
@@ -105,7 +112,7 @@ def page(title: str, *content: Markup, broad: bool = False) -> str:
     body = '<body class="broad">' if broad else "<body>"
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<meta http-equiv="Content-Security-Policy" content="{html.escape(_POLICY)}">'
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
+        f'<meta http-equiv="Content-Security-Policy" content="{_escaped(_POLICY)}">'
+        f"<title>{_escaped(title)}</title><style>{_STYLE}</style>"
     )
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n{body}{"".join(content)}</body></html>\n'

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.sweep.store import FILE, RowStore
+from srs_twin.sweep.store import FILE, About, RowStore
 from srs_twin.sweep.task import DONE, FAILED, Row
 
 ROWS = [
@@ -53,6 +53,46 @@ def test_the_folder_is_locked(tmp_path):
             RowStore(tmp_path)
     with RowStore(tmp_path) as store:
         assert list(store.rows()) == ROWS[:1]
+
+
+@pytest.mark.parametrize(
+    "junk",
+    [
+        "", "{", "junk", "null", "3", "[]", "[" * 100_000, "{}", b"\xff", 4.5,
+        '{"keys": 1, "scenario": {}, "fields": [], "versions": {}}',
+        '{"keys": "a", "scenario": [], "fields": [], "versions": {}}',
+        '{"keys": "a", "scenario": {}, "fields": [1], "versions": {}}',
+        '{"keys": "a", "scenario": {}, "fields": [], "versions": 2}',
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("table", ["about", "rows"])
+def test_junk_is_not_taken_for_a_sweep(tmp_path, junk, table):
+    with RowStore(tmp_path) as store:
+        store.tell(About("a", {}, [], {}))
+        store.add(ROWS[0])
+    base = sqlite3.connect(tmp_path / FILE)
+    with base:
+        base.execute(f"UPDATE {table} SET {'value' if table == 'about' else 'row'} = ?", (junk,))
+    base.close()
+    before = (tmp_path / FILE).read_bytes()
+    with (
+        RowStore(tmp_path) as store,
+        pytest.raises(InputError, match="rows.sqlite: not the rows of a sweep; give another --out"),
+    ):
+        store.about() if table == "about" else list(store.rows())
+    assert (tmp_path / FILE).read_bytes() == before
+
+
+def test_what_a_store_made_does_not_stay_without_a_row(tmp_path):
+    with RowStore(tmp_path / "new/folder") as store:
+        store.tell(About("a", {}, [], {}))
+    assert not list(tmp_path.iterdir())
+    for row in ROWS[:2]:
+        with RowStore(tmp_path / "new") as store:
+            store.add(row)
+    with RowStore(tmp_path / "new") as store:
+        store.keep(())
+    assert [path.name for path in tmp_path.rglob("*")] == ["new", FILE]
 
 
 @pytest.mark.parametrize("pages", range(8, 24))

@@ -1,0 +1,95 @@
+"""Machine code of kernels is kept where it can be; where not, they run all the same, with one warning."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+from numba.core.caching import IndexDataCacheFile
+
+from srs_twin import compiled as module
+from srs_twin.compiled import compiled
+from srs_twin.errors import CacheWarning
+
+# numba's own way to be left without any folder: the one kind it may look for is not given.
+NOWHERE = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
+SAID = "machine code cannot be kept, every start compiles anew"
+
+
+def add(a, b):
+    return a + b
+
+
+@pytest.fixture
+def kernel(tmp_path, monkeypatch):
+    """A kernel that nobody has called, its machine code in a folder of its own."""
+    monkeypatch.setattr(module, "_warned", False)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    return compiled(add)
+
+
+def test_what_one_kernel_kept_the_next_loads(kernel):
+    again = compiled(add)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (kernel(1, 2), again(1, 2)) == (3, 3)
+    assert (again.stats.cache_hits.total(), again.stats.cache_misses.total()) == (1, 0)
+
+
+def full(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_costs_the_machine_code_and_nothing_else(kernel, monkeypatch):
+    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
+    with pytest.warns(CacheWarning, match=f"{SAID} .*No space left on device") as heard:
+        assert (kernel(1, 2), kernel(1.0, 2.0), compiled(add)(1, 2)) == (3, 3.0, 3)
+    assert len(heard) == 1
+
+
+@pytest.mark.parametrize("damage", [Path.mkdir, Path.touch, lambda path: path.write_bytes(b"junk")])
+def test_an_index_that_cannot_be_read_is_done_without(kernel, damage):
+    index = Path(kernel._cache._cache_file._index_path)
+    index.parent.mkdir(exist_ok=True)
+    damage(index)
+    with pytest.warns(CacheWarning, match=SAID) as heard:
+        assert kernel(1, 2) == 3
+    assert len(heard) == 1
+
+
+PROGRAM = """
+from srs_twin.processes import each
+
+
+def in_a_worker(number):
+    import srs_twin.pneumatics.orifice_kernels
+    return number
+
+
+if __name__ == "__main__":
+    import srs_twin.planning.best_first, srs_twin.pneumatics.orifice_kernels
+    print(sorted(done.result for done in each(in_a_worker, [1, 2, 3], workers=2)))
+"""
+
+
+def test_without_a_folder_one_process_says_it_once_and_workers_do_not(tmp_path):
+    (tmp_path / "program.py").write_text(PROGRAM)
+    done = subprocess.run(
+        [sys.executable, "program.py"],
+        cwd=tmp_path, env=os.environ | NOWHERE, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, "[1, 2, 3]\n"), done.stderr
+    assert done.stderr.count(SAID) == 1 and "Error" not in done.stderr
+
+
+def test_a_command_goes_on_and_says_it_in_a_line(tmp_path, srs_twin):
+    """As far as one gets without compiling anything, which takes half a minute."""
+    done = srs_twin("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NOWHERE)
+    first, second = done.stderr.splitlines()
+    assert first.startswith(f"warning: {SAID} (no folder for it can be written); set NUMBA_CACHE_DIR to")
+    assert (done.returncode, second.partition(" (")[0]) == (2, "/dev/null/x: cannot write there")
