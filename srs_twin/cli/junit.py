@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
@@ -11,14 +12,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 from srs_twin.cli.case import Case
 from srs_twin.errors import InputError
-from srs_twin.files import atomic_write, printable
+from srs_twin.files import atomic_write
 
 if TYPE_CHECKING:
     from srs_twin.scenario import Outcome
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# Beside control characters, what XML 1.0 has no way to write.
-_NO_XML = str.maketrans({"\ufffe": r"\ufffe", "\uffff": r"\uffff"})
+# What XML 1.0 has no way to write: control characters, and the halves of a file name that is not UTF-8.
+_UNWRITABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def report_path(given: str) -> Path:
@@ -116,4 +117,4 @@ def sum_up(element: Element, wall_s: float) -> None:
 
 def writable(text: str) -> str:
     """Return a text with escapes for what XML cannot write."""
-    return printable(text, keep="\t\n\r").translate(_NO_XML)
+    return _UNWRITABLE.sub(lambda found: ascii(found[0])[1:-1], text)
