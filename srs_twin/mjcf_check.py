@@ -116,8 +116,8 @@ def _first(wrong: np.ndarray) -> str:
     return f"[{np.argwhere(np.atleast_1d(wrong))[0][0]}]"
 
 
-def _shake(model: Any, time_limit_s: float) -> list[str]:
-    """Simulate `CONTROL_S` under random control; return what MuJoCo warned of."""
+def _shake(model: Any, time_limit_s: float, control_s: float) -> list[str]:
+    """Simulate some seconds under random control; return what MuJoCo warned of."""
     import mujoco
 
     data = mujoco.MjData(model)
@@ -126,7 +126,7 @@ def _shake(model: Any, time_limit_s: float) -> list[str]:
     rng = np.random.default_rng(0)
     low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
     redraw = max(1, round(_REDRAW_S / model.opt.timestep))
-    steps = max(1, round(CONTROL_S / model.opt.timestep))
+    steps = max(1, round(control_s / model.opt.timestep))
     begun = time.monotonic()
     for step in range(steps):
         if step % redraw == 0:
@@ -135,26 +135,32 @@ def _shake(model: Any, time_limit_s: float) -> list[str]:
         spent = time.monotonic() - begun
         if spent > _PATIENCE_S and spent / (step + 1) * steps > time_limit_s:
             ahead = spent / (step + 1) * steps
-            return [f"{CONTROL_S:g} s of random control would take {ahead:.0f} s; at most {time_limit_s} s"]
+            return [f"{control_s:g} s of random control would take {ahead:.0f} s; at most {time_limit_s} s"]
     faults = [
-        f"{CONTROL_S:g} s of random control raised the warning {name.removeprefix('mjWARN_')}"
+        f"{control_s:g} s of random control raised the warning {name.removeprefix('mjWARN_')}"
         for name, kind in mujoco.mjtWarning.__members__.items()
         if name.startswith("mjWARN_") and data.warning[kind].number
     ]
     if not np.isfinite(data.qpos).all():
-        faults.append(f"{CONTROL_S:g} s of random control ended in a state that is not finite")
+        faults.append(f"{control_s:g} s of random control ended in a state that is not finite")
     return faults
 
 
-def examine(path: Path, time_limit_s: int) -> dict[str, Any]:
-    """Compile a model and shake it, in this process; return faults and sizes, as in `ModelReport`."""
+def examine(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict[str, Any]:
+    """Compile a model and shake it, in this process; return faults and sizes, as in `ModelReport`.
+
+    Args:
+        path: the MJCF file.
+        time_limit_s: a model that would take longer to shake is a fault, s.
+        control_s: simulated time under random control, s.
+    """
     import mujoco
 
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, MemoryError) as error:
         return {"faults": [f"does not compile: {' '.join(str(error).split())}"], "sizes": {}}
-    faults = _bad_numbers(model) or _shake(model, time_limit_s)
+    faults = _bad_numbers(model) or _shake(model, time_limit_s, control_s)
     sizes = {
         "bodies": model.nbody - 1,
         "joints": model.njnt,

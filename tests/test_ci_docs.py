@@ -12,8 +12,8 @@ from ruamel.yaml import YAML
 from typer.exceptions import TyperException
 
 from srs_twin.cli.app import command
-from srs_twin.doctor.children import Answer
-from srs_twin.doctor.viewers import rendering_check, viewer_checks
+from srs_twin.doctor.examination import TRIALS
+from srs_twin.viewing.opengl import PACKAGES
 
 DOCS = (ROOT / "docs/ci.md").read_text("utf-8")
 CONTAINERFILE = (ROOT / "Containerfile").read_text("utf-8")
@@ -120,14 +120,12 @@ def test_containerfile_copies_what_is_there_and_runs_as_nobody_special():
 
 
 def test_containerfile_installs_what_the_doctor_asks_for():
-    lost = Answer(1, {"library": None}, "no")
-    web = Answer(0, {"served": True})
-    checks = [rendering_check(backend, lost, "") for backend in ("egl", "osmesa")]
-    checks += viewer_checks(ROOT, ":0", Answer(0, {"drawn": False}), web, None)
+    remedies = [f"apt-get install {names} (Debian" for names in PACKAGES.values()]
+    remedies += [trial.remedy for trial in TRIALS if trial.name == "without a screen"]
     asked = {
         name
-        for check in checks
-        for name in re.findall(r"(?:apt-get install|^)((?: [\w-]+)+) \(Debian", check.remedy)
+        for remedy in remedies
+        for name in re.findall(r"(?:apt-get install|^)((?: [\w-]+)+) \(Debian", remedy)
     }
     packages = {word for each in asked for word in each.split()}
     installed = set(re.search(r"no-install-recommends \\\n +(.*) \\\n", CONTAINERFILE).group(1).split())

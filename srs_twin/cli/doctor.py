@@ -51,7 +51,7 @@ def _show(checks: Sequence[Check]) -> None:
     for topic, group in groupby(checks, key=lambda check: check.topic):
         typer.echo(f"{topic}")
         for check in group:
-            head = f"  {check.mark:8}{check.name:{longest}}  "
+            head = f"  {check.status:10}{check.name:{longest}}  "
             inset = " " * len(head)
             typer.echo(textwrap.fill(
                 check.detail, width, initial_indent=head, subsequent_indent=inset,

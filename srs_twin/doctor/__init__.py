@@ -1,5 +1,5 @@
 """What is installed, what of it works here, and what to do about what does not.
 
-Everything that could crash, hang or leave something behind is tried in a child process (`children`,
-`probes`). What came back is judged by functions that do nothing else, so that each remedy can be tested.
+Whatever could crash, hang or leave something behind runs in processes of its own (`children`, `probes`);
+`examination` puts their answers beside what this process finds out by itself (`packages`, `machine`).
 """

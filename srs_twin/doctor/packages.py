@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
-from srs_twin.doctor.check import Check, Mark
-from srs_twin.doctor.children import Answer
+from srs_twin.doctor.check import Check, Status
 
 DISTRIBUTION = "srs-twin"
 TOPIC, EXTRAS = "installation", "extras"
@@ -23,6 +22,9 @@ PURPOSES = {
 """What each extra of pyproject.toml is for."""
 
 _DECIDING = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
+
+# Others are called like their package. Rerun's half in Python takes as long to import as all others together.
+_MODULES = {"rerun-sdk": "rerun_bindings", "ruamel-yaml": "ruamel.yaml"}
 
 
 @dataclass(frozen=True)
@@ -66,12 +68,10 @@ def wanted(requirements: Sequence[str]) -> list[Wanted]:
     return found
 
 
-def modules(requirements: Sequence[str]) -> list[str]:
+def modules(packages: Sequence[Wanted]) -> list[str]:
     """Return the top modules of the packages that are always asked for, those that are not there left out."""
-    always = {each.name for each in wanted(requirements) if not each.extra}
-    provided = metadata.packages_distributions()
-    found = (module for module, names in provided.items() if always & {_canonical(n) for n in names})
-    return sorted(module for module in found if module.isidentifier() and not module.startswith("_"))
+    there = (each.name for each in packages if not each.extra and each.installed is not None)
+    return [_MODULES.get(name, name.replace("-", "_")) for name in there]
 
 
 def python_check(version: str, allowed: str) -> Check:
@@ -105,25 +105,6 @@ def packages_check(packages: Sequence[Wanted], *, checkout: bool) -> Check:
     return Check(TOPIC, "packages", _mark(faults), detail, remedy, necessary=True)
 
 
-def imports_check(answer: Answer, *, gl: str = "") -> Check:
-    """Judge whether every package imports.
-
-    Args:
-        answer: of the probe `imports`.
-        gl: value of MUJOCO_GL, empty where it is not set.
-    """
-    if answer.well:
-        return Check(TOPIC, "imports", "ok", "every package imports", necessary=True)
-    module = answer.said.get("importing") or "Python"
-    remedy = (
-        f"install {module} anew (`uv sync --reinstall`, `pip install --force-reinstall`); where a system "
-        "library is missing, the error names it"
-    )
-    if gl and module in ("mujoco", "dm_control"):
-        remedy = f"MUJOCO_GL is set to '{gl}', which MuJoCo loads at its import: `unset MUJOCO_GL`"
-    return Check(TOPIC, "imports", "broken", f"{module}: {answer.complaint}", remedy, necessary=True)
-
-
 def extra_checks(extras: Sequence[str], packages: Sequence[Wanted], *, checkout: bool) -> Iterator[Check]:
     """Judge which extras are installed."""
     for extra in extras:
@@ -152,7 +133,7 @@ def about_srs_twin() -> tuple[Mapping[str, str], list[str], list[str]]:
     return fields, metadata.requires(DISTRIBUTION) or [], about.get_all("Provides-Extra") or []
 
 
-def _mark(faults: Sequence[Wanted]) -> Mark:
+def _mark(faults: Sequence[Wanted]) -> Status:
     return "missing" if any(each.installed is None for each in faults) else "broken"
 
 
@@ -171,7 +152,3 @@ def _installed(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
-
-
-def _canonical(name: str) -> str:
-    return name.lower().replace("_", "-").replace(".", "-")

@@ -1,156 +1,183 @@
-"""Probes: what `children` runs, one a process, as `python -m srs_twin.doctor.probes NAME …`.
+"""Probes: what the children of `children.ask` try.
 
-Each prints JSON objects, a line each, and ends with 0 if it could try what it is for; errors are left to end
-it, since what they say is the finding.
+A probe returns what it found, or raises: `Fault` where it knows the remedy, anything else where it does not
+work. Each runs in a process of its own, forked from the one that imported the modules.
 """
 
 from __future__ import annotations
 
+import ctypes.util
+import gc
 import importlib
 import json
+import math
 import os
 import re
 import signal
 import subprocess
-import sys
 import time
-import urllib.error
-import urllib.request
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-_SERVING_S = 10.0
-PNG = b"\x89PNG\r\n\x1a\n"
+from srs_twin.doctor.check import Fault, ended
+
+_SERVING_S = _PATIENCE_S = 40
+_PNG = b"\x89PNG\r\n\x1a\n"
+_SIMULATED_S = 0.2
+LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+"""The system's library of each OpenGL that needs no screen."""
 
 
-def imports(*modules: str) -> Iterator[dict[str, Any]]:
-    """Import modules one after the other: the last one named is the one that did not survive it."""
+def imports(modules: Sequence[str]) -> str:
+    """Import modules one after the other, and say so before each: it may be the last thing that is said."""
+    faults = []
     for module in modules:
-        yield {"importing": module}
-        importlib.import_module(module)
-    yield {"importing": ""}
+        _say(importing=module)
+        try:
+            importlib.import_module(module)
+        except Exception as error:  # a child's outermost edge: whatever a package raises is the finding
+            faults.append(f"{module}: {_in_words(error)}")
+    if faults:
+        raise Fault("broken", "; ".join(faults))
+    return "every package imports"
 
 
-def data() -> Iterator[dict[str, Any]]:
-    """Load every robot and every scenario that comes with the package, and look for the robots' models."""
+def data() -> str:
+    """Load every robot that comes with the package; look for its model, and for scenarios."""
     from srs_twin.errors import SrsError
     from srs_twin.files import data_root, shipped_names
-    from srs_twin.scenario import load_scenario
     from srs_twin.spec import load_robot
 
-    names = {kind: shipped_names(kind) for kind in ("robot", "scenario")}
-    loaders: dict[str, Callable[[str], object]] = {"robot": load_robot, "scenario": load_scenario}
-    bad = []
-    for kind, load in loaders.items():
-        for name in names[kind]:
-            try:
-                load(name)
-            except SrsError as error:
-                bad.append(f"{kind} {name}: {str(error).splitlines()[0]}")
-    scenes = [name for name in names["robot"] if scene(name).is_file()]
-    bad += [f"model {name}: {scene(name)} is missing" for name in names["robot"] if name not in scenes]
-    counts = {"robots": len(names["robot"]), "scenarios": len(names["scenario"]), "models": len(scenes)}
-    yield {"root": str(data_root()), **counts, "bad": bad}
+    robots, scenarios = shipped_names("robot"), shipped_names("scenario")
+    scenes = [name for name in robots if _scene(name).is_file()]
+    bad = [f"model {name}: {_scene(name)} is missing" for name in robots if name not in scenes]
+    for name in robots:
+        try:
+            load_robot(name)
+        except SrsError as error:
+            bad.append(f"robot {name}: {str(error).splitlines()[0]}")
+    found = f"{len(robots)} robots, {len(scenarios)} scenarios, {len(scenes)} models in {data_root()}"
+    if not (robots and scenarios):
+        raise Fault("missing", found)
+    if bad:
+        raise Fault("broken", f"{found}; {'; '.join(bad)}")
+    return found
 
 
-def scene(robot: str) -> Path:
+def models() -> str:
+    """Compile every shipped model and move each under random control."""
+    from srs_twin.files import shipped_names
+    from srs_twin.mjcf_check import examine
+
+    scenes = {name: _scene(name) for name in shipped_names("robot") if _scene(name).is_file()}
+    reports = {name: examine(scene, _PATIENCE_S, _SIMULATED_S) for name, scene in scenes.items()}
+    bad = [f"{name}: {fault}" for name, report in reports.items() for fault in report["faults"]]
+    if bad:
+        raise Fault("broken", "; ".join(bad), "`srs-twin models check` says more; else install srs-twin anew")
+    if not scenes:
+        raise Fault("missing", "there is no model to try")
+    return f"compiles {', '.join(scenes)}, and simulates {_SIMULATED_S:g} s of each without a warning"
+
+
+def _scene(robot: str) -> Path:
     """Return the MJCF file of a shipped robot on a floor."""
     from srs_twin.files import data_root
 
     return data_root() / "models" / robot / "scene.xml"
 
 
-def models() -> Iterator[dict[str, Any]]:
-    """Compile every shipped model and give it a second of random control."""
-    from srs_twin.files import shipped_names
-    from srs_twin.mjcf_check import check_mjcf
-
-    bad, checked = [], []
-    for name in shipped_names("robot"):
-        if scene(name).is_file():
-            checked.append(name)
-            bad += [f"{name}: {fault}" for fault in check_mjcf(scene(name)).faults]
-    yield {"models": checked, "bad": bad}
-
-
-def kernels() -> Iterator[dict[str, Any]]:
-    """Compile a friction law anew and compare; import the kernels, for which numba needs its cache folder."""
-    import numpy as np
-    from numba import njit
-
-    from srs_twin import friction
-
-    arguments = (0.02, -0.1, 0.4, 0.05, 0.3, 1e-3)
-    compiled = njit(friction.wheel)(*arguments)
-    yield {"agrees": bool(np.allclose(compiled, friction.wheel(*arguments), rtol=1e-12))}
-    from srs_twin.plants.step_control import advance
-
-    kernel: Any = advance
-    yield {"cache": kernel._cache.cache_path}
+def kernels() -> str:
+    """Run a kernel compiled, and as Python; numba takes it from a folder, or compiles it and needs one."""
+    try:
+        from srs_twin.pneumatics.flow import flow
+    except RuntimeError as error:
+        if "no locator available" not in str(error):
+            raise
+        detail = "numba compiles, but finds no folder in which it may keep machine code"
+        remedy = "export NUMBA_CACHE_DIR=/tmp/numba (any folder you may write)"
+        raise Fault("broken", detail, remedy) from error
+    kernel: Any = flow
+    arguments = (2e5, 1.5e5, 0.3)
+    if not all(map(math.isclose, kernel(*arguments), kernel.py_func(*arguments))):
+        raise Fault("broken", "numba's machine code computes other numbers than Python")
+    return f"numba's machine code works, and is kept in {kernel._cache.cache_path}"
 
 
-def frame() -> Iterator[dict[str, Any]]:
-    """Draw a shipped scene off screen, with the OpenGL that the variable MUJOCO_GL names."""
-    import ctypes.util
+def drawing(opengl: str) -> str:
+    """Draw a box off screen, with the OpenGL that MUJOCO_GL would name so."""
+    from srs_twin.viewing.opengl import PACKAGES, draw_box
 
-    libraries = {"egl": "EGL", "osmesa": "OSMesa"}
-    wanted = libraries.get(os.environ["MUJOCO_GL"])
-    yield {"library": ctypes.util.find_library(wanted) if wanted else "glfw"}
-    from srs_twin.files import shipped_names
-    from srs_twin.viewing.offscreen import frame as drawn
-
+    if opengl in LIBRARIES and ctypes.util.find_library(LIBRARIES[opengl]) is None:
+        remedy = f"apt-get install {PACKAGES[opengl]} (Debian, Ubuntu)"
+        raise Fault("missing", "its library is not installed", remedy)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
-            picture = drawn(scene(shipped_names("robot")[0]))
-        finally:
-            # GLFW warns of what is wrong; the error that follows names a consequence.
-            yield {"warnings": [str(each.message) for each in heard]}
-    yield {"size": picture.shape[:2], "shades": len(set(picture.reshape(-1).tolist()))}
+            draw_box(opengl)
+        except Exception as error:
+            if not heard:
+                raise
+            # GLFW warns of what is wrong, as "(65550) b'X11: …'"; the error that follows names a consequence.
+            words = re.sub(r"^\(\d+\) b(['\"])(.*)\1$", r"\2", str(heard[0].message))
+            raise Fault("broken", words) from error
+    return "draws"
 
 
-def headless_viewer() -> Iterator[dict[str, Any]]:
+def without_a_screen() -> str:
     """Let Rerun's viewer draw its own window without a screen."""
-    from srs_twin.viewing.rerun_process import HOST, free_port
-    from srs_twin.viewing.viewer import rerun_executable
-
     picture = Path("window.png").resolve()
-    command = [
-        str(rerun_executable()), "--headless", "--bind", HOST, "--port", str(free_port()),
-        "--window-size", "320x240", "--hide-welcome-screen", "--screenshot-to", str(picture),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    window = ("--headless", "--window-size", "32x24", "--hide-welcome-screen")
+    done = subprocess.run(
+        [*_rerun(), *window, "--screenshot-to", str(picture)],
+        capture_output=True,
+        text=True,
+        errors="replace",
+    )
+    if picture.is_file() and picture.read_bytes().startswith(_PNG):
+        return "drew its window into a picture"
     panics = re.findall(r"panicked at '?(.*?)'?$", done.stdout + done.stderr, re.M)
-    drawn = picture.is_file() and picture.read_bytes().startswith(PNG)
-    yield {"drawn": drawn, "words": (*panics, f"ended with exit code {done.returncode}")[0]}
+    words = (*panics, f"ended with exit code {done.returncode}")[0]
+    raise Fault("missing", f"cannot draw ({words})")
 
 
-def web_viewer() -> Iterator[dict[str, Any]]:
+def in_a_browser() -> str:
     """Let Rerun serve its viewer for browsers, and fetch the page and the head of the program."""
     from srs_twin.viewing.rerun_process import HOST, free_port
-    from srs_twin.viewing.viewer import rerun_executable
 
     port = free_port()
-    command = [
-        str(rerun_executable()), "--serve-web", "--bind", HOST, "--port", str(free_port()),
-        "--web-viewer-port", str(port),
-    ]  # fmt: skip
     # A child would go on to ignore interrupts where this process was started to.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # Not `rerun_beside`: in a group of its own Rerun would outlive a probe that is killed with its group.
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    server = subprocess.Popen(
+        [*_rerun(), "--serve-web", "--web-viewer-port", str(port)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
     try:
-        yield {"served": _served(server, f"http://{HOST}:{port}/")}
+        if not _served(server, f"http://{HOST}:{port}/"):
+            raise Fault("broken", f"its page was not served on {HOST}")
     finally:
         # `rerun` is a script that starts the real program, and ends it when it is interrupted.
         server.send_signal(signal.SIGINT)
-        server.wait(timeout=5.0)
+        server.wait()
+    return "`srs-twin view RUN --web` serves it"
+
+
+def _rerun() -> list[str]:
+    """Return the words that start Rerun on a port of this machine that nobody uses."""
+    from srs_twin.viewing.rerun_process import HOST, free_port
+    from srs_twin.viewing.viewer import rerun_executable
+
+    return [str(rerun_executable()), "--bind", HOST, "--port", str(free_port())]
 
 
 def _served(server: subprocess.Popen[bytes], address: str) -> bool:
     """Wait until both parts are served; False if the server ends or never does."""
+    import urllib.error
+    import urllib.request
+
     # A proxy has nothing to do with this machine itself.
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     deadline = time.monotonic() + _SERVING_S
@@ -165,16 +192,51 @@ def _served(server: subprocess.Popen[bytes], address: str) -> bool:
     return False
 
 
-PROBES: dict[str, Callable[..., Iterator[dict[str, Any]]]] = {
-    probe.__name__: probe for probe in (imports, data, models, kernels, frame, headless_viewer, web_viewer)
+PROBES: dict[str, Callable[[], str]] = {
+    "shipped data": data,
+    "kernels": kernels,
+    "MuJoCo": models,
+    **{name: partial(drawing, name) for name in (*LIBRARIES, "glfw")},
+    "without a screen": without_a_screen,
+    "in a browser": in_a_browser,
 }
+"""By the name of the check that they decide."""
 
-_OPTIONAL = ("frame", "headless_viewer", "web_viewer")
 
-if __name__ == "__main__":
-    name, *arguments = sys.argv[1:]
-    if name in _OPTIONAL and hasattr(os, "nice"):
-        os.nice(10)  # on a slow machine, what is necessary is to have its answer in time
-    for finding in PROBES[name](*arguments):
-        sys.stdout.write(json.dumps(finding) + "\n")
-        sys.stdout.flush()
+def main(modules: Sequence[str], names: Sequence[str], budget_s: float) -> None:
+    """Import modules, then run probes, each in a process forked from this one; print a line an answer."""
+    gc.disable()  # processes that live for a second have nothing to collect
+    _answer("imports", partial(imports, modules), budget_s)
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    for name in names:  # in turn: side by side they would take turns in the processor's caches
+        pid = os.fork()
+        if pid == 0:
+            code = 1
+            try:
+                _answer(name, PROBES[name], budget_s)
+                code = 0
+            finally:
+                os._exit(code)  # what libraries do at the end of a process is no finding
+        if code := os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]):
+            _say(name=name, **vars(ended(code)))
+
+
+def _answer(name: str, probe: Callable[[], str], budget_s: float) -> None:
+    # Its default action ends the process, also where it hangs in a library and Python would not hear it.
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, budget_s)
+    try:
+        _say(name=name, status="ok", detail=probe())
+    except Fault as fault:
+        _say(name=name, status=fault.status, detail=str(fault), remedy=fault.remedy)
+    except Exception as error:  # a child's outermost edge: what the error says is the finding
+        _say(name=name, status="broken", detail=_in_words(error))
+
+
+def _in_words(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _say(**words: str) -> None:
+    # In one write: several processes share the file.
+    os.write(1, (json.dumps(words) + "\n").encode())

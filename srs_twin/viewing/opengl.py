@@ -78,14 +78,23 @@ def _complaint(name: str) -> str:
     return (errors or said or [f"ended with code {tried.returncode}"])[0]
 
 
-def _try(name: str) -> None:
-    """Draw a white box before black; whatever is wrong ends the process."""
+def draw_box(name: str) -> None:
+    """Draw a white box before black, in a process that ends soon: what cannot draw may end it.
+
+    Args:
+        name: which OpenGL, as MUJOCO_GL names it.
+
+    Raises:
+        InputError: every pixel has the same colour; libraries raise errors of many other types.
+    """
     import mujoco
 
     from srs_twin.viewing.canvas import Canvas
 
     model = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><geom type='box' size='.1 .1 .1' rgba='1 1 1 1'/></worldbody></mujoco>"
+        # Shadows and several samples a pixel cost a driver without a card most of the time.
+        "<mujoco><visual><quality shadowsize='0' offsamples='0'/></visual>"
+        "<worldbody><geom type='box' size='.1 .1 .1' rgba='1 1 1 1'/></worldbody></mujoco>"
     )
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     mujoco.mj_forward(model, data)
@@ -93,8 +102,8 @@ def _try(name: str) -> None:
     with Canvas(model, 16, 16, opengl=name) as canvas:
         picture = canvas.draw(data, camera)
     if picture.max() == picture.min():
-        sys.exit("every pixel has the same colour")
+        raise InputError("every pixel has the same colour")
 
 
 if __name__ == "__main__":
-    _try(sys.argv[1])
+    draw_box(sys.argv[1])
