@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import signal
 import traceback
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePath
 from typing import Any
 
-_FEW = 12  # names that are no wall of words
+FEW = 12
+"""Most names that a message lists."""
+
+_MOST = 3  # names suggested
+_CLOSE = 0.6  # similarity from which on a name is suggested; that of `difflib`
+_ALIKE = 0.05  # names this much less similar than the best are suggested with it
+_STEM = 0.75  # the same for the beginning of a name: short words are soon alike
+_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json")
+_WORDS = re.compile(r"[_\s-]")
 
 
 class SrsError(Exception):
@@ -38,17 +47,21 @@ class InputError(SrsError):
 
 
 class UnknownNameError(InputError):
-    """A name that is not among the available ones; says which is closest.
+    """A name that is not among the available ones; says which are closest, and all where they are few.
 
-    The others are said where none is close, and where they are few.
+    Args:
+        kind: what it names.
+        given: the name.
+        available: those that there are.
+        listed: where they are listed, said where none is close and they are many.
     """
 
-    def __init__(self, kind: str, given: str, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, given: str, available: Iterable[str], listed: str = "") -> None:
         names = sorted(available)
-        listed = f" (available: {', '.join(names) or 'none'})"
-        if (close := did_you_mean(given, names)) and len(names) > _FEW:
-            listed = ""
-        super().__init__(f"unknown {kind} '{given}'{close}{listed}")
+        close = did_you_mean(given, names)
+        # Many names are a wall of words, which hides the close ones and helps nobody without them.
+        rest = "" if close and len(names) > FEW else f" (available: {some(names, listed)})"
+        super().__init__(f"unknown {kind} '{given}'{close}{rest}")
 
 
 class TimeStepError(InputError):
@@ -149,10 +162,62 @@ def _round_part(period_s: float, step_s: float) -> float:
     return next((part for part in parts if math.isclose(float(f"{part:.4g}"), part, rel_tol=1e-12)), period_s)
 
 
+def some(names: Sequence[str], listed: str = "") -> str:
+    """Return names for a message: all where they are few, else how many and where they are listed."""
+    if len(names) > FEW:
+        return f"{len(names)} names{listed and f'; {listed} lists them'}"
+    return ", ".join(names) or "none"
+
+
 def did_you_mean(given: str, available: Iterable[str]) -> str:
-    """Return '; did you mean X?' for the closest available name, or an empty string."""
-    close = difflib.get_close_matches(given, list(available), n=1, cutoff=0.6)
-    return f"; did you mean {close[0]}?" if close else ""
+    """Return '; did you mean A, B or C?' for the closest available names, or an empty string.
+
+    Names are compared by their last part: `frequency_hz` of `controller.frequency_hz`, `gen2_turn` of
+    `scenarios/gen2_turn.yaml`. An abbreviation, or a name without its unit, is close; of names that are as
+    close, those in the same section are meant.
+
+    Args:
+        given: the name that there is not.
+        available: those that there are; the closest, at most three, are suggested in this order.
+    """
+    section, last = _parts(given)
+    found = {}
+    for name in available:
+        where, candidate = _parts(name)
+        closeness = _closeness(last, candidate)
+        if closeness >= _CLOSE:
+            found[name] = closeness + (0.5 * _ratio(section, where) if section else 0.0)
+    best = max(found.values(), default=0.0)
+    names = sorted((name for name in found if found[name] >= best - _ALIKE), key=lambda name: -found[name])
+    *others, final = names[:_MOST] or [""]
+    return f"; did you mean {', '.join(others)}{' or ' if others else ''}{final}?" if final else ""
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """Return where a name stands and its last part, in small letters."""
+    path = PurePath(name.lower())
+    if path.suffix in _SUFFIXES:
+        return str(path.parent), path.stem
+    section, _, last = name.lower().rpartition(".")
+    return section, last
+
+
+def _closeness(given: str, name: str) -> float:
+    """Return how much one name is like another, from 0 to 1."""
+    alike = _ratio(given, name)
+    if len(given) < 3 or alike == 1.0:
+        return alike
+    if name.startswith(given):
+        return max(alike, 0.85 + 0.1 * len(given) / len(name))
+    words = _WORDS.split(name)
+    # From the front, as without a unit; or from anywhere, as without what it is of.
+    stem = 0.95 * max((_ratio(given, "_".join(words[:i])) for i in range(1, len(words))), default=0.0)
+    within = 0.8 if f"_{given}_" in f"_{name}_" else 0.0
+    return max(alike, stem if stem > _STEM else 0.0, within)
+
+
+def _ratio(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one, other).ratio()
 
 
 def whole_steps(name: str, period_s: float, step_name: str, step_s: float) -> int:

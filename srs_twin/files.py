@@ -60,13 +60,12 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
         InputError: no file is there, or something that is no file of this kind.
         UnknownNameError: no shipped file has that name.
     """
-    given = os.fspath(name_or_path)
+    given, names = os.fspath(name_or_path), shipped_names(kind)
     if isinstance(name_or_path, os.PathLike) or "/" in given or os.sep in given or given.endswith(_SUFFIXES):
-        return existing(Path(given))
-    names = shipped_names(kind)
+        return existing(Path(given), names=names)
     if given not in names:
         _refuse_path(kind, given)
-        raise UnknownNameError(kind, given, names)
+        raise UnknownNameError(kind, given, names, str(shipped_folder(kind)))
     return shipped_folder(kind) / f"{given}.yaml"
 
 
@@ -194,13 +193,14 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{shown(target)}: cannot be written ({error.strerror or error})") from error
 
 
-def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "") -> Path:
+def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iterable[str] = ()) -> Path:
     """Return the path if it is a regular file: devices and pipes might never end.
 
     Args:
         path: as a person gave it.
         suffix: of the files that were perhaps meant.
         remedy: what to say besides where there is none.
+        names: what can be given without a path, and was perhaps meant.
 
     Raises:
         InputError: it is something else, not there, or its name cannot be used.
@@ -220,7 +220,8 @@ def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "") -> Path:
     except OSError as error:
         # A name too long, a folder that may not be entered.
         raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
-    raise InputError(f"{shown(path)}: no such file{_sibling(path, suffix) or remedy}")
+    hint = _sibling(path, suffix) or did_you_mean(str(path), names) or remedy
+    raise InputError(f"{shown(path)}: no such file{hint}")
 
 
 def _sibling(path: Path, suffix: str) -> str:

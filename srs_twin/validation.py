@@ -9,11 +9,12 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from srs_twin.documents import Document, Loc, child, has_child
-from srs_twin.errors import did_you_mean
+from srs_twin.errors import did_you_mean, some
 
 Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
+_LISTED = "`srs-twin schema` or docs/reference"
 _NO_SUCH_KIND = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -50,14 +51,15 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
         return None
 
 
-def allowed(schema: Schema, root: Schema) -> str:
+def allowed(schema: Schema, root: Schema, *, brief: bool = False) -> str:
     """Return in words what a JSON schema admits: 'a number from 0.01 to 50'.
 
     Args:
         schema: the schema of one value.
         root: the whole schema, which holds the definitions.
+        brief: say of many choices how many they are.
     """
-    texts = [_allowed(option, root) for option in _options(schema, root)]
+    texts = [_allowed(option, root, brief) for option in _options(schema, root)]
     return " or ".join(dict.fromkeys(filter(None, texts)))
 
 
@@ -73,7 +75,7 @@ def _report_kind(document: Document, item: Any, loc: Loc) -> None:
         names = [name.strip("'") for name in context.get("expected_tags", "").split(", ")]
         given = child(block, key)
         close = did_you_mean(given, names) if isinstance(given, str) else ""
-        document.report((*loc, key), f"must be one of {', '.join(names)}, not {_given(given)}{close}")
+        document.report((*loc, key), f"must be one of {some(names)}, not {_given(given)}{close}")
 
 
 def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
@@ -81,11 +83,11 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     if kind == "extra_forbidden":
         keys = _keys(schema, loc[:-1], data)
         close = did_you_mean(str(loc[-1]), keys)
-        return f"unknown key{close or '; known here: ' + ', '.join(keys)}"
+        return f"unknown key{close or f'; known here: {some(keys, _LISTED)}'}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
     options = list(_schemas_at(schema, loc, data))
-    words = " or ".join(dict.fromkeys(allowed(option, schema) for option in options))
+    words = " or ".join(dict.fromkeys(allowed(option, schema, brief=True) for option in options))
     if kind == "missing":
         return f"missing; it must be {words}"
     given = item["input"]
@@ -133,15 +135,17 @@ def _number(value: float) -> str:
     return str(int(value)) if value == int(value) and abs(value) < 1e15 else f"{value:g}"
 
 
-def _allowed(schema: Schema, root: Schema) -> str:
+def _allowed(schema: Schema, root: Schema, brief: bool) -> str:
     if choices := _choices(schema, root):
         names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
-        return names[0] if len(names) == 1 else f"one of {', '.join(names)}"
+        return (
+            names[0] if len(names) == 1 else f"one of {some(names, _LISTED) if brief else ', '.join(names)}"
+        )
     kind = schema.get("type")
     if kind in ("number", "integer"):
         return ("a whole number" if kind == "integer" else "a number") + _range(schema)
     if kind == "array":
-        inner = allowed(schema.get("items", {}), root)
+        inner = allowed(schema.get("items", {}), root, brief=brief)
         count = f" of {schema['minItems']}" if schema.get("minItems") == schema.get("maxItems", -1) else ""
         return f"a list{count} (each {inner})" if inner else f"a list{count}"
     if kind == "object":

@@ -1,4 +1,4 @@
-"""Errors come back whole from another process, whatever their constructors take."""
+"""Errors come back whole from another process; a mistyped name says what was meant, wherever it stands."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import pickle
 
 import pytest
 
+from srs_twin.cli import main
 from srs_twin.errors import (
     DivergedError,
     InputError,
@@ -15,7 +16,11 @@ from srs_twin.errors import (
     TimeStepError,
     UnknownNameError,
     WorkerDiedError,
+    did_you_mean,
 )
+from srs_twin.files import shipped_names
+from srs_twin.identification.unknowns import names_of_fields
+from srs_twin.scenario.expectation import known_metrics
 
 EVERY = [
     InputError("no such file"),
@@ -42,3 +47,126 @@ def test_survives_the_way_between_processes(error):
 def test_every_kind_was_tried():
     ours = {kind for kind in kinds(SrsError) if kind.__module__ == "srs_twin.errors"}
     assert ours - {type(error) for error in EVERY} <= {SrsError}
+
+
+CONTROLLER = ("controller.kind", "controller.frequency_hz", "controller.offset", "controller.phase_rad")
+ROBOT = (
+    "bending.stiffness_nm_per_rad",
+    "bending.damping_time_s",
+    "friction.mu_t",
+    "friction.mu_n",
+    "mass.wheel_kg",
+    "actuator.tau_fill_s",
+    "actuator.tau_vent_s",
+    "supply.pressure_kpa",
+    "geometry.segment_length_m",
+)
+METRICS = tuple(known_metrics())
+SCENARIOS = tuple(shipped_names("scenario"))
+PATHS = tuple(f"scenarios/{name}.yaml" for name in SCENARIOS)
+FIELDS = (*CONTROLLER, *ROBOT, "duration_s", "seed", "reference.frequency_hz", "planner.kind")
+FITS = tuple(names_of_fields())
+
+TYPOS = [
+    ("titel", ("name", "title", "robot", "duration_s"), ["title"]),
+    ("duration", ("name", "title", "robot", "duration_s"), ["duration_s"]),
+    ("stiffnes", [name.partition(".")[2] for name in ROBOT[:2]], ["stiffness_nm_per_rad"]),
+    ("stiffnes", ROBOT, ["bending.stiffness_nm_per_rad"]),
+    ("bending.stifness", ROBOT, ["bending.stiffness_nm_per_rad"]),
+    ("friction.mu", ROBOT, ["friction.mu_n", "friction.mu_t"]),
+    ("presure", ROBOT, ["supply.pressure_kpa"]),
+    ("controller.freq", FIELDS, ["controller.frequency_hz"]),
+    ("reference.freq", FIELDS, ["reference.frequency_hz"]),
+    ("freq", FIELDS, ["controller.frequency_hz", "reference.frequency_hz"]),
+    ("contoller.frequency_hz", FIELDS, ["controller.frequency_hz"]),
+    ("controller.ofset", FIELDS, ["controller.offset"]),
+    ("controller.kin", FIELDS, ["controller.kind"]),
+    ("com_sped_m_s", METRICS, ["com_speed_m_s"]),
+    ("com_speed", METRICS, ["com_speed_m_s", "com_speed_rel"]),
+    ("yawrate", METRICS, ["yaw_rate_abs", "yaw_rate_rad_s"]),
+    ("overshot", METRICS, ["overshoot_rad", "overshoot_rel"]),
+    ("settling", METRICS, ["settling_2_s", "settling_5_s"]),
+    ("cost_of_transprt", METRICS, ["cost_of_transport"]),
+    ("gen2_strait", SCENARIOS, ["gen2_straight"]),
+    ("gen2-straight", SCENARIOS, ["gen2_straight"]),
+    ("Gen2_Turn", SCENARIOS, ["gen2_turn"]),
+    ("scenarios/gen2_strait.yaml", PATHS, ["scenarios/gen2_straight.yaml"]),
+    ("elsewhere/gen2_strait.yml", SCENARIOS, ["gen2_straight"]),
+    ("gen2_strait.yaml", PATHS, ["scenarios/gen2_straight.yaml"]),
+    ("gate", ("gait", "ilc", "following"), ["gait"]),
+    ("gen22", ("gen1", "gen2", "gen3", "gen4"), ["gen2"]),
+    ("rai", ("local", "ray"), ["ray"]),
+    ("gredy", ("best_first", "greedy", "ompl"), ["greedy"]),
+    ("analytic", ("analytical", "twin"), ["analytical"]),
+    ("tau_fil_s", FITS, ["actuator.tau_fill_s"]),
+    ("modules.gan_plus_1", FITS, ["modules.gain_plus_N"]),
+    ("actuator.tau_fill", FITS, ["actuator.tau_fill_s"]),
+    ("Milimeters", ("Meters", "Centimeters", "Millimeters"), ["Millimeters"]),
+]
+
+
+@pytest.mark.parametrize(("given", "available", "meant"), TYPOS)
+def test_what_was_meant(given, available, meant):
+    *others, last = meant
+    words = f"{', '.join(others)} or {last}" if others else last
+    assert did_you_mean(given, sorted(available)) == f"; did you mean {words}?"
+
+
+@pytest.mark.parametrize(
+    "given", ["zzz", "banana", "x", "", "...", "on", "hello_world", "\u202erobot", "/", "?"]
+)
+@pytest.mark.parametrize("available", [CONTROLLER, ROBOT, METRICS, SCENARIOS, PATHS, FITS, ()])
+def test_garbage_suggests_nothing(given, available):
+    assert did_you_mean(given, available) == ""
+
+
+def test_at_most_three_are_suggested():
+    said = did_you_mean("straight", SCENARIOS)
+    assert said == "; did you mean gen1_straight, gen2_straight or gen3_straight?"
+
+
+def test_many_names_are_counted_not_listed():
+    assert str(UnknownNameError("metric", "banana", METRICS, "`srs-twin schema`")) == (
+        f"unknown metric 'banana' (available: {len(METRICS)} names; `srs-twin schema` lists them)"
+    )
+    assert len(METRICS) > 80
+    few = str(UnknownNameError("plant", "banana", ("analytical", "twin")))
+    assert few == "unknown plant 'banana' (available: analytical, twin)"
+
+
+PLACES = [
+    (("run", "scenarios/gen2_strait.yaml"), "did you mean gen2_straight?"),
+    (("run", "gen2_strait"), "did you mean gen2_straight?"),
+    (("run", "keys.yaml"), "robot.bending.stiffnes: unknown key; did you mean stiffness_nm_per_rad?"),
+    (("run", "keys.yaml"), "controller.freq: unknown key; did you mean frequency_hz?"),
+    (("run", "keys.yaml"), "one of lag, orifice, not text 'orifise'; did you mean orifice?"),
+    (("run", "metric.yaml"), "unknown metric 'com_speed'; did you mean com_speed_m_s or com_speed_rel?"),
+    (("run", "metric.yaml"), f"'banana' (available: {len(METRICS)} names; `srs-twin schema` lists them)"),
+    (("sweep", "sweep.yaml"), "vary.controller.freq: unknown key; did you mean frequency_hz?"),
+    (("sweep", "metrics.yaml"), "metrics[0]: unknown metric 'com_speed'; did you mean com_speed_m_s"),
+    (("sweep", "metrics.yaml"), "'supply.presure' is not varied; did you mean supply.pressure_kpa?"),
+    (("schema", "scenaro"), "unknown kind of file 'scenaro'; did you mean scenario?"),
+    (("models", "export", "gen22"), "unknown robot 'gen22'; did you mean gen2?"),
+]
+FILES = {
+    "keys.yaml": "robot: {base: gen2, bending: {stiffnes: 1}}\nduration_s: 1\n"
+    "controller: {kind: gait, freq: 2}\npneumatics: {kind: orifise}\n",
+    "metric.yaml": "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 2}\n"
+    "expect:\n  - {metric: com_speed, plant: twin, above: 0}\n  - {metric: banana, plant: twin, above: 0}\n",
+    "sweep.yaml": "scenario: gen2_straight\nvary: {controller.freq: [1, 2]}\n",
+    "metrics.yaml": "scenario: gen2_straight\nvary: {supply.pressure_kpa: [40, 48]}\nmetrics: [com_speed]\n"
+    "plots:\n  - {kind: line, x: supply.presure, metric: com_speed_m_s}\n",
+}
+
+
+@pytest.mark.parametrize(("words", "said"), PLACES)
+def test_every_place_says_what_was_meant(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(SystemExit) as left:
+        main(list(words))
+    assert left.value.code == 2
+    err = capsys.readouterr().err
+    assert said in err, err
+    assert {path.name for path in tmp_path.iterdir()} == FILES.keys()

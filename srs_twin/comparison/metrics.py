@@ -32,6 +32,9 @@ MEASURED_UNITS = {
     "measured_heading_rms_rad": "rad",
 }
 
+METRICS_LISTED = "`srs-twin schema`"
+"""What prints the names of all metrics, for messages."""
+
 # Metrics of a plant that are one number each: what an expectation can name.
 METRIC_UNITS = {
     "com_speed_m_s": "m/s",

@@ -19,9 +19,8 @@ from srs_twin.errors import InputError
 from srs_twin.files import data_root
 from srs_twin.viewing.viewer import rerun_executable
 
-SIMULATION, RENDERING, VIEWERS = (
-    "simulation", "pictures by MuJoCo, off screen (one of them is enough)", "Rerun's viewer",
-)  # fmt: skip
+SIMULATION, VIEWERS = "simulation", "Rerun's viewer"
+RENDERING = "pictures by MuJoCo, off screen (one of them is enough)"
 _REINSTALL = "`uv sync --reinstall` in a checkout, else `pip install --force-reinstall`"
 _DRIVER = (
     "install a driver: apt-get install libegl1 libgl1-mesa-dri (Debian, Ubuntu; draws on the processor); "

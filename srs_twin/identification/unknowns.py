@@ -132,7 +132,7 @@ def unit_of(name: str) -> str:
     """
     parts = _split(name)
     if parts is None:
-        raise UnknownNameError("parameter", name, names_of_fields())
+        raise UnknownNameError("parameter", name, names_of_fields(), "docs/identification.md")
     return _FIELDS[parts[0]].unit
 
 
@@ -161,7 +161,7 @@ def _split(name: str) -> tuple[str, int] | None:
 def _field(spec: RobotSpec, name: str) -> tuple[_Field, int]:
     parts = _split(name)
     if parts is None:
-        raise UnknownNameError("parameter", name, names_of_fields())
+        raise UnknownNameError("parameter", name, names_of_fields(), "docs/identification.md")
     field, k = _FIELDS[parts[0]], parts[1]
     count = {"connector": spec.geometry.connectors, "segment": spec.segments}.get(field.numbered or "", 1)
     if k >= count:

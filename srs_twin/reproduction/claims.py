@@ -162,7 +162,7 @@ def chosen(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> 
     """
     for name in only:
         if not any(_named(claim, name) for claim in claims):
-            raise UnknownNameError("claim", name, (claim.id for claim in claims))
+            raise UnknownNameError("claim", name, (claim.id for claim in claims), "docs/reproduction.md")
     found = [
         claim
         for claim in claims

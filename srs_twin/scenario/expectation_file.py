@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from srs_twin.comparison.metrics import METRICS_LISTED
 from srs_twin.errors import UnknownNameError
 from srs_twin.scenario.expectation import COMPARISON, known_metrics
 from srs_twin.scenario.fields import quantity, section
@@ -46,7 +47,7 @@ class ExpectationFile(Strict):
     @classmethod
     def _is_a_metric(cls, metric: str) -> str:
         if metric not in known_metrics():
-            raise ValueError(str(UnknownNameError("metric", metric, known_metrics())))
+            raise ValueError(str(UnknownNameError("metric", metric, known_metrics(), METRICS_LISTED)))
         return metric
 
     @model_validator(mode="after")

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.metrics import METRIC_UNITS
+from srs_twin.comparison.metrics import METRIC_UNITS, METRICS_LISTED
 from srs_twin.documents import Document
-from srs_twin.errors import UnknownNameError, did_you_mean
+from srs_twin.errors import UnknownNameError, did_you_mean, some
 from srs_twin.sweep.file import BesideFile, RangeFile, SweepFile
 from srs_twin.sweep.points import Sweep
 from srs_twin.viewing.sweep_table import Values
@@ -28,13 +28,15 @@ def check_beside(document: Document, file: SweepFile, given: BesideFile) -> None
         if field in file.vary:
             _check_values(document, file, field, values)
         else:
-            hint = did_you_mean(field, file.vary) or f"; varied: {', '.join(file.vary)}"
+            hint = did_you_mean(field, file.vary) or f"; varied: {some(list(file.vary))}"
             document.report(("beside", "at", field), f"is not varied{hint}", at_key=True)
     columns = list(METRIC_UNITS) if file.metrics is None else [m for m in file.metrics if m in METRIC_UNITS]
     for metric in given.metrics:
         loc = ("beside", "metrics", metric)
         if metric not in METRIC_UNITS:
-            document.report(loc, str(UnknownNameError("metric", metric, METRIC_UNITS)), at_key=True)
+            document.report(
+                loc, str(UnknownNameError("metric", metric, METRIC_UNITS, METRICS_LISTED)), at_key=True
+            )
         elif metric not in columns:
             document.report(loc, "is not among the sweep's metrics; add it there", at_key=True)
     _check_lengths(document, given)

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from srs_twin.comparison.following import PLANNING_UNITS
-from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
 from srs_twin.documents import Document, load_yaml
-from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
+from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, some
 from srs_twin.files import find, results_name
 from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robots import load_robot_file
@@ -156,11 +156,8 @@ class _Loading:
                 field = getattr(plot, key)
                 if field is None or field in self._file.vary or (plot.kind == "scatter" and field in drawn):
                     continue
-                hint = did_you_mean(field, self._file.vary)
-                fields = ", ".join(self._file.vary)
-                self._document.report(
-                    ("plots", i, key), f"'{field}' is not varied{hint or f'; varied: {fields}'}"
-                )
+                hint = did_you_mean(field, self._file.vary) or f"; varied: {some(list(self._file.vary))}"
+                self._document.report(("plots", i, key), f"'{field}' is not varied{hint}")
 
     def _check_metric(self, loc: tuple[str | int, ...], metric: str, known: list[str]) -> None:
         if metric in known:
@@ -168,7 +165,7 @@ class _Loading:
         if metric in COMPARISON_UNITS and len(self._plants) == 1:
             self._document.report(loc, f"{metric} compares both plants; only {self._plants[0]} runs here")
         else:
-            self._document.report(loc, str(UnknownNameError("metric", metric, known)))
+            self._document.report(loc, str(UnknownNameError("metric", metric, known, METRICS_LISTED)))
 
     def _sampled(self) -> list[tuple[Value, ...]] | None:
         try:
@@ -239,7 +236,8 @@ class _Loading:
                 if place == field or place.startswith((f"{field}.", f"{field}[")):
                     where = loc if loc[:2] == (section, field) else (section, field)
                     unknown = message.startswith("unknown key")
-                    hint = did_you_mean(field, leaves(self._scenario)) if "; known here" in message else ""
+                    elsewhere = unknown and "did you mean" not in message
+                    hint = did_you_mean(field, leaves(self._scenario)) if elsewhere else ""
                     self._document.report(where, message + hint, at_key=unknown)
                     return
         self._document.report(loc[:2], text)

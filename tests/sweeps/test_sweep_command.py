@@ -54,7 +54,7 @@ def test_results_do_not_depend_on_who_makes_them(srs_twin, tmp_path, words):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("nope",), "unknown sweep 'nope' (available: fig13"),
+        (("nope",), "unknown sweep 'nope' (available: "),
         (("nope.yaml",), "nope.yaml: no such file"),
         (("small.yaml", "--engine", "rai"), "unknown engine 'rai'; did you mean ray?"),
         (("small.yaml", "--address", "x:1"), "--address belongs to --engine ray"),
