@@ -23,7 +23,7 @@ _CLOSE = 0.6  # similarity from which on a name is suggested; that of `difflib`
 _ALIKE = 0.05  # names this much less similar than the best are suggested with it
 _STEM = 0.75  # the same for the beginning of a name: short words are soon alike
 _SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json")
-_WORDS = re.compile(r"[_\s-]")
+_WORDS = re.compile(r"[_.\s-]")
 
 
 class SrsError(Exception):
@@ -185,6 +185,8 @@ def did_you_mean(given: str, available: Iterable[str]) -> str:
     for name in available:
         where, candidate = _parts(name)
         closeness = _closeness(last, candidate)
+        if not section and where:  # perhaps the beginning was given
+            closeness = max(closeness, _closeness(last, name.lower()))
         if closeness >= _CLOSE:
             found[name] = closeness + (0.5 * _ratio(section, where) if section else 0.0)
     best = max(found.values(), default=0.0)
@@ -209,7 +211,7 @@ def _closeness(given: str, name: str) -> float:
         return alike
     if name.startswith(given):
         return max(alike, 0.85 + 0.1 * len(given) / len(name))
-    words = _WORDS.split(name)
+    given, words = _WORDS.sub("_", given), _WORDS.split(name)
     # From the front, as without a unit; or from anywhere, as without what it is of.
     stem = 0.95 * max((_ratio(given, "_".join(words[:i])) for i in range(1, len(words))), default=0.0)
     within = 0.8 if f"_{given}_" in f"_{name}_" else 0.0
