@@ -60,9 +60,7 @@ def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):
     sweep = write(tmp_path, PLANS)
     ran, before = rows(load_sweep(sweep), tmp_path / "out")
     assert ran == 4
-    wider = shipped.replace("0.035, 0.025, 0.015", "0.055, 0.045, 0.035")
-    assert wider != shipped
-    (tmp_path / "one.yaml").write_text(wider)
+    (tmp_path / "one.yaml").write_text(shipped.replace("5.23599", "3.5"))  # it turns less tightly
     with pytest.raises(InputError, match=r"contents have changed: one\.yaml\); give --changed"):
         open_sweep(load_sweep(sweep), tmp_path / "out")
     ran, after = rows(load_sweep(sweep), tmp_path / "out", changed=True)
@@ -70,8 +68,13 @@ def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):
     kept = {key for key, row in before.items() if row["planner.footprint"] == "other.yaml"}
     assert before.keys() & after.keys() == kept
     _, fresh = rows(load_sweep(sweep), tmp_path / "fresh")
-    lengths = {key: row["plan.plan_length_m"] for key, row in after.items()}
-    assert lengths == {key: row["plan.plan_length_m"] for key, row in fresh.items()}
+
+    def lengths(table):
+        return {(row["planner.footprint"], row["seed"]): row["plan.plan_length_m"] for row in table.values()}
+
+    assert lengths(after) == lengths(fresh)
+    moved = {place for place, length in lengths(after).items() if length != lengths(before)[place]}
+    assert moved == {("one.yaml", 0), ("one.yaml", 1)}
 
 
 def test_a_robot_file_decides_the_rows_that_name_it(tmp_path, monkeypatch):
