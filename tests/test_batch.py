@@ -332,13 +332,12 @@ def test_an_interrupt_ends_all_runs_soon(threads):
         if 0.1 < time_ < 0.13:
             os.kill(os.getpid(), signal.SIGINT)
 
-    begun = time.monotonic()
     jobs = [fused(Fuse(act), 100.0) for act in (naps, interrupt, naps, naps)]
     if threads == 1:
         jobs = jobs[1:]
     with pytest.raises(KeyboardInterrupt):
         run_many(jobs, threads=threads)
-    assert time.monotonic() - begun < 2.0
+    assert max(lived) < 50.0, "all of them had 100 s to simulate"
     ticks = len(lived)
     time.sleep(0.05)
     assert len(lived) == ticks
@@ -348,7 +347,7 @@ def test_no_thread_outlives_its_runs():
     before = threading.active_count()
     for _ in range(3):
         run_many([Job(_snake, Gait(2.0), 0.1) for _ in range(4)], threads=3)
-    deadline = time.monotonic() + 2.0
+    deadline = time.monotonic() + 60.0
     while threading.active_count() > before and time.monotonic() < deadline:
         time.sleep(0.01)
     assert threading.active_count() <= before

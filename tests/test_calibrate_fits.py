@@ -214,7 +214,7 @@ def test_an_interrupt_leaves_nothing(tmp_path):
             break
     time.sleep(1.0)
     os.kill(started.pid, signal.SIGINT)
-    _, errors = started.communicate(timeout=60)
+    _, errors = started.communicate(timeout=300)
     assert started.returncode == 130, lines
     assert "interrupted; nothing was written" in errors and "Traceback" not in errors
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

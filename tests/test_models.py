@@ -113,7 +113,7 @@ def test_both_move_alike_under_the_same_controls(spec, shipped):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_random_second_in_plain_mujoco(root, tmp_path, name):
     command = [sys.executable, "-c", PLAIN, str(root / "models" / name / SCENE), "7"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 0.1  # rad: it did bend
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT

@@ -227,12 +227,12 @@ def test_interrupted_nothing_is_left(runs, tmp_path):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
     command = [script, "render", str(runs / "gen2_straight"), "--video", "out.mp4", "--fps", "120"]
     started = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 600
     while not list(tmp_path.glob(".out.*")) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert list(tmp_path.glob(".out.*")), "it has begun to write"
     started.send_signal(signal.SIGINT)
-    _, said = started.communicate(timeout=60)
+    _, said = started.communicate(timeout=300)
     assert started.returncode == 130 and "Traceback" not in said
     assert list(tmp_path.iterdir()) == []
 
@@ -309,5 +309,5 @@ def test_a_canvas_that_nobody_closes_ends_without_a_word(opengl_here):
         f"canvas = Canvas(model, 32, 32, opengl={opengl_here!r})\n"
         "print(canvas.draw(mujoco.MjData(model), mujoco.MjvCamera()).shape)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "(32, 32, 3)\n", "")

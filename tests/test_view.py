@@ -107,17 +107,17 @@ def test_what_is_no_recording_of_ours_is_refused(recordings, tmp_path):
 def test_the_page_asks_for_nothing_from_outside(recordings):
     with served([recordings["left+1"]]) as (address, serve):
         threading.Thread(target=serve, daemon=True).start()
-        with OPENER.open(address, timeout=20) as answer:
+        with OPENER.open(address, timeout=120) as answer:
             page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
             assert "url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in answer.url, "it opens the recording"
         loaded = re.findall(r"""(?:src|href)=["']([^"']+)""", page) + re.findall(r"url\(([^)]*)", page)
         assert loaded and not [each for each in loaded if "//" in each]
         assert "default-src 'self'" in policy and "https:" not in policy
-        with OPENER.open(address + "re_viewer_bg.wasm", timeout=20) as answer:
+        with OPENER.open(address + "re_viewer_bg.wasm", timeout=120) as answer:
             assert answer.headers["Content-Type"] == "application/wasm"
             assert answer.read(4) == b"\x00asm"
         with pytest.raises(urllib.error.HTTPError, match="404"):
-            OPENER.open(address + "nothing-there", timeout=20)
+            OPENER.open(address + "nothing-there", timeout=120)
         everybody = psutil.Process().children(recursive=True)
         listening = [
             connection.laddr.ip
@@ -139,9 +139,9 @@ def test_the_page_is_served_until_it_is_ended(recordings, end):
     address = started.stdout.readline().strip()
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
     started.stderr.readline()
-    OPENER.open(address, timeout=20).close()
+    OPENER.open(address, timeout=120).close()
     started.send_signal(end)
-    out, said = started.communicate(timeout=30)
+    out, said = started.communicate(timeout=300)
     assert (started.returncode, out, said) == (0, "", "")
     with pytest.raises(urllib.error.URLError):
         OPENER.open(address, timeout=5)

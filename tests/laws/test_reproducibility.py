@@ -28,7 +28,7 @@ def test_same_seed_gives_the_same_bytes_in_three_processes():
         )
         for hash_seed in (0, 1, 2)
     ]
-    outputs = [run.communicate(timeout=200)[0] for run in runs]
+    outputs = [run.communicate(timeout=600)[0] for run in runs]
     assert [run.returncode for run in runs] == [0, 0, 0]
     assert [line.split()[0] for line in outputs[0].splitlines()] == ["analytical", "twin"]
     assert len(set(outputs)) == 1

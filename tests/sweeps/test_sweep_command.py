@@ -114,7 +114,7 @@ def started(tmp_path) -> subprocess.Popen[str]:
 def test_ctrl_c_keeps_what_is_finished(srs_twin, tmp_path):
     process = started(tmp_path)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=300)
     assert process.returncode == 130 and "rows are kept, start again to go on" in said
     assert "Traceback" not in said
     kept = pq.read_table(tmp_path / "out" / "results.parquet").num_rows
