@@ -64,24 +64,26 @@ def test_an_index_that_cannot_be_read_is_done_without(kernel, damage):
 
 PROGRAM = """
 from srs_twin.processes import each
+from test_compiled import in_a_worker
+import srs_twin.planning.best_first, srs_twin.pneumatics.orifice_kernels
+print(sorted(done.result for done in each(in_a_worker, [1, 2, 3], workers=2)))
+"""
 
 
 def in_a_worker(number):
-    import srs_twin.pneumatics.orifice_kernels
+    """A task that loads kernels."""
+    import srs_twin.pneumatics.orifice_kernels as kernels
+
+    assert kernels
     return number
-
-
-if __name__ == "__main__":
-    import srs_twin.planning.best_first, srs_twin.pneumatics.orifice_kernels
-    print(sorted(done.result for done in each(in_a_worker, [1, 2, 3], workers=2)))
-"""
 
 
 def test_without_a_folder_one_process_says_it_once_and_workers_do_not(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
     done = subprocess.run(
         [sys.executable, "program.py"],
-        cwd=tmp_path, env=os.environ | NOWHERE, capture_output=True, text=True, timeout=300,
+        cwd=tmp_path, env=os.environ | NOWHERE | {"PYTHONPATH": str(Path(__file__).parent)},
+        capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, "[1, 2, 3]\n"), done.stderr
     assert done.stderr.count(SAID) == 1 and "Error" not in done.stderr

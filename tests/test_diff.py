@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.comparison.diff import Results, Tolerance, diff, read_results
-from srs_twin.documents import parse_yaml
+from srs_twin.comparison.diff import Results, Tolerance, diff, load_tolerances, read_results
 from srs_twin.errors import InputError
 
 SCENARIO = """\
@@ -178,11 +177,13 @@ def test_another_arithmetic_stays_within_the_default_tolerances(tmp_path):
     assert not found.moved and found.same > 50 and set(found.versions) == {"arithmetic"}
 
 
-def test_documented_tolerances_load():
+def test_documented_tolerances_load(tmp_path):
     page = (ROOT / "docs/ci.md").read_text("utf-8")
     _, _, rest = page.partition("```yaml tolerances\n")
-    text, _, _ = rest.partition("```")
-    assert parse_yaml(text, "page").data["metrics"]
+    (tmp_path / "tolerances.yaml").write_text(rest.partition("```")[0])
+    allowed = load_tolerances(tmp_path / "tolerances.yaml")
+    assert allowed.of("analytical.com_speed_m_s").rel == allowed.of("twin.com_speed_m_s").rel == 0.01
+    assert allowed.of("twin.yaw_rate_rad_s").abs == 0.005 != allowed.of("analytical.yaw_rate_rad_s").abs
 
 
 def test_results_that_are_none_of_ours(tmp_path):

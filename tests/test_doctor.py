@@ -140,13 +140,12 @@ def test_a_folder_for_machine_code(srs_twin, tmp_path):
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
         "from srs_twin.doctor import probes\n"
-        "try:\n    probes.kernels()\n"
-        "except probes.Fault as fault:\n    print(fault, fault.remedy)\n"
+        "print(probes.kernels())\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", broken], capture_output=True, text=True, check=True, cwd=tmp_path
     )
-    assert "no folder" in done.stdout and "export NUMBA_CACHE_DIR=" in done.stdout
+    assert "works, but every start compiles it anew; export NUMBA_CACHE_DIR=" in done.stdout
 
 
 @pytest.mark.parametrize(("name", "packages"), [("egl", "libegl1"), ("osmesa", "libosmesa6")])

@@ -23,10 +23,12 @@ def diff(
     a: Annotated[str, typer.Argument(metavar="A", help="Reference: a folder of results, or one file.")],
     b: Annotated[str, typer.Argument(metavar="B", help="Results that are held against it.")],
     rel: Annotated[
-        float | None, typer.Option("--rel", help="Relative tolerance of a number. [default: 1e-6]")
+        float | None,
+        typer.Option("--rel", metavar="NUMBER", help="Relative tolerance of a number. [default: 1e-6]"),
     ] = None,
     abs_: Annotated[
-        float | None, typer.Option("--abs", help="Absolute tolerance of a number. [default: 1e-9]")
+        float | None,
+        typer.Option("--abs", metavar="NUMBER", help="Absolute tolerance of a number. [default: 1e-9]"),
     ] = None,
     tolerances: Annotated[
         str | None,

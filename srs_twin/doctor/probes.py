@@ -90,20 +90,18 @@ def _scene(robot: str) -> Path:
 
 
 def kernels() -> str:
-    """Run a kernel compiled, and as Python; numba takes it from a folder, or compiles it and needs one."""
-    try:
-        from srs_twin.pneumatics.flow import flow
-    except RuntimeError as error:
-        if "no locator available" not in str(error):
-            raise
-        detail = "numba compiles, but finds no folder in which it may keep machine code"
-        remedy = "export NUMBA_CACHE_DIR=/tmp/numba (any folder you may write)"
-        raise Fault("broken", detail, remedy) from error
+    """Run a kernel compiled, and as Python; numba takes it from a folder, or compiles it."""
+    from srs_twin.pneumatics.flow import flow
+
     kernel: Any = flow
     arguments = (2e5, 1.5e5, 0.3)
     if not all(map(math.isclose, kernel(*arguments), kernel.py_func(*arguments))):
         raise Fault("broken", "numba's machine code computes other numbers than Python")
-    return f"numba's machine code works, and is kept in {kernel._cache.cache_path}"
+    kept = kernel._cache.cache_path
+    if kept is None:
+        remedy = "export NUMBA_CACHE_DIR=/tmp/numba (any folder you may write) keeps it"
+        return f"numba's machine code works, but every start compiles it anew; {remedy}"
+    return f"numba's machine code works, and is kept in {kept}"
 
 
 def drawing(opengl: str) -> str:

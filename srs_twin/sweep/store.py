@@ -53,6 +53,7 @@ class About:
     files: dict[str, str] = field(default_factory=dict)
 
 
+_DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # a message of SQLite may quote what is damaged
 _ABOUT = TypeAdapter(About)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
@@ -91,7 +92,7 @@ class RowStore:
                 "CREATE TABLE IF NOT EXISTS rows (key TEXT PRIMARY KEY, status TEXT, row TEXT NOT NULL)"
             )
             self._base.execute("COMMIT")
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise self._refusal(error) from error
 
     def __enter__(self) -> RowStore:
@@ -168,10 +169,10 @@ class RowStore:
     def _guarded(self) -> Iterator[None]:
         try:
             yield
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise self._refusal(error) from error
 
-    def _refusal(self, error: sqlite3.Error) -> InputError:
+    def _refusal(self, error: Exception) -> InputError:
         where, code = shown(self._path), getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code == sqlite3.SQLITE_BUSY:
             return InputError(

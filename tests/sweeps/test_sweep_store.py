@@ -209,5 +209,5 @@ def test_rows_that_somebody_else_wrote(tmp_path):
 
 def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"rows.sqlite: cannot be used"):
+    with pytest.raises(InputError, match=r"file: cannot be made \(File exists\)"):
         RowStore(tmp_path / "file")
