@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +46,22 @@ def srs_twin() -> Command:
         )
 
     return start
+
+
+def exists(process: int) -> bool:
+    """Whether a process runs: not gone, and no zombie that only waits to be looked at."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def wait_until(condition: Callable[[], Any], seconds: float = 300.0) -> None:
+    """Wait until something holds; fail where it never does."""
+    latest = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < latest, "waited in vain"
+        time.sleep(0.01)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from multiprocessing import Pipe, active_children
 from pathlib import Path
 
 import pytest
+from conftest import exists, wait_until
 
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.files import atomic_write
@@ -102,21 +103,6 @@ def write_slowly(folder, _):
 def results(done):
     assert [each.error for each in done] == [None] * len(done)
     return [each.result for each in sorted(done, key=lambda each: each.number)]
-
-
-def exists(process):
-    """Whether a process runs: not gone, and no zombie that only waits to be looked at."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-def wait_until(condition, seconds=300.0):
-    latest = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < latest, "waited in vain"
-        time.sleep(0.01)
 
 
 @pytest.fixture(autouse=True)

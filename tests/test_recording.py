@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from synthetic import numbered, with_columns
+from synthetic import Snake, numbered, with_columns
 from viewing_runs import pair, robot
 
 from srs_twin.comparison.following import following_metrics, touches
@@ -53,7 +53,8 @@ def following(run):
     goal = {"x": 0.4, "y": 0.0, "radius": 0.05, "heading": None, "heading_tolerance": 0.1}
     about = {"following": {"plans": [plan], "footprint": footprint, "world": world, "goal": goal}}
     changed = with_columns(run, cross_track=0.01 * np.sin(run.time), offset_commanded=0.2 * np.cos(run.time))
-    return told(changed, Event(1.5, "replanned", "a new way"), control=about)
+    lengths = {"segment_length_m": Snake.segment_length, "rigid_gap_m": Snake.rigid_gap, "body_width_m": 0.04}
+    return told(changed, Event(1.5, "replanned", "a new way"), control=about, **lengths)
 
 
 KINDS = {"gait": lambda run: run, "bench": bench, "learning": learning, "following": following}

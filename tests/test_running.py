@@ -183,10 +183,11 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     words = ["run", write(tmp_path, "brief", brief), write(tmp_path, "long", long.split("expect:")[0])]
     script = str(Path(sys.executable).with_name("srs-twin"))
     child = subprocess.Popen([script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    (kept := tmp_path / "runs/long/metrics.json").parent.mkdir(parents=True)
+    kept.write_text("of an earlier run")
     started, deadline = tmp_path / "runs/brief/metrics.json", time.monotonic() + 600
     while not started.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
-    (kept := tmp_path / "runs/long/metrics.json").write_text("of an earlier run")
     time.sleep(1.0)
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=300)

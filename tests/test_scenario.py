@@ -521,7 +521,6 @@ def test_a_document_is_not_shared_with_what_it_was_made_of():
         ("a b.yaml", "a b"),
         (".hidden.yaml", "hidden"),
         ("größe.v2.yaml", "größe.v2"),
-        ("a\nb.yaml", "a_b"),
         ("...yaml", "scenario"),
     ],
 )

@@ -17,6 +17,7 @@ import browser
 import psutil
 import pytest
 from browser import share, shows_a_snake
+from conftest import exists, wait_until
 from matplotlib.image import imread
 from viewing_runs import pair, robot
 
@@ -119,6 +120,7 @@ def test_the_page_asks_for_nothing_from_outside(recordings):
         with pytest.raises(urllib.error.HTTPError, match="404"):
             OPENER.open(address + "nothing-there", timeout=120)
         everybody = psutil.Process().children(recursive=True)
+        reruns = [process.pid for process in everybody if "rerun" in process.name()]
         listening = [
             connection.laddr.ip
             for process in (psutil.Process(), *everybody)
@@ -126,8 +128,7 @@ def test_the_page_asks_for_nothing_from_outside(recordings):
             if connection.status == psutil.CONN_LISTEN
         ]
         assert len(listening) >= 3 and set(listening) == {"127.0.0.1"}, "page, Rerun's page, recording"
-    left = [process for process in everybody if process.is_running() and "rerun" in process.name()]
-    assert all(process.status() == psutil.STATUS_ZOMBIE for process in left)
+    wait_until(lambda: not any(map(exists, reruns)))
 
 
 @pytest.mark.usefixtures("interruptible")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from srs_twin.comparison.sampling import segment_lengths
 from srs_twin.mjcf_numerics import Numerics, hinge_stations
 from srs_twin.shape import chord
 from srs_twin.spec import Geometry
@@ -73,10 +74,13 @@ def hull_lines(trajectory: Trajectory) -> np.ndarray:
 
     Args:
         trajectory: with `x_1…`, `y_1…`, `theta_1…` and the lengths in its metadata.
+
+    Raises:
+        InputError: the lengths are not there.
     """
-    about, theta, position = trajectory.metadata, trajectory.stack("theta"), trajectory.position
-    hinges = about.get("hinges_per_segment", Numerics.hinges_per_segment)
-    length, gap = about["segment_length_m"], about["rigid_gap_m"]
+    theta, position = trajectory.stack("theta"), trajectory.position
+    hinges = trajectory.metadata.get("hinges_per_segment", Numerics.hinges_per_segment)
+    length, gap = segment_lengths(trajectory)
     pieces = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
     part = np.linspace(0.0, 1.0, hinges + 1)
     headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * part

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.comparison.sampling import body_length, interpolant, label, require, rms
+from srs_twin.comparison.sampling import body_length, interpolant, label, require, rms, segment_lengths
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -155,10 +155,8 @@ def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
             f"{label(reference)} has rigid gaps in its geometry, so the factor (l + L_o)/l would count them "
             "twice; run it without gaps"
         )
-    length, gap = (candidate.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m"))
-    if length is None or gap is None:
-        raise InputError(f"{label(candidate)}: metadata segment_length_m or rigid_gap_m is missing")
-    return float((length + gap) / length)
+    length, gap = segment_lengths(candidate)
+    return (length + gap) / length
 
 
 def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: float) -> dict[str, float | None]:

@@ -67,6 +67,18 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
     return float(value)
 
 
+def segment_lengths(trajectory: Trajectory) -> tuple[float, float]:
+    """Return the length of a segment that bends and that of its straight ends from the metadata, m.
+
+    Raises:
+        InputError: one of them is not there.
+    """
+    length, gap = (trajectory.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m"))
+    if length is None or gap is None:
+        raise InputError(f"{label(trajectory)}: metadata segment_length_m or rigid_gap_m is missing")
+    return float(length), float(gap)
+
+
 def body_length(trajectory: Trajectory) -> float:
     """Return the body length from the metadata, m.
 
