@@ -148,9 +148,16 @@ numbers = st.none() | st.booleans() | st.floats(allow_nan=False) | st.integers()
 def test_every_value_is_counted_once(values, data):
     other = {place: data.draw(numbers) for place in values if data.draw(st.booleans())}
     found = diff(Results(values, {}), Results(other, {}))
-    assert len(found.moved) + found.same == len(values.keys() | other.keys())
-    assert {(each.where, each.metric) for each in found.moved} >= values.keys() - other.keys()
+    assert len(found.moved) + found.same == len(values)
+    lost = {place for place in values.keys() - other.keys() if values[place] is not None}
+    assert {(each.where, each.metric) for each in found.moved} >= lost
     assert not diff(Results(values, {}), Results(values, {})).moved
+
+
+def test_two_runs_are_compared_whatever_they_are_called():
+    one, other = ({(name, "twin.com_speed_m_s"): 0.2, (name, "twin.yaw_rate_rad_s"): None} for name in "ab")
+    assert diff(Results(one, {}), Results(other, {})).same == 2
+    assert len(diff(Results(one | {("c", "x"): 1}, {}), Results(other, {})).moved) == 3
 
 
 @given(st.floats(-1e300, 1e300), st.floats(0, 0.1))

@@ -1,7 +1,8 @@
 """Two sets of results, number by number: what moved from one commit, machine or setting to another.
 
 A number has moved where |a − b| > max(abs, rel · max(|a|, |b|)); anything else (a verdict, a status, a number
-that one side does not have) where it is not equal. Wall times are left out.
+that one side does not have) where it is not equal. Two runs are compared whatever their scenarios are
+called. Wall times are left out.
 """
 
 from __future__ import annotations
@@ -146,18 +147,18 @@ def diff(a: Results, b: Results, tolerances: Tolerances | None = None) -> Differ
     Raises:
         UnknownNameError: a tolerance for a metric that neither has.
     """
-    allowed = tolerances or Tolerances()
-    places = list(dict.fromkeys((*a.values, *b.values)))
+    allowed, before, after = tolerances or Tolerances(), a.values, b.values
+    one, other = ({where for where, _ in values} for values in (before, after))
+    if len(one) == len(other) == 1:  # two runs are compared whatever they are called
+        (where,) = one
+        after = {(where, metric): value for (_, metric), value in after.items()}
+    places = list(dict.fromkeys((*before, *after)))
     known = {name for _, metric in places for name in names_of(metric)}
     for name in allowed.metrics:
         if name not in known:
             raise UnknownNameError("metric of a tolerance", name, known)
-    moved = [
-        Moved(*place, a.values.get(place), b.values.get(place))
-        for place in places
-        if not (place in a.values and place in b.values)
-        or not allowed.of(place[1]).allows(a.values[place], b.values[place])
-    ]
+    pairs = [Moved(*place, before.get(place), after.get(place)) for place in places]
+    moved = [each for each in pairs if not allowed.of(each.metric).allows(each.a, each.b)]
     packages = dict.fromkeys((*a.versions, *b.versions))
     versions = {name: (a.versions.get(name), b.versions.get(name)) for name in packages}
     return Difference(
