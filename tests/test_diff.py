@@ -115,6 +115,16 @@ def test_a_verdict_that_changed_has_moved(capsys, tmp_path):
     assert err == "made with another mujoco: a → b\n"
 
 
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_names_of_foreign_results_cannot_paint_the_terminal(capsys, tmp_path, options):
+    for name, verdict in (("a", "met"), ("b", "[red]x\x1b[31m\x9b")):
+        outcomes = {"twin": {"verdict": verdict, "value": 1.0}}
+        document = {"rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}], "versions": {}}
+        (tmp_path / f"{name}.json").write_text(json.dumps(document))
+    code, out, _ = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"), *options)
+    assert code == 1 and "[red]x" in out and not set(out) & set("\x1b\x9b")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

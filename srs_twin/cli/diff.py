@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from xml.etree.ElementTree import Element, SubElement
 
 import typer
 
-from srs_twin.cli import say
+from srs_twin.cli import console, say
 
 if TYPE_CHECKING:
     from srs_twin.comparison.diff import Difference, Leaf
@@ -59,7 +58,7 @@ def diff(
     for package, (old, new) in found.versions.items():
         say(f"made with another {package}: {old} → {new}")
     if as_json:
-        print(json.dumps(found.document(), indent=1, ensure_ascii=False))
+        print(json.dumps(found.document(), indent=1))
     else:
         _show(found)
     if report is not None:
@@ -71,8 +70,6 @@ def diff(
 def _show(found: Difference) -> None:
     """Print what moved as a table, at most `_SHOWN` rows."""
     from rich import box
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -82,20 +79,18 @@ def _show(found: Difference) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     for each in found.moved[:_SHOWN]:
         rel = "" if each.rel is None else f"{each.rel:+.2g}"
-        table.add_row(escape(each.where), escape(each.metric), _text(each.a), _text(each.b), rel)
+        table.add_row(each.where, each.metric, _text(each.a), _text(each.b), rel)
     if found.moved:
-        Console(file=sys.stdout, highlight=False).print(table)
+        console().print(table)
     if len(found.moved) > _SHOWN:
         print(f"and {len(found.moved) - _SHOWN} more; --json lists them all")
     print(f"{len(found.moved)} moved, {found.same} the same")
 
 
 def _text(value: Leaf) -> str:
-    from rich.markup import escape
-
     if value is None:
         return "–"
-    return f"{value:.9g}" if isinstance(value, float) else escape(str(value))
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _write_junit(path: Path, found: Difference) -> None:
