@@ -169,6 +169,15 @@ def some(names: Sequence[str], listed: str = "") -> str:
     return ", ".join(names) or "none"
 
 
+def one_of(name: str, given: str, allowed: Iterable[str]) -> None:
+    """Raise InputError unless a value is one of those allowed; the closest is suggested."""
+    allowed = tuple(allowed)
+    if given not in allowed:
+        raise InputError(
+            f"{name} '{given}' is unknown; allowed: {', '.join(allowed)}{did_you_mean(given, allowed)}"
+        )
+
+
 def did_you_mean(given: str, available: Iterable[str]) -> str:
     """Return '; did you mean A, B or C?' for the closest available names, or an empty string.
 

@@ -496,7 +496,7 @@ def test_what_a_batch_refuses():
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
     with pytest.raises(InputError, match="one object cannot be the chambers of every twin; give its kind"):
         TwinBatch([SPEC, SPEC], pneumatics=own)
-    with pytest.raises(InputError, match="wheels 'square' are unknown; allowed: rolling, skid"):
+    with pytest.raises(InputError, match="wheels 'square' is unknown; allowed: rolling, skid"):
         TwinBatch([SPEC, SPEC], wheels="square", threads=2)
 
 

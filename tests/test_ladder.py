@@ -185,7 +185,7 @@ def test_only_simplified_goes_without_friction_torque(model):
     ("options", "words"),
     [
         ({"inertia": "heavy"}, "inertia 'heavy' is unknown; allowed: point, connector, lumped"),
-        ({"model": "simple"}, "model 'simple' is unknown; allowed: complete, simplified, compliant"),
+        ({"model": "simple"}, "model 'simple' is unknown; allowed: complete, simplified, compliant; did you mean simplified?"),
         (
             {"friction": "coulomb"},
             "friction law 'coulomb' is unknown; allowed: axis, wheel, viscous, ellipse",

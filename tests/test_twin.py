@@ -201,7 +201,7 @@ def test_both_plants_get_the_same_pressures():
 
 
 def test_what_cannot_be_built_is_refused():
-    with pytest.raises(InputError, match="wheels 'round' are unknown; allowed: rolling, skid"):
+    with pytest.raises(InputError, match="wheels 'round' is unknown; allowed: rolling, skid"):
         TwinSnake(SPEC, wheels="round")
     with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):
         TwinSnake(SPEC, timestep=0.0015)

@@ -20,7 +20,7 @@ from srs_twin.cli.fitting import (
     PressureOption,
     UpOption,
 )
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, one_of
 
 if TYPE_CHECKING:
     from srs_twin.robot_file import RobotFile
@@ -153,8 +153,7 @@ def _plants(names: str, model: str, law: str | None, bench: bool) -> dict[str, A
     settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
     wanted = [each.strip() for each in names.split(",")]
     for each in wanted:
-        if each not in settings:
-            raise InputError(f"--plants: '{each}' is unknown; allowed: analytical, twin, or analytical,twin")
+        one_of("--plants:", each, settings)
     return {name: settings[name] for name in settings if name in wanted}
 
 

@@ -22,13 +22,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from srs_twin.doctor.check import Fault, ended
+from srs_twin.doctor.check import Answer, Fault, ended
 
 _SERVING_S = _PATIENCE_S = 40
 _PNG = b"\x89PNG\r\n\x1a\n"
 _SIMULATED_S = 0.2
 LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 """The system's library of each OpenGL that needs no screen."""
+NEEDLESS = Answer(
+    "undecided", "not tried: egl draws, and one is enough", "`MUJOCO_GL=osmesa srs-twin doctor` tries it"
+)
+_NO = 3
+"""Exit code of a probe that has said itself what does not work."""
 
 
 def imports(modules: Sequence[str]) -> str:
@@ -206,29 +211,38 @@ def main(modules: Sequence[str], names: Sequence[str], budget_s: float) -> None:
     gc.disable()  # processes that live for a second have nothing to collect
     _answer("imports", partial(imports, modules), budget_s)
     signal.setitimer(signal.ITIMER_REAL, 0.0)
+    works = set()
     for name in names:  # in turn: side by side they would take turns in the processor's caches
+        if name == "osmesa" and "egl" in works:
+            _say(name=name, **vars(NEEDLESS))
+            continue
         pid = os.fork()
         if pid == 0:
             code = 1
             try:
-                _answer(name, PROBES[name], budget_s)
-                code = 0
+                code = 0 if _answer(name, PROBES[name], budget_s) else _NO
             finally:
                 os._exit(code)  # what libraries do at the end of a process is no finding
-        if code := os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]):
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        if code == 0:
+            works.add(name)
+        elif code != _NO:
             _say(name=name, **vars(ended(code)))
 
 
-def _answer(name: str, probe: Callable[[], str], budget_s: float) -> None:
+def _answer(name: str, probe: Callable[[], str], budget_s: float) -> bool:
+    """Say what comes of a probe; True if it works."""
     # Its default action ends the process, also where it hangs in a library and Python would not hear it.
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, budget_s)
     try:
         _say(name=name, status="ok", detail=probe())
+        return True
     except Fault as fault:
         _say(name=name, status=fault.status, detail=str(fault), remedy=fault.remedy)
     except Exception as error:  # a child's outermost edge: what the error says is the finding
         _say(name=name, status="broken", detail=_in_words(error))
+    return False
 
 
 def _in_words(error: Exception) -> str:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, one_of
 
 MAPS = {
     "z": ((0, 1), (1, 1), (2, 1)), "y": ((0, 1), (2, -1), (1, 1)), "x": ((1, 1), (2, 1), (0, 1)),
@@ -64,8 +64,7 @@ def on_floor(name: str, points: np.ndarray, up: str, usual: str) -> Floor:
     Raises:
         InputError: an unknown axis, one that a plane does not have, or no way to tell.
     """
-    if up not in UPS:
-        raise InputError(f"up '{up}' is unknown; allowed: {', '.join(UPS)}")
+    one_of("up", up, UPS)
     if points.shape[-1] == 2:
         return _flat(name, points, up)
     said: list[str] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import one_of
 
 WAYS = ("spline", "linear")
 _TIMES = 8.0  # times as far from where its neighbours have it as most samples: no place of a marker
@@ -86,8 +86,7 @@ def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
     Raises:
         InputError: another way.
     """
-    if way not in WAYS:
-        raise InputError(f"fill '{way}' is unknown; allowed: {', '.join(WAYS)}")
+    one_of("fill", way, WAYS)
     whole = points.copy()
     for track in range(points.shape[1]):
         missing = np.isnan(points[:, track, 0])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import one_of
 from srs_twin.files import atomic_write
 from srs_twin.identification.floor import MAPS
 from srs_twin.identification.layout import LAYOUTS
@@ -69,8 +69,7 @@ class Take:
             ("unit", self.unit, tuple(LENGTHS)),
             ("up", self.up, tuple(MAPS)),
         ):
-            if value not in allowed:
-                raise InputError(f"{name} '{value}' is unknown; allowed: {', '.join(allowed)}")
+            one_of(name, value, allowed)
 
 
 def markers(trajectory: Trajectory, take: Take) -> np.ndarray:

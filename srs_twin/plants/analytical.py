@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.friction import AT_TRACK, LAWS
 from srs_twin.plants import kernels, observation
 from srs_twin.plants.base import BASES, Plant, Pose, SnakeState
@@ -97,8 +97,7 @@ class AnalyticalSnake(Plant):
             ("model", model, MODELS), ("friction law", friction, LAWS), ("inertia", inertia, INERTIAS),
             ("base", base, BASES),
         ):  # fmt: skip
-            if given not in known:
-                raise InputError(f"{kind} '{given}' is unknown; allowed: {', '.join(known)}")
+            one_of(kind, given, known)
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
         if base == "clamped" and model == "compliant":

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
 from srs_twin.plants.base import BASES, Plant, Pose, SnakeState
 from srs_twin.plants.divergence import believed
@@ -87,10 +87,8 @@ class TwinSnake(Plant):
             InputError: an unknown wheel or layout, a tick that is no multiple of the time step, or a time
                 step that is too long for the chambers.
         """
-        if wheels not in WHEELS:
-            raise InputError(f"wheels '{wheels}' are unknown; allowed: {', '.join(WHEELS)}")
-        if base not in BASES:
-            raise InputError(f"base '{base}' is unknown; allowed: {', '.join(BASES)}")
+        one_of("wheels", wheels, WHEELS)
+        one_of("base", base, BASES)
         whole_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep, self.wheels = spec, tick, timestep, wheels
         self._numerics = Numerics(

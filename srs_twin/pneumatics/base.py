@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.plausible import implausible, plausible
 from srs_twin.pneumatics.faults import StuckValve
 from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
@@ -87,8 +87,7 @@ class Pneumatics(ABC):
     felt_s = math.inf
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
-        if layout not in LAYOUTS:
-            raise InputError(f"valve layout '{layout}' is unknown; allowed: {', '.join(LAYOUTS)}")
+        one_of("valve layout", layout, LAYOUTS)
         not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
         self._segments = spec.segments
