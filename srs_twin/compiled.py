@@ -1,4 +1,4 @@
-"""compiled: numba's njit with a cache that knows every source that a kernel may have inlined."""
+"""compiled: numba's njit with a cache that knows everything that a kernel may have inlined."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import functools
 import hashlib
 import pickle
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any
 
 from numba import njit
@@ -18,9 +18,8 @@ from srs_twin.errors import CacheWarning
 
 # The order of sums may change, never what becomes of infinities and NaN.
 _ARITHMETIC = {"contract", "reassoc", "arcp", "nsz"}
-# What kernels are made of: the planner's of its own sources, all others of the models'.
-_PLANNING = ("compiled.py", "planning")
-_MODELS = ("spec.py", "shape.py", "friction.py", "compiled.py", "pneumatics", "plants")
+_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _ARITHMETIC}
+_CONSTANTS = (bool, int, float, complex, str, tuple, type(None))
 _warned = False
 
 
@@ -28,15 +27,14 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function on its first call, free of the interpreter's lock, and keep the machine code.
 
     numba keeps one file of machine code a function and drops it when the function's own source file has
-    changed. What the function inlined from other files it does not look at: a corrected friction law would
-    go on unused in the kernels. So the stamp that decides is that of all sources kernels are made of.
+    changed, by a comment too. What the function inlined from other files it does not look at: a corrected
+    friction law would go on unused in the kernels. So the stamp that decides is that of what the function
+    computes: its bytecode, that of every kernel it calls, and the constants they use.
     Where nothing can be kept, every process compiles for itself, with one `CacheWarning`.
     """
-    options: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
-    dispatcher: Any = njit(fastmath=_ARITHMETIC, **options)(function)
-    planner = function.__module__.startswith("srs_twin.planning.")
+    dispatcher: Any = njit(**_OPTIONS)(function)
     try:
-        dispatcher._cache = _Cache(function, _stamp(_PLANNING if planner else _MODELS))
+        dispatcher._cache = _Cache(function)
     except RuntimeError:  # numba knows no folder that it may write
         _warn("no folder for it can be written")
     kernel: Callable[..., Any] = dispatcher
@@ -46,9 +44,13 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 class _Cache(FunctionCache):
     """numba's cache of one function, which does without its folder where that fails."""
 
-    def __init__(self, function: Callable[..., Any], stamp: str) -> None:
-        super().__init__(function)
-        self._cache_file._source_stamp = stamp
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load machine code for a signature, of just this computation; None where there is none.
+
+        Only now, at the first call, is everything there that the function refers to.
+        """
+        self._cache_file._source_stamp = _stamp(self._py_func)
+        return super().load_overload(sig, target_context)
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
@@ -72,16 +74,32 @@ def _warn(why: str) -> None:
 
 
 @functools.cache
-def _stamp(sources: tuple[str, ...]) -> str:
-    """Return what changes with the contents of any source that kernels are made of.
-
-    Contents, not times: a fresh checkout of the same sources may use what an earlier one compiled.
-    """
-    root, total = Path(__file__).parent, hashlib.sha256()
-    for path in sorted(path for name in sources for path in _python(root / name)):
-        total.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+def _stamp(function: Any) -> str:
+    """Return what changes with anything that decides what a function computes, but with no comment."""
+    total = hashlib.sha256(repr(sorted(_ARITHMETIC)).encode())
+    for part in _meaning(function.__code__, function.__globals__, set()):
+        total.update(part.encode() + b"\0")
     return total.hexdigest()
 
 
-def _python(path: Path) -> list[Path]:
-    return list(path.glob("*.py")) if path.is_dir() else [path] if path.is_file() else []
+def _meaning(code: CodeType, names: Mapping[str, Any], seen: set[CodeType]) -> Iterator[str]:
+    """Yield the bytecode of a function, what its names stand for, and so on for the functions it calls."""
+    if code in seen:
+        return
+    seen.add(code)
+    yield f"{code.co_code!r} {code.co_names} {code.co_varnames} {code.co_argcount}"
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _meaning(constant, names, seen)
+        elif not isinstance(constant, str):  # the docstring
+            yield repr(constant)
+    for name in code.co_names:
+        value = names.get(name)
+        owned = isinstance(value, ModuleType) and value.__name__.startswith("srs_twin")
+        for each in [vars(value).get(name) for name in code.co_names] if owned else [value]:
+            if callee := getattr(each, "py_func", None):
+                yield from _meaning(callee.__code__, callee.__globals__, seen)
+            elif isinstance(each, _CONSTANTS):
+                yield f"{name} {each!r}"
+            elif isinstance(each, type):
+                yield f"{each.__qualname__} {getattr(each, '_fields', ())}"

@@ -62,6 +62,44 @@ def test_an_index_that_cannot_be_read_is_done_without(kernel, damage):
     assert len(heard) == 1
 
 
+LAW = """
+from srs_twin.compiled import compiled
+SLOPE = 2.0
+@compiled
+def law(x):
+    return SLOPE * x
+"""
+CALLER = """
+import law as laws
+from law import law
+from srs_twin.compiled import compiled
+@compiled
+def twice(x):
+    return law(x) + law(x)
+print(twice(1.0), twice.stats.cache_hits.total())
+"""
+
+
+def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
+    def answer(law):
+        (tmp_path / "law.py").write_text(law)
+        (tmp_path / "caller.py").write_text(CALLER)
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(
+            [sys.executable, "caller.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=True
+        )
+        return tuple(map(float, done.stdout.split()))
+
+    assert answer(LAW) == (4.0, 0.0)
+    assert answer(LAW) == (4.0, 1.0)
+    assert answer(LAW + "# a comment, and a function that no kernel knows\ndef other(): return 1\n") == (
+        4.0,
+        1.0,
+    )
+    assert answer(LAW.replace("2.0", "3.0")) == (6.0, 0.0)
+    assert answer(LAW.replace("SLOPE * x", "SLOPE * x * x + 1.0")) == (6.0, 0.0)
+
+
 PROGRAM = """
 from srs_twin.processes import each
 from test_compiled import in_a_worker
