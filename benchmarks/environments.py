@@ -23,7 +23,7 @@ from timing import ROUNDS, Ratio, Result, Task, Timing, interleaved, machine, th
 
 from srs_twin import Gait, TwinBatch, load_robot
 from srs_twin.envs.crawling import OPEN, STEP_S, CrawlTask
-from srs_twin.envs.vector import SnakeVectorEnv
+from srs_twin.envs.gymnasium import SnakeVectorEnv
 
 OFFSET, FREQUENCY_HZ, PRESSURE_KPA = 0.1, 2.0, 48.3
 

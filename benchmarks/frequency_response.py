@@ -19,9 +19,9 @@ from grid import table
 from matplotlib.figure import Figure
 
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.sweep.engines import local
-from srs_twin.viewing.figures import finish
-from srs_twin.viewing.sweep_plots import save
+from srs_twin.sweep.execution import local
+from srs_twin.viewing.plots.style import finish
+from srs_twin.viewing.plots.sweeps import save
 
 FREQUENCY = "controller.reference.frequency_hz"
 CONTROLLERS = {"direct": "#0072B2", "iterative": "#D55E00"}

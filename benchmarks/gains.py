@@ -31,10 +31,8 @@ from module_law import Module
 
 from srs_twin import Trajectory
 from srs_twin.comparison.tracking import tracking_metrics
-from srs_twin.control.direct_smc import DirectSMC
-from srs_twin.control.iterative_smc import EQ_30, K_S_PER_RAD, IterativeSMC
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
-from srs_twin.control.sliding import SlidingMode
+from srs_twin.control.smc import EQ_30, K_S_PER_RAD, DirectSMC, IterativeSMC, SlidingMode
 
 DEGREE = np.pi / 180
 STEP_RAD, SINE_RAD = 25 * DEGREE, 34.3 * DEGREE

@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.spec import GRAVITY
-from srs_twin.viewing.colors import STYLES
+from srs_twin.robot.spec import GRAVITY
+from srs_twin.viewing.plots.style import STYLES
 
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "heavy_tail.png"
 SUPPLY = 48.3e3

@@ -16,17 +16,15 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin import Gait, Trajectory, load_robot
-from srs_twin.identification.actuator import Response, fit_actuator, predicted
-from srs_twin.identification.coasting import Coasting, fit_coasting
-from srs_twin.identification.data_set import fingerprint
+from srs_twin.identification.actuator import Response, StaticTable, fit_actuator, fit_static, predicted
 from srs_twin.identification.estimate import Estimate
+from srs_twin.identification.fit_file import fingerprint
+from srs_twin.identification.friction import Coasting, Pulls, fit_coasting, fit_pulls
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
-from srs_twin.identification.pulls import Pulls, fit_pulls
-from srs_twin.identification.static_bends import StaticTable, fit_static
 from srs_twin.identification.unknowns import with_values
-from srs_twin.plants.sliding import slide, spin_share
+from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.pneumatics import Schedule
-from srs_twin.pneumatics.bending import air_bend
+from srs_twin.pneumatics.chambers import air_bend
 
 GEN2, MODULE = load_robot("gen2"), load_robot("gen4_module")
 FRICTION = {"friction.mu_t": 0.06, "friction.mu_n": 0.5}

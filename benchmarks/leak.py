@@ -24,7 +24,7 @@ from scipy.stats import ttest_ind
 
 from srs_twin import Trajectory, load_scenario, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.control.iterative_smc import CARRIER_HZ
+from srs_twin.control.smc import CARRIER_HZ
 from srs_twin.scenario import Scenario, parse_scenario
 
 PLANTS = ("analytical", "twin")

@@ -20,7 +20,7 @@ from timing import ROUNDS
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.identification import Recording, read_motion
-from srs_twin.identification.synthetic import Take, write_motive
+from srs_twin.recordings.synthetic import Take, write_motive
 
 RATE = 120.0
 SPEC = load_robot("gen2")

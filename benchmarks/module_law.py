@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from srs_twin import RobotSpec, Trajectory, load_robot
-from srs_twin.control.sliding import SlidingMode
+from srs_twin.control.smc import SlidingMode
 from srs_twin.pneumatics.lag import LagPneumatics
 
 TICK_S = 1e-3

@@ -24,8 +24,8 @@ from grid import table
 from module_lines import LINES, PLANTS
 
 from srs_twin import load_scenario
-from srs_twin.files import atomic_write, shipped_names
-from srs_twin.running import run_scenario
+from srs_twin.experiment import run_scenario
+from srs_twin.io.files import atomic_write, shipped_names
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES, PAGE = DOCS / "module.json", DOCS / "module.md"

@@ -27,7 +27,7 @@ from plan_sampling import TOUCH, deepest, joints, misses
 from plan_worlds import drawn_problem
 from timing import machine
 
-from srs_twin.files import atomic_write
+from srs_twin.io.files import atomic_write
 from srs_twin.planning import Plan, Primitives, Problem, Settings, load_footprint, plan
 from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world, strewn
 from srs_twin.world import World

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from srs_twin import load_scenario
 from srs_twin.comparison.compare import compare
-from srs_twin.running import run_scenario
-from srs_twin.viewing.report import write_report
-from srs_twin.viewing.rerun_log import write_recording
+from srs_twin.experiment import run_scenario
+from srs_twin.viewing.html.report import write_report
+from srs_twin.viewing.rerun.recording import write_recording
 
 
 def main() -> None:

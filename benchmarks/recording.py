@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from srs_twin import compare, load_scenario, rollout
-from srs_twin.viewing.rerun_log import write_recording
+from srs_twin.viewing.rerun.recording import write_recording
 
 SCENARIO = "gen2_straight"
 TIMES = 7

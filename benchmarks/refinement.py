@@ -15,7 +15,7 @@ from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
 
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.mjcf import Numerics
+from srs_twin.mjcf.model import Numerics
 
 GAITS = ((1.0, 0.0), (2.0, 0.0), (2.0, 0.2))  # Hz, offset
 BASE = Numerics()

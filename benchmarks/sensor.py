@@ -18,11 +18,12 @@ from grid import table
 
 from srs_twin import load_robot
 from srs_twin.sensing.calibration import Calibration, calibrate, fit_line
-from srs_twin.sensing.hall import GAUSS, HallSensor
-from srs_twin.sensing.strip import (
+from srs_twin.sensing.hall import (
+    GAUSS,
     MAGNET_DIAMETER,
     MAGNET_HEIGHT,
     ORIENTATIONS,
+    HallSensor,
     Strip,
     element_place,
     field,

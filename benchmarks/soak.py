@@ -24,9 +24,9 @@ from pathlib import Path
 import numpy as np
 
 from srs_twin import Trajectory, TwinBatch, load_robot, load_scenario, run_batch
-from srs_twin.running import run_scenario
+from srs_twin.experiment import run_scenario
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.sweep.engines import local
+from srs_twin.sweep.execution import local
 
 SWEEP = """\
 scenario: gen2_straight

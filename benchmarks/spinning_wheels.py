@@ -16,9 +16,9 @@ from numba import njit
 
 from srs_twin import Gait
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.plants.kernels import pose_body
+from srs_twin.plants.analytical.kernels import pose_body
 from srs_twin.pneumatics import LagPneumatics
-from srs_twin.spec import GRAVITY
+from srs_twin.robot.spec import GRAVITY
 
 STEP_S = 2e-5
 TICK_S = 0.02

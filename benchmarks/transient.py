@@ -15,7 +15,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.control.base import Controller
-from srs_twin.planning.swept import along
+from srs_twin.planning.arcs import along
 from srs_twin.rollout import rollout
 from srs_twin.scenario import load_scenario, parse_scenario
 

@@ -16,16 +16,16 @@ from pathlib import Path
 
 from srs_twin import load_scenario
 from srs_twin.attribution import explain
-from srs_twin.running import RunResult, run_scenario
+from srs_twin.experiment import RunResult, run_scenario
 from srs_twin.scenario import Scenario
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.sweep.engines import local
-from srs_twin.viewing.colors import STYLES
-from srs_twin.viewing.plan_view import hero_figure
-from srs_twin.viewing.screenshot import screenshots
-from srs_twin.viewing.strobe import write_strobe
-from srs_twin.viewing.waterfall import waterfall
-from srs_twin.viewing.web import served
+from srs_twin.sweep.execution import local
+from srs_twin.viewing.mujoco.strobe import write_strobe
+from srs_twin.viewing.plots.plan_view import hero_figure
+from srs_twin.viewing.plots.runs import waterfall
+from srs_twin.viewing.plots.style import STYLES
+from srs_twin.viewing.rerun.screenshot import screenshots
+from srs_twin.viewing.rerun.web import served
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import browser  # noqa: E402

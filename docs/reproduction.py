@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from srs_twin.files import atomic_write
+from srs_twin.io.files import atomic_write
 from srs_twin.reproduction import Judged, load_baseline, load_claims
-from srs_twin.reproduction.summary import between, markdown, remembered, summary_line
+from srs_twin.reproduction.report import between, markdown, remembered, summary_line
 
 ROOT = Path(__file__).parents[1]
 NAME = "reproduction"

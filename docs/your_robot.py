@@ -13,11 +13,11 @@ import numpy as np
 
 from srs_twin import Gait, Trajectory, TwinSnake, load_robot, rollout
 from srs_twin.control.replay import Replay
-from srs_twin.files import atomic_write
-from srs_twin.identification.synthetic import Take, write_motive
 from srs_twin.identification.unknowns import with_values
+from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics import Schedule
-from srs_twin.spec import GRAVITY, RobotSpec
+from srs_twin.recordings.synthetic import Take, write_motive
+from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 FOLDER = Path(__file__).parents[1] / "calibration/examples/my_snake"
 SUPPLY = 48.3e3  # Pa

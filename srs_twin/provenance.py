@@ -22,7 +22,7 @@ import numpy as np
 
 from srs_twin import __version__
 from srs_twin.errors import InputError
-from srs_twin.files import find
+from srs_twin.io.files import find
 
 NOT_PHYSICS = ("name", "title", "expect")
 """Keys of a scenario that name or judge results."""

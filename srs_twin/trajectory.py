@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.parquet import read_table
+from srs_twin.io.parquet import read_table
 
 _UNITS = {
     "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",

@@ -15,7 +15,7 @@ from selenium import webdriver
 from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.chrome.service import Service
 
-from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB
+from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB
 
 SETTINGS = (
     "--headless=new",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin import Trajectory, load_robot
-from srs_twin.spec import Geometry
+from srs_twin.robot.spec import Geometry
 
 SUBSTEPS = 10
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin import AnalyticalSnake, Plant, RobotSpec, TwinSnake, load_robot
-from srs_twin.mjcf import root_connector
-from srs_twin.plants import kernels
+from srs_twin.mjcf.model import root_connector
+from srs_twin.plants.analytical import kernels
 
 GRAVITY = 9.81
 
@@ -55,7 +55,7 @@ def _throw_analytical(
     mass = spec.mass.array()
     inertia = (mass * (stations - mass @ stations / mass.sum()) ** 2).sum()
     inertia += plant._body.solid.inertia.sum()
-    plant._body.state[kernels.VX : kernels.VY + 1] = velocity
+    plant._body.state[kernels.STATE_VX : kernels.STATE_VY + 1] = velocity
     plant._body.state[kernels.MOMENT] = inertia * spin
     c, s = np.cos(heading), np.sin(heading)
     plant._body.velocity[:3] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], spin

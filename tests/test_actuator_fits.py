@@ -15,14 +15,20 @@ from scipy import stats
 from srs_twin import AnalyticalSnake, Controller, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification import join, read_valves
-from srs_twin.identification.actuator import Response, actuator_unknowns, fit_actuator
-from srs_twin.identification.data_set import fingerprint
-from srs_twin.identification.static_bends import StaticTable, fit_static, read_static
-from srs_twin.identification.synthetic import Take
+from srs_twin.identification.actuator import (
+    Response,
+    StaticTable,
+    actuator_unknowns,
+    fit_actuator,
+    fit_static,
+    read_static,
+)
+from srs_twin.identification.fit_file import fingerprint
 from srs_twin.identification.unknowns import names_of_fields, unknowns, with_values
-from srs_twin.identification.valve_log import ValveLog
 from srs_twin.pneumatics import LagPneumatics, Schedule
-from srs_twin.spec import RobotSpec
+from srs_twin.recordings.logs import ValveLog
+from srs_twin.recordings.synthetic import Take
+from srs_twin.robot.spec import RobotSpec
 
 MODULE = load_robot("gen4_module")
 TRUTH = {

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from snakes import chain, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
-from srs_twin.plants import kernels
+from srs_twin.plants.analytical import kernels
 from srs_twin.pneumatics import Schedule
 
 SPEC = robot()

@@ -11,12 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin import rollout
-from srs_twin.attribution import explain
-from srs_twin.attribution.shapley import contributions, subsets
-from srs_twin.attribution.switches import Ladder
-from srs_twin.comparison.shares import MEASURES, gap_between
+from srs_twin.attribution import Ladder, contributions, explain, subsets
+from srs_twin.comparison.compare import MEASURES, gap_between
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.running import prepare
+from srs_twin.experiment import prepare
 from srs_twin.scenario import parse_scenario
 
 NAMES = ["a", "b", "c", "d"]

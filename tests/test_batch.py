@@ -33,14 +33,13 @@ from srs_twin import (
     TwinBatch,
     TwinSnake,
     rollout,
-    rollouts,
     run_batch,
     run_many,
 )
+from srs_twin.parallel import Workers
 from srs_twin.plants import batch as batch_module
 from srs_twin.plants.physics import HEARD
 from srs_twin.pneumatics import make_pneumatics
-from srs_twin.threads import Workers
 
 SPEC = robot()
 POSES = ((0.0, 0.0, 0.0), (0.3, -0.2, 1.1), (-1.0, 2.0, -2.5), (0.1, 0.1, 3.0))
@@ -515,7 +514,7 @@ def test_what_a_batch_in_hand_refuses():
     assert np.array_equal(batch.step(np.stack([vented(SPEC)] * 2)).time, [0.02, 0.02])
 
 
-@pytest.mark.parametrize("module", [rollouts, batch_module], ids=lambda module: module.__name__)
+@pytest.mark.parametrize("module", [rollout, batch_module], ids=lambda module: module.__name__)
 def test_examples_in_the_docstrings_say_what_happens(module):
     outcome = doctest.testmod(module)
     assert (outcome.failed, outcome.attempted > 4) == (0, True)

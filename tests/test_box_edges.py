@@ -18,7 +18,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.identification.box_edges import WIDTH, BoxEdges, fit_width
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.published import published_runs
+from srs_twin.robot.published import published_runs
 
 SPEC = load_robot("gen4")
 

@@ -21,11 +21,11 @@ from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
 from srs_twin.identification import join, read_valves
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.pulls_file import is_pulls, read_pulls
-from srs_twin.identification.synthetic import Take
+from srs_twin.identification.friction import is_pulls, read_pulls
 from srs_twin.identification.takes import gait_run, logs_of, repeats, start_pose, starts_at_rest
 from srs_twin.pneumatics import Schedule
-from srs_twin.spec import GRAVITY
+from srs_twin.recordings.synthetic import Take
+from srs_twin.robot.spec import GRAVITY
 
 EXAMPLE = ROOT / "calibration/examples/my_snake"
 PULLS = "along_mm,across_mm,spring_n_per_m,mass_kg\n3,26,30,0.15\n2.5,25,30,0.15\n2.8,,30,0.15\n"

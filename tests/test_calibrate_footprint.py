@@ -9,16 +9,13 @@ import pytest
 
 from srs_twin import DivergedError, InputError, load_robot, rollout
 from srs_twin.cli import main
-from srs_twin.documents import dump_yaml, parse_yaml
-from srs_twin.files import shipped_folder
-from srs_twin.identification import study as study_module
-from srs_twin.identification.drive import RECORD_HZ, Drive
-from srs_twin.identification.footprint import study
-from srs_twin.identification.footprint_record import footprint_file, header, robot_hash
-from srs_twin.identification.study import Study, steady_path
+from srs_twin.identification import footprint as study_module
+from srs_twin.identification.footprint import RECORD_HZ, Drive, Study, steady_path, study
+from srs_twin.identification.footprint_file import footprint_file, header, robot_hash
+from srs_twin.io.documents import dump_yaml, parse_yaml
+from srs_twin.io.files import shipped_folder
 from srs_twin.planning import Problem, load_footprint, plan
-from srs_twin.planning.footprint import checked
-from srs_twin.planning.footprint_file import load_footprint_file, save_footprint
+from srs_twin.planning.footprint import checked, load_footprint_file, save_footprint
 from srs_twin.world import Circle, Goal, Pose, World
 
 SHORT = (

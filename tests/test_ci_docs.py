@@ -13,7 +13,7 @@ from typer.exceptions import TyperException
 
 from srs_twin.cli.app import command
 from srs_twin.doctor.examination import TRIALS
-from srs_twin.viewing.opengl import PACKAGES
+from srs_twin.viewing.mujoco.opengl import PACKAGES
 
 DOCS = (ROOT / "docs/ci.md").read_text("utf-8")
 CONTAINERFILE = (ROOT / "Containerfile").read_text("utf-8")
@@ -78,7 +78,7 @@ def test_github_keeps_the_report_whatever_came_out():
     upload = next(step for step in github_steps() if "upload-artifact" in step.get("uses", ""))
     assert upload["if"] == "${{ !cancelled() }}"
     kept = upload["with"]["path"].split()
-    from srs_twin.running import METRICS, RECORDING, REPORT
+    from srs_twin.experiment import METRICS, RECORDING, REPORT
 
     assert kept == ["out.xml", *(f"runs/*/{name}" for name in (REPORT, RECORDING, METRICS))]
     assert workflow("github")["permissions"] == {"contents": "read"}

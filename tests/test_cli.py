@@ -21,8 +21,8 @@ from srs_twin.cli.progress import Progress
 from srs_twin.cli.table import asks_why
 from srs_twin.cli.view import find_recording
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
-from srs_twin.processes import Done
-from srs_twin.running import RunResult
+from srs_twin.experiment import RunResult
+from srs_twin.parallel import Done
 from srs_twin.scenario import Expectation
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
@@ -114,8 +114,8 @@ def start(monkeypatch, capsys, tmp_path):
             return Job(scenario.name, folder, log, endings[scenario.name])
 
         monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
-        monkeypatch.setattr("srs_twin.running.prepare", prepare)
-        monkeypatch.setattr("srs_twin.processes.each", last_first)
+        monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
+        monkeypatch.setattr("srs_twin.parallel.each", last_first)
         with pytest.raises(SystemExit) as left:
             main(list(words))
         said = capsys.readouterr()
@@ -379,7 +379,7 @@ def test_quiet_leaves_stdout_and_stderr_empty(start):
 
 def test_progress_keeps_quiet_for_two_seconds_then_writes_plain_lines(monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("srs_twin.cli.display.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
     with Progress("gen2") as progress:
         for second in range(30):
             now[0] = 100.0 + second

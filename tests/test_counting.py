@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from srs_twin.cli import display
-from srs_twin.cli.counting import Counting
-from srs_twin.cli.searching import Searching
+from srs_twin.cli import progress
+from srs_twin.cli.fitting import Searching
+from srs_twin.cli.progress import Counting
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def clock(monkeypatch):
             return self.now
 
     clock = Clock()
-    monkeypatch.setattr(display, "time", clock)
+    monkeypatch.setattr(progress, "time", clock)
     return clock
 
 

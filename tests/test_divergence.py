@@ -29,11 +29,11 @@ from srs_twin import (
     run_batch,
     run_many,
 )
-from srs_twin.plants import kernels
-from srs_twin.plants.compliant_kernels import BENDS
-from srs_twin.plants.divergence import believed
-from srs_twin.plausible import LARGEST, implausible, plausible
-from srs_twin.pneumatics.schedule import Schedule
+from srs_twin.arrays import LARGEST, implausible, plausible
+from srs_twin.plants.analytical import kernels
+from srs_twin.plants.analytical.compliant_kernels import BENDS
+from srs_twin.plants.base import believed
+from srs_twin.pneumatics.valves import Schedule
 
 SPEC = robot()
 TICK, AT = 0.02, 0.04

@@ -15,7 +15,7 @@ from typer.exceptions import TyperException
 
 from srs_twin import load_robot, load_scenario
 from srs_twin.cli.app import command
-from srs_twin.files import shipped_names
+from srs_twin.io.files import shipped_names
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.sweep.loading import load_sweep
 

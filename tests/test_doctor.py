@@ -20,7 +20,7 @@ from srs_twin.doctor import examination, machine, packages, probes
 from srs_twin.doctor.check import Answer, Check, Fault, ended, failing
 from srs_twin.doctor.children import ask
 from srs_twin.doctor.machine import Machine
-from srs_twin.files import shipped_names
+from srs_twin.io.files import shipped_names
 
 TRIALS = {trial.name: trial for trial in examination.TRIALS}
 CPU_S = 5.0
@@ -106,7 +106,7 @@ def fault(probe):
 
 def test_faults_of_shipped_data(monkeypatch, tmp_path):
     assert f"{len(shipped_names('scenario'))} scenarios" in probes.data()
-    monkeypatch.setattr("srs_twin.files.data_root", lambda: tmp_path)
+    monkeypatch.setattr("srs_twin.io.files.data_root", lambda: tmp_path)
     assert fault(probes.data)[:2] == ("missing", f"0 robots, 0 scenarios, 0 models in {tmp_path}")
     assert fault(probes.models)[0] == "missing"
     for folder in ("calibration/robots", "scenarios"):
@@ -161,7 +161,7 @@ def test_glfw_says_the_cause(monkeypatch):
         probes.warnings.warn("(65550) b'X11: Failed to open display :7'", stacklevel=1)
         raise RuntimeError("no context")
 
-    monkeypatch.setattr("srs_twin.viewing.opengl.draw_box", draw_box)
+    monkeypatch.setattr("srs_twin.viewing.mujoco.opengl.draw_box", draw_box)
     assert fault(probes.PROBES["glfw"])[:2] == ("broken", "X11: Failed to open display :7")
 
 

@@ -18,8 +18,8 @@ from srs_twin.errors import (
     WorkerDiedError,
     did_you_mean,
 )
-from srs_twin.files import shipped_names
 from srs_twin.identification.unknowns import names_of_fields
+from srs_twin.io.files import shipped_names
 from srs_twin.scenario.expectation import known_metrics
 
 EVERY = [

@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import Parameter, Residual
-from srs_twin.identification.independence import correlation_time
-from srs_twin.identification.least_squares import least_squares
-from srs_twin.identification.search import Manner
+from srs_twin.identification.estimate import Parameter, Residual, correlation_time
+from srs_twin.identification.least_squares import Manner, least_squares
 from srs_twin.identification.unknowns import Unknown
 
 TIME = np.linspace(0.0, 1.0, 60)

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.documents import MAX_DEPTH, dump_yaml, parse_yaml
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
-from srs_twin.files import (
+from srs_twin.io.documents import MAX_DEPTH, dump_yaml, parse_yaml
+from srs_twin.io.files import (
     MAX_BYTES,
     atomic_write,
     find,
@@ -23,7 +23,7 @@ from srs_twin.files import (
     shipped_names,
     shown,
 )
-from srs_twin.viewing.html import element, page
+from srs_twin.viewing.html.page import element, page
 
 ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 

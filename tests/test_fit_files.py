@@ -11,16 +11,14 @@ import pytest
 from test_actuator_fits import MODULE, response
 
 from srs_twin import load_robot
-from srs_twin.documents import dump_yaml, parse_yaml
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import actuator_unknowns, fit_actuator
-from srs_twin.identification.data_set import DataSet
 from srs_twin.identification.estimate import Estimate, Parameter
-from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
-from srs_twin.identification.overrides import fitted, robot_override
+from srs_twin.identification.fit_file import DataSet, FitFile, fit_file, load_fit, write_fit
+from srs_twin.identification.fitted_robot import fitted, robot_override
 from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns, with_values
-from srs_twin.robot_file import RobotFile
-from srs_twin.robots import resolve_robot
+from srs_twin.io.documents import dump_yaml, parse_yaml
+from srs_twin.robot.file import RobotFile, resolve_robot
 
 ABOUT = {
     "name": "bench", "title": "One module", "robot": "gen4_module", "method": "actuator",

@@ -12,15 +12,13 @@ from unicycle import Unicycle, Wheel
 
 from srs_twin import InputError
 from srs_twin.control.camera import Camera, Frames, PeriodMean
-from srs_twin.control.following import ENDINGS, Conditions, Follower
-from srs_twin.control.iterative_smc import IterativeSMC
-from srs_twin.control.prediction import Predictor
+from srs_twin.control.following import ENDINGS, BearingLaw, Conditions, Follower, PathLaw, Predictor, Steering
 from srs_twin.control.reference import Constant
-from srs_twin.control.steering import BearingLaw, PathLaw, Steering
+from srs_twin.control.smc import IterativeSMC
 from srs_twin.planning import Footprint, Outcome, Plan
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import Route
-from srs_twin.spec import load_robot
+from srs_twin.robot.spec import load_robot
 from srs_twin.world import Goal, Pose
 
 ORIGIN, CLEAR = Pose(0.0, 0.0, 0.0), Camera()

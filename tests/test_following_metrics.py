@@ -11,7 +11,7 @@ from synthetic import Snake
 
 from srs_twin.comparison.following import FOLLOWING_UNITS, centre_points, following_metrics, legs
 from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
-from srs_twin.mjcf_numerics import WALL_M
+from srs_twin.mjcf.numerics import WALL_M
 from srs_twin.planning import Footprint
 from srs_twin.trajectory import Trajectory
 

@@ -15,14 +15,18 @@ from hypothesis import strategies as st
 from synthetic import mirrored, moved
 
 from srs_twin import InputError, Trajectory, TwinSnake, load_robot, rollout
-from srs_twin.comparison.gait_window import GaitWindow
-from srs_twin.comparison.lateral import PathFit, box_edges
-from srs_twin.identification.drive import RECORD_HZ, TICK, Drive
-from srs_twin.identification.footprint import changes_between, measure_footprint, study
-from srs_twin.identification.path_frame import Frames
-from srs_twin.identification.steady import SteadyPath, together
-from srs_twin.identification.study import steady_path
-from srs_twin.identification.transients import SETTLED, Change, transient, widest
+from srs_twin.comparison.gait import GaitWindow
+from srs_twin.comparison.learning import PathFit, box_edges
+from srs_twin.identification.footprint import (
+    RECORD_HZ,
+    TICK,
+    Drive,
+    changes_between,
+    measure_footprint,
+    steady_path,
+    study,
+)
+from srs_twin.identification.paths import SETTLED, Change, Frames, SteadyPath, together, transient, widest
 from srs_twin.planning.footprint import Transient, checked
 
 PERIODS = 6

@@ -12,9 +12,8 @@ from snakes import GRAVITY, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Plant, Trajectory, TwinSnake
 from srs_twin.errors import InputError
-from srs_twin.identification.coasting import Coasting, fit_coasting
-from srs_twin.identification.pulls import Pulls, fit_pulls
-from srs_twin.plants.sliding import slide, spin_share
+from srs_twin.identification.friction import Coasting, Pulls, fit_coasting, fit_pulls
+from srs_twin.plants.analytical.floor import slide, spin_share
 
 SPEC = robot(stiffness=20.0)
 MU_T, MU_N = 0.06, 0.5

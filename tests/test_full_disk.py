@@ -14,8 +14,8 @@ import pytest
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
-from srs_twin.folders import open_folder, replaced
-from srs_twin.running import PRODUCTS, prepare
+from srs_twin.experiment import PRODUCTS, prepare
+from srs_twin.io.files import open_folder, replaced
 
 SCENARIO = """\
 title: Brief

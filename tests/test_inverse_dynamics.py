@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin.friction import LAWS
-from srs_twin.plants.floor import Floor, fill_forces
-from srs_twin.plants.inverse_dynamics import inverse_dynamics
-from srs_twin.plants.kinematics import ROWS, Solid, fill_rows, pose_body
+from srs_twin.plants.analytical.floor import Floor, fill_forces
+from srs_twin.plants.analytical.kernels import inverse_dynamics
+from srs_twin.plants.analytical.kinematics import ROWS, Solid, fill_rows, pose_body
 
 
 def by_rows(

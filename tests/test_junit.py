@@ -21,12 +21,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.cli.case import Case, Ended
+from srs_twin.cli.batch import Case, Ended
 from srs_twin.cli.junit import report_path, write_junit
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
-from srs_twin.running import RunResult
+from srs_twin.experiment import RunResult
 from srs_twin.scenario import Expectation
-from srs_twin.viewing.viewer import rerun_executable
+from srs_twin.viewing.rerun.viewer import rerun_executable
 
 SCENARIO = """\
 title: Brief

@@ -10,10 +10,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from srs_twin.friction import LAWS
-from srs_twin.plants import kernels, kinematics, step_control
-from srs_twin.plants.floor import Floor, fill_forces, floor_forces
-from srs_twin.plants.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
-from srs_twin.shape import body_shape, relative_headings
+from srs_twin.geometry import body_shape, relative_headings
+from srs_twin.plants import analytical
+from srs_twin.plants.analytical import kernels, kinematics
+from srs_twin.plants.analytical.floor import Floor, fill_forces, floor_forces
+from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
 
 GRAVITY = 9.81
 
@@ -57,12 +58,12 @@ def run(
     stages = np.stack([starts + kernels.GAMMA * step, starts + step], axis=1).ravel()
     bends, rates = swim.bends(np.append(0.0, stages))
     state, slope = np.zeros((2, kernels.STATES))
-    state[kernels.VY] = across
+    state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
     solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
     floor = Floor(LAWS.index(swim.law), swim.track, swim.mu_t, swim.mu_n, swim.slip)
     none = np.empty((0, kernels.STATES))
-    done, parts = step_control.advance(
+    done, parts = analytical.advance(
         state, slope, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True,
         tolerance, np.array([0.0, across, 0.0]), none, none,
     )  # fmt: skip
@@ -292,7 +293,7 @@ def test_a_glide_that_ends_inside_a_step_ends_where_it_should(speed):
     root = math.hypot(speed, swim.slip)
     way = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
     state, parts = run(swim, 0.2, 5e-3, TOLERANCE, speed)
-    assert state[kernels.Y] == pytest.approx(way, abs=2e-6)
+    assert state[kernels.STATE_Y] == pytest.approx(way, abs=2e-6)
     assert parts < 2 * 40
     # The energy that the floor took is that of the throw.
     assert state[kernels.SPENT] == pytest.approx(0.06 * speed**2, rel=2e-3)
@@ -323,6 +324,6 @@ def test_bends_between_the_stages_are_cubics():
     bends, rates = np.array([cubic(t) for t in at]), np.array([rate(t) for t in at])
     for share in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
         q, r = np.empty((2, 2))
-        step_control.bend_within(share, h, bends, rates, q, r)
+        analytical.bend_within(share, h, bends, rates, q, r)
         assert q == pytest.approx(cubic(share * h), abs=1e-14)
         assert r == pytest.approx(rate(share * h), abs=1e-13)

@@ -14,9 +14,9 @@ from synthetic import Snake, with_metadata
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, load_scenario, rollout
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputFileError
+from srs_twin.experiment import run_scenario
 from srs_twin.friction import LAWS
 from srs_twin.plants.base import SnakeState
-from srs_twin.running import run_scenario
 from srs_twin.scenario import parse_scenario
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
@@ -185,7 +185,10 @@ def test_only_simplified_goes_without_friction_torque(model):
     ("options", "words"),
     [
         ({"inertia": "heavy"}, "inertia 'heavy' is unknown; allowed: point, connector, lumped"),
-        ({"model": "simple"}, "model 'simple' is unknown; allowed: complete, simplified, compliant; did you mean simplified?"),
+        (
+            {"model": "simple"},
+            "model 'simple' is unknown; allowed: complete, simplified, compliant; did you mean simplified?",
+        ),
         (
             {"friction": "coulomb"},
             "friction law 'coulomb' is unknown; allowed: axis, wheel, viscous, ellipse",

@@ -10,8 +10,7 @@ import pytest
 from synthetic import Snake, mirrored, moved, numbered, with_columns, with_metadata
 
 from srs_twin import AnalyticalSnake, InputError, Trajectory, load_robot, rollout
-from srs_twin.comparison.chamber_periods import ChamberPeriods
-from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, learning_metrics
+from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, ChamberPeriods, learning_metrics
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.learning import ILC
 from srs_twin.sweep.task import flat_metrics

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from srs_twin import InputError, Trajectory, load_scenario
-from srs_twin.comparison.chamber_periods import ChamberPeriods
 from srs_twin.comparison.compare import compare
-from srs_twin.running import prepare
+from srs_twin.comparison.learning import ChamberPeriods
+from srs_twin.experiment import prepare
 from srs_twin.scenario import parse_scenario
 from srs_twin.sensing import Sensor
-from srs_twin.viewing.learning_plot import learning_plot
+from srs_twin.viewing.plots.runs import learning_plot
 
 FILE = """\
 title: Learning to turn

@@ -8,7 +8,7 @@ from importlib import metadata
 from conftest import ROOT
 
 import srs_twin
-from srs_twin.documents import parse_yaml
+from srs_twin.io.documents import parse_yaml
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 

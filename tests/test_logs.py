@@ -15,8 +15,8 @@ from snakes import chain
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
-from srs_twin.identification.floor import MAPS
-from srs_twin.identification.synthetic import Take, motive_csv, write_motive
+from srs_twin.recordings.floor import MAPS
+from srs_twin.recordings.synthetic import Take, motive_csv, write_motive
 
 LAYOUTS = ("single", "head", "pair")
 

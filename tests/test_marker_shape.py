@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_simpson
 
-from srs_twin.identification.velocity import moving_slope
-from srs_twin.shape import arc_between, measured_bend, pair_heading
+from srs_twin.geometry import arc_between, measured_bend, pair_heading
+from srs_twin.recordings.trajectories import moving_slope
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.01, 0.1), st.floats(-1, 1), st.floats(-1, 1))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
 from srs_twin.comparison.following import FOLLOWING_UNITS
-from srs_twin.comparison.gait_window import GaitWindow
+from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
 from srs_twin.comparison.reading import READING_UNITS

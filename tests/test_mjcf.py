@@ -8,9 +8,9 @@ import pytest
 from snakes import GRAVITY, chain, robot
 
 from srs_twin import InputError, load_robot
-from srs_twin.mjcf import robot_mjcf, scene_mjcf
-from srs_twin.mjcf_numerics import Numerics, hinge_stations
-from srs_twin.mjcf_wheels import contact, preload_force, treads
+from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
+from srs_twin.mjcf.numerics import Numerics, hinge_stations
+from srs_twin.mjcf.wheels import contact, preload_force, treads
 
 NAMES = ("gen1", "gen2", "gen3", "gen4")
 RIGHT_ANGLE = np.pi / 2

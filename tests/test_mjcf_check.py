@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from srs_twin.errors import InputError
-from srs_twin.mjcf_check import check_mjcf
+from srs_twin.mjcf.check import check_mjcf
 
 BALL = (
     '<worldbody><geom type="plane" size="1 1 1"/>'

@@ -12,10 +12,9 @@ from smooth import Wave
 from srs_twin import AnalyticalSnake, Plant, SnakeState, TwinSnake, load_robot, rollout
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.control.direct_smc import DirectSMC
-from srs_twin.control.iterative_smc import IterativeSMC
 from srs_twin.control.reference import Sine, Step
-from srs_twin.control.steady import HoldValves
+from srs_twin.control.replay import HoldValves
+from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.sensing import make_sensor
@@ -183,9 +182,8 @@ def _turning(kind, spec, run):
 
 def test_the_analytical_moment_is_that_of_lagrange():
     """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
-    from srs_twin.plants import kernels
-    from srs_twin.plants.clamped import hang
-    from srs_twin.plants.kinematics import Solid
+    from srs_twin.plants.analytical import hang, kernels
+    from srs_twin.plants.analytical.kinematics import Solid
 
     mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
     solid = Solid(mass, inertia, 0.07, 0.004, 0.0)
@@ -232,7 +230,7 @@ def test_the_analytical_moment_is_that_of_lagrange():
 
     assert states[0, :2] == pytest.approx(centre(q), abs=1e-6)
     speed = (centre(q + h * dq) - centre(q - h * dq)) / (2 * h)
-    assert states[0, [kernels.VX, kernels.VY]] == pytest.approx(speed, abs=1e-5)
+    assert states[0, [kernels.STATE_VX, kernels.STATE_VY]] == pytest.approx(speed, abs=1e-5)
     mean = head[2] + places(q)[1].mean()
     assert states[0, kernels.HEADING] == pytest.approx(mean, abs=1e-12)
     assert velocities[0, :2] @ velocities[0, :2] == pytest.approx(speed @ speed, rel=1e-4)
@@ -341,7 +339,7 @@ def test_a_sensor_that_has_drifted_leads_a_module_astray():
 
 def test_a_run_shows_how_the_reference_is_followed(tmp_path):
     from srs_twin.cli.table import rows
-    from srs_twin.running import run_scenario
+    from srs_twin.experiment import run_scenario
 
     scenario = module(record_hz=1000, duration_s=0.3, sensor={"kind": "hall", "span_rad": 0.8})
     result = run_scenario(scenario, tmp_path)
@@ -363,7 +361,7 @@ def test_a_run_shows_how_the_reference_is_followed(tmp_path):
     ],
 )
 def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
-    from srs_twin.viewing.signals import reference_period
+    from srs_twin.viewing.plots.signals import reference_period
 
     scenario = module(controller={"kind": "direct_smc", "reference": reference})
     run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), 1.0, record_hz=1000)
@@ -384,7 +382,7 @@ def test_a_sweep_counts_periods_of_the_reference():
 
 
 def test_the_scenarios_of_the_chapter_have_one_set_of_gains():
-    from srs_twin.files import shipped_names
+    from srs_twin.io.files import shipped_names
 
     found = {}
     for name in (each for each in shipped_names("scenario") if each.startswith("module_")):

@@ -13,7 +13,7 @@ import pytest
 from module_lines import LINES, Line, Values
 
 from srs_twin.comparison.metrics import METRIC_UNITS
-from srs_twin.files import shipped_names
+from srs_twin.io.files import shipped_names
 
 FIGURES = json.loads(module_table.FIGURES.read_text("utf-8"))
 PAGE = module_table.PAGE.read_text("utf-8")

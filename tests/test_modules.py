@@ -15,15 +15,14 @@ from snakes import robot
 
 from srs_twin import AnalyticalSnake, InputError, RobotSpec, TwinSnake, load_robot, load_scenario, rollout
 from srs_twin.control.gait import Gait
-from srs_twin.control.steady import HoldValves
-from srs_twin.mjcf import robot_mjcf
-from srs_twin.mjcf_numerics import Numerics
-from srs_twin.modules import Modules
-from srs_twin.modules_file import ModulesFile
+from srs_twin.control.replay import HoldValves
+from srs_twin.mjcf.model import robot_mjcf
+from srs_twin.mjcf.numerics import Numerics
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
-from srs_twin.pneumatics.bending import air_bend, as_felt, flattened, largest_bend
-from srs_twin.pneumatics.faults import StuckValve
-from srs_twin.robots import load_robot_file
+from srs_twin.pneumatics.chambers import air_bend, as_felt, flattened, largest_bend
+from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.robot.file import ModulesFile, load_robot_file
+from srs_twin.robot.spec import Modules
 from srs_twin.sensing import make_sensor
 
 SUPPLY = 131e3

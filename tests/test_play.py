@@ -7,8 +7,8 @@ import pytest
 from snakes import robot
 
 from srs_twin import Gait, TwinSnake, rollout
-from srs_twin.viewing import live
-from srs_twin.viewing.live import LiveSnake, steer
+from srs_twin.viewing.mujoco import live
+from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
 SPEC = robot()
 

@@ -13,7 +13,7 @@ from snakes import chain
 
 from srs_twin import InputError, RobotSpec
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
-from srs_twin.pneumatics.chamber import AMBIENT_PA
+from srs_twin.pneumatics.chambers import AMBIENT_PA
 
 SUPPLY = 50e3
 GAIN = 3e-5

@@ -15,9 +15,8 @@ import pytest
 from conftest import exists, wait_until
 
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
-from srs_twin.files import atomic_write
-from srs_twin.process_server import METHOD
-from srs_twin.processes import _send, each
+from srs_twin.io.files import atomic_write
+from srs_twin.parallel import METHOD, _send, each
 
 # Tasks: a worker imports them from here.
 PREPARED: list[str] = []
@@ -190,7 +189,7 @@ OF_THE_SCRIPT = """
 from dataclasses import dataclass
 from functools import partial
 from srs_twin.errors import InputError
-from srs_twin.processes import each
+from srs_twin.parallel import each
 from test_processes import square
 
 def mine(x):
@@ -230,7 +229,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from test_processes import write_slowly
-from srs_twin.processes import each
+from srs_twin.parallel import each
 
 list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
 """
@@ -272,8 +271,8 @@ PRELOADING = """
 import sys
 from functools import partial
 from test_processes import loaded
-from srs_twin.process_server import start_server
-from srs_twin.processes import each
+from srs_twin.parallel import start_server
+from srs_twin.parallel import each
 
 start_server("srs_twin.sweep.warm")
 names = ("srs_twin.sweep.warm", "srs_twin.plants.analytical", "mujoco")

@@ -14,7 +14,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.comparison.reading import BIN_RAD, READING_UNITS, reading_metrics
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import make_sensor
-from srs_twin.sensing.strip import field
+from srs_twin.sensing.hall import field
 from srs_twin.trajectory import Trajectory
 
 SENSOR = {"kind": "own"}
@@ -155,7 +155,7 @@ def test_what_sensor_side_and_sensor_far_are_held_to_is_what_sensor_up_gives():
 
 
 def test_the_report_shows_readings_of_a_sensor_only(tmp_path):
-    from srs_twin.viewing.reading_plot import reading_plot
+    from srs_twin.viewing.plots.runs import reading_plot
 
     bend = there_and_back(1.0)
     figure = reading_plot({"twin": run(bend, bend), "analytical": run(bend, bend)})

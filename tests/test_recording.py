@@ -14,12 +14,10 @@ from viewing_runs import pair, robot
 from srs_twin.comparison.following import following_metrics, touches
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Event, Trajectory
-from srs_twin.viewing.colors import STYLES
-from srs_twin.viewing.event_log import events_of
-from srs_twin.viewing.rerun_log import thinned, write_recording
-from srs_twin.viewing.screenshot import screenshots
-from srs_twin.viewing.signals import kind_of
-from srs_twin.viewing.tubes import wheel_turns
+from srs_twin.viewing.plots.signals import kind_of, wheel_turns
+from srs_twin.viewing.plots.style import STYLES
+from srs_twin.viewing.rerun.recording import events_of, thinned, write_recording
+from srs_twin.viewing.rerun.screenshot import screenshots
 
 
 def told(run, *events, **metadata):

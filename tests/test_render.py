@@ -14,15 +14,14 @@ from matplotlib.image import imread
 
 from srs_twin import load_scenario
 from srs_twin.errors import InputError
-from srs_twin.finished import load_run
-from srs_twin.running import run_scenario
+from srs_twin.experiment import load_run, run_scenario
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing import film, opengl
-from srs_twin.viewing.canvas import Canvas
-from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB
-from srs_twin.viewing.follow_camera import FollowCamera
-from srs_twin.viewing.stage import Stage
+from srs_twin.viewing.mujoco import opengl, render
+from srs_twin.viewing.mujoco.canvas import Canvas
+from srs_twin.viewing.mujoco.render import FollowCamera
+from srs_twin.viewing.mujoco.stage import Stage
+from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB
 
 av = pytest.importorskip("av")
 
@@ -92,7 +91,7 @@ def test_pictures_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
 
 def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     """Its axes are metres: a body drawn without perspective covers the floor that its geometry says."""
-    from srs_twin.viewing.strobe import _floor, _from_above
+    from srs_twin.viewing.mujoco.strobe import _floor, _from_above
 
     run = load_run(runs / "gen2_straight")
     twin = run.trajectories["twin"]
@@ -240,13 +239,13 @@ def test_interrupted_nothing_is_left(runs, tmp_path):
 def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"earlier")
-    with pytest.raises(RuntimeError), film.film(path, width=64, height=64, fps=1) as add:
+    with pytest.raises(RuntimeError), render.film(path, width=64, height=64, fps=1) as add:
         add(np.zeros((64, 64, 3), dtype=np.uint8))
         raise RuntimeError
     assert path.read_bytes() == b"earlier" and list(tmp_path.iterdir()) == [path]
     with (
         pytest.raises(InputError, match="cannot be written"),
-        film.film(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
+        render.film(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
     ):
         raise AssertionError("not reached")
 
@@ -254,7 +253,7 @@ def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
 def test_without_an_encoder_the_message_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError, match=r"the encoder PyAV.*uv sync --extra video.*srs-twin\[video\]"):
-        film.encoder()
+        render.encoder()
 
 
 def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin, tmp_path):
@@ -282,8 +281,8 @@ def test_both_draw_the_same(runs, name, tmp_path):
         pytest.skip(f"{name} does not draw here")
     code = (
         "import sys, numpy as np\n"
-        "from srs_twin.finished import load_run\n"
-        "from srs_twin.viewing.render import Size, write_image\n"
+        "from srs_twin.experiment import load_run\n"
+        "from srs_twin.viewing.mujoco.render import Size, write_image\n"
         "run = load_run(sys.argv[1])\n"
         "write_image(__import__('pathlib').Path('p.png'), run.scenario, run.trajectories['twin'], 2.0, "
         "size=Size(160, 90))"
@@ -304,7 +303,7 @@ def test_both_draw_the_same(runs, name, tmp_path):
 def test_a_canvas_that_nobody_closes_ends_without_a_word(opengl_here):
     program = (
         "import mujoco\n"
-        "from srs_twin.viewing.canvas import Canvas\n"
+        "from srs_twin.viewing.mujoco.canvas import Canvas\n"
         "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
         f"canvas = Canvas(model, 32, 32, opengl={opengl_here!r})\n"
         "print(canvas.draw(mujoco.MjData(model), mujoco.MjvCamera()).shape)\n"

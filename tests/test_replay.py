@@ -12,13 +12,13 @@ from ruamel.yaml import YAML
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, load_scenario, rollout
 from srs_twin.cli import main
-from srs_twin.comparison.measured import MeasuredDifference
+from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.identification.synthetic import Take, write_motive
 from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.recordings.synthetic import Take, write_motive
 from srs_twin.scenario import parse_scenario
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.sweep.task import run_point

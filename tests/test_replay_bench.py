@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from srs_twin import AnalyticalSnake, TwinSnake, load_robot, rollout
-from srs_twin.comparison.measured import MeasuredDifference
+from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import Response
-from srs_twin.identification.bench import on_bench
-from srs_twin.identification.recording import read_motion
-from srs_twin.identification.synthetic import Take, write_motive
 from srs_twin.identification.takes import Reading, gait_run
 from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import Schedule
+from srs_twin.recordings.logs import on_bench
+from srs_twin.recordings.recording import read_motion
+from srs_twin.recordings.synthetic import Take, write_motive
 from srs_twin.scenario import parse_scenario
 
 MODULE = load_robot("gen4_module")

@@ -16,8 +16,8 @@ from conftest import on_interrupt
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.running import PRODUCTS, prepare, run_scenario
-from srs_twin.viewing.viewer import verify_recording
+from srs_twin.experiment import PRODUCTS, prepare, run_scenario
+from srs_twin.viewing.rerun.viewer import verify_recording
 
 SCENARIO = """\
 title: Short

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.documents import dump_yaml, load_yaml, parse_yaml
 from srs_twin.errors import InputFileError, UnknownNameError
-from srs_twin.files import data_root, shipped_names
+from srs_twin.io.documents import dump_yaml, load_yaml, parse_yaml
+from srs_twin.io.files import data_root, shipped_names
+from srs_twin.robot.spec import load_robot
 from srs_twin.scenario import Expectation, load_scenario, parse_scenario, scenario_json_schema
 from srs_twin.scenario.expectation import known_metrics
-from srs_twin.spec import load_robot
 
 MINIMAL = {"robot": "gen2", "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 2.0}}
 

@@ -18,10 +18,8 @@ from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
 from srs_twin.sensing.calibration import fit_line
-from srs_twin.sensing.chamber import ROUND_AT
-from srs_twin.sensing.hall import SPAN, USED
-from srs_twin.sensing.noise import SLOT, _mixed, standard_normal
-from srs_twin.sensing.strip import MOMENT, dipole, element_place, field
+from srs_twin.sensing.hall import MOMENT, ROUND_AT, SPAN, USED, dipole, element_place, field
+from srs_twin.sensing.sensors import SLOT, _mixed, standard_normal
 
 MU0_4PI = 1e-7
 LENGTH = 0.075

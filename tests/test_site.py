@@ -16,7 +16,7 @@ from pages import PAGES
 
 import srs_twin
 from srs_twin.cli.app import command
-from srs_twin.robot_file import RobotFile
+from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.sweep.file import SweepFile
 

@@ -10,9 +10,9 @@ import pytest
 from snakes import GRAVITY, chain, robot, throw, vented
 
 from srs_twin import Gait, TwinSnake, load_robot, rollout
-from srs_twin.mjcf import scene_mjcf
-from srs_twin.mjcf_numerics import PRELOAD, Numerics
-from srs_twin.mjcf_wheels import contact, preload_force, treads
+from srs_twin.mjcf.model import scene_mjcf
+from srs_twin.mjcf.numerics import PRELOAD, Numerics
+from srs_twin.mjcf.wheels import contact, preload_force, treads
 
 SPEC = robot(stiffness=20.0)
 SKIDS = Numerics(wheels="skid", preload=PRELOAD["skid"])

@@ -18,13 +18,10 @@ from snakes import chain
 from srs_twin import InputError, RobotSpec
 from srs_twin.comparison.tracking import tracking_metrics
 from srs_twin.control.base import Controller
-from srs_twin.control.direct_smc import DirectSMC
-from srs_twin.control.iterative_smc import EQ_29, EQ_30, IterativeSMC
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Step
-from srs_twin.control.sliding import SlidingMode
-from srs_twin.control.velocity import VelocityFilter
+from srs_twin.control.smc import EQ_29, EQ_30, DirectSMC, IterativeSMC, SlidingMode, VelocityFilter
 from srs_twin.errors import UnknownNameError
-from srs_twin.pneumatics.schedule import LAYOUTS
+from srs_twin.pneumatics.valves import LAYOUTS
 
 TICK = 1e-3
 DEGREE = math.pi / 180

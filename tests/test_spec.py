@@ -7,10 +7,10 @@ import math
 
 import pytest
 
-from srs_twin.documents import dump_yaml
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.robots import load_robot_file, robot_sources
-from srs_twin.spec import Friction, Geometry, RobotSpec, load_robot
+from srs_twin.io.documents import dump_yaml
+from srs_twin.robot.file import load_robot_file, robot_sources
+from srs_twin.robot.spec import Friction, Geometry, RobotSpec, load_robot
 
 PSI = 6894.757
 ROBOTS = ["gen1", "gen2", "gen3", "gen4"]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, rollout
+from srs_twin.control.commands import Steered
 from srs_twin.control.learning import ILC
-from srs_twin.control.steered import Steered
 
 SPEC = load_robot("gen2")
 

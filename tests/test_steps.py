@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.plants.kernels import GAMMA
-from srs_twin.plants.steps import Steps
+from srs_twin.plants.analytical import Steps
+from srs_twin.plants.analytical.kernels import GAMMA
 
 SAME = 1e-9
 

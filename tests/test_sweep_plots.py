@@ -15,8 +15,8 @@ from matplotlib.image import imread
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.viewing.labels import field_label, metric_label
-from srs_twin.viewing.sweep_plots import PlotRequest, draw, save
+from srs_twin.viewing.plots.labels import field_label, metric_label
+from srs_twin.viewing.plots.sweeps import PlotRequest, draw, save
 
 F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
 SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from srs_twin.comparison.sines import fit_sine, frequency_of
-from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
+from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, frequency_of, tracking_metrics
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 

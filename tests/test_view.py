@@ -24,12 +24,11 @@ from viewing_runs import pair, robot
 from srs_twin.cli.view import named
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
-from srs_twin.viewing.colors import STYLES
-from srs_twin.viewing.rerun_log import write_recording
-from srs_twin.viewing.screenshot import screenshots
-from srs_twin.viewing.side_by_side import write_side_by_side
-from srs_twin.viewing.viewer import verify_recording
-from srs_twin.viewing.web import served
+from srs_twin.viewing.plots.style import STYLES
+from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
+from srs_twin.viewing.rerun.screenshot import screenshots
+from srs_twin.viewing.rerun.viewer import verify_recording
+from srs_twin.viewing.rerun.web import served
 
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 

@@ -23,16 +23,21 @@ from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing import viewer
-from srs_twin.viewing.colors import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
-from srs_twin.viewing.plan_view import hero_figure, plan_view, strobe_times
-from srs_twin.viewing.plots import bend_plot, error_plot, pressure_plot, speed_plot
-from srs_twin.viewing.report import write_report
-from srs_twin.viewing.rerun_log import thinned, write_recording
-from srs_twin.viewing.screenshot import screenshots
-from srs_twin.viewing.signals import forward_speed, period_speed, pressure_difference
-from srs_twin.viewing.tubes import body_line, wheel_centres
-from srs_twin.viewing.viewer import open_recording, verify_recording
+from srs_twin.viewing.html.report import write_report
+from srs_twin.viewing.plots.plan_view import hero_figure, plan_view, strobe_times
+from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
+from srs_twin.viewing.plots.signals import (
+    body_line,
+    forward_speed,
+    period_speed,
+    pressure_difference,
+    wheel_centres,
+)
+from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
+from srs_twin.viewing.rerun import viewer
+from srs_twin.viewing.rerun.recording import thinned, write_recording
+from srs_twin.viewing.rerun.screenshot import screenshots
+from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 from srs_twin.world import Circle, Polygon, World
 
 
@@ -434,7 +439,9 @@ def test_report_tells_results_and_expectations(report, parsed):
 
 
 def test_report_needs_neither_rerun_nor_pyplot():
-    code = "import sys, srs_twin.viewing.report; print({'rerun', 'matplotlib.pyplot'} & sys.modules.keys())"
+    code = (
+        "import sys, srs_twin.viewing.html.report; print({'rerun', 'matplotlib.pyplot'} & sys.modules.keys())"
+    )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "set()"
 

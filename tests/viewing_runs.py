@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from synthetic import Snake, numbered, with_columns
 
-from srs_twin.spec import Actuator, Bending, Chamber, Friction, Geometry, Mass, RobotSpec, Supply
+from srs_twin.robot.spec import Actuator, Bending, Chamber, Friction, Geometry, Mass, RobotSpec, Supply
 from srs_twin.trajectory import Trajectory
 
 SUPPLY_PA = 48_300.0

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from srs_twin.robot_file import RobotFile
+from srs_twin.io.validation import allowed
+from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.sweep.file import SweepFile
-from srs_twin.validation import allowed
 
 Schema = Mapping[str, Any]
 

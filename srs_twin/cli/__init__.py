@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from srs_twin.errors import CacheWarning, InputError, SrsError
-from srs_twin.files import printable, refuse_unprintable
+from srs_twin.io.files import printable, refuse_unprintable
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer

@@ -11,7 +11,6 @@ from srs_twin import __version__
 from srs_twin.cli import (
     DEBUG,
     calibrate,
-    compare,
     diff,
     doctor,
     models,
@@ -36,7 +35,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("run")(run.run)
-app.command("compare")(compare.compare)
+app.command("compare")(run.compare)
 app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
 app.command("sweep")(sweep.sweep)

@@ -1,24 +1,135 @@
-"""Runs scenarios, one here or several in worker processes: what `run` and `compare` share."""
+"""Runs scenarios, one here or several in worker processes: what `run` and `compare` share.
+
+One scenario of a batch: where it is from, where its files go, and what came of it.
+"""
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from srs_twin.cli import INTERRUPTED, say, show_traceback
-from srs_twin.cli.case import Case, Ended, simulate
-from srs_twin.cli.counting import Counting
-from srs_twin.cli.progress import Progress
-from srs_twin.errors import InputError, SrsError
+from srs_twin.cli.progress import Counting, Progress
+from srs_twin.errors import DivergedError, InputError, SrsError
 
 if TYPE_CHECKING:
     from srs_twin.scenario import Scenario
+
+
+if TYPE_CHECKING:
+    from srs_twin.experiment import Explain, Progress, RunResult
+    from srs_twin.scenario import Scenario
+
+    Order = tuple[Scenario, Path]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What came of a scenario, small enough to travel between processes.
+
+    Attributes:
+        result: without trajectories; None where bad input or a dead worker left none.
+        errors: what stopped it or a part of it.
+        wall_s: what it took, s.
+    """
+
+    result: RunResult | None
+    errors: tuple[SrsError, ...] = ()
+    wall_s: float = 0.0
+
+    @property
+    def metrics(self) -> Mapping[str, Any]:
+        """What stands in metrics.json; empty where the folder does not hold a whole run."""
+        return {} if self.result is None else self.result.metrics
+
+    @property
+    def verdicts(self) -> Counter[str]:
+        """How many expectations came out how; see `scenario.expectation.verdict`."""
+        from srs_twin.scenario.expectation import verdict
+
+        expectations = self.metrics.get("expectations", ())
+        return Counter(verdict(each["met"], each.get("known")) for each in expectations)
+
+
+@dataclass
+class Case:
+    """A scenario that somebody asked for.
+
+    Attributes:
+        source: as it was given.
+        scenario: what it holds; None where it cannot be used.
+        folder: where its files go.
+        ended: what came of it; None while nothing has.
+    """
+
+    source: str
+    scenario: Scenario | None = None
+    folder: Path = Path()
+    ended: Ended | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called: the scenario's name, or its file's where there is none."""
+        return Path(self.source).stem if self.scenario is None else self.scenario.name
+
+    @property
+    def order(self) -> Order:
+        """What `simulate` needs to know."""
+        assert self.scenario is not None
+        return self.scenario, self.folder
+
+
+def simulate(
+    order: Order,
+    progress: Progress | None = None,
+    *,
+    plants: Sequence[str] | None = None,
+    explain: bool = False,
+) -> Ended:
+    """Run a scenario, here or in a worker process.
+
+    Args:
+        order: the scenario and the folder for its files.
+        progress: as `PreparedRun.execute` takes it.
+        plants: which plants; None takes those that the scenario names.
+        explain: also say why the plants differ.
+    """
+    from srs_twin.experiment import prepare
+
+    start = time.perf_counter()
+    asked: dict[str, Any] = {"explain": _explainer()} if explain else {}
+    result: RunResult | None = None
+    errors: tuple[SrsError, ...] = ()
+    try:
+        scenario, folder = order
+        result = prepare(scenario, folder, plants=plants).execute(progress, **asked)
+        errors = (*result.diverged, *result.unexplained)
+        result = replace(result, trajectories={}, diverged=(), unexplained=())
+    except InputError as error:
+        errors = (error,)
+    return Ended(result, tuple(map(_light, errors)), time.perf_counter() - start)
+
+
+def _light(error: SrsError) -> SrsError:
+    """Drop what an error carries beside its words: the file that it names holds it."""
+    if isinstance(error, DivergedError):
+        error.trajectory = error.history = None
+    return error
+
+
+def _explainer() -> Explain:
+    from srs_twin.attribution import explain
+
+    return explain
+
 
 EXPECTATION_FAILED = 1
 RUNS = Path("runs")
@@ -111,7 +222,7 @@ def run_loaded(scenario: Scenario, folder: Path, *, fails: frozenset[str], quiet
         InputError: a plant, a controller or the folder cannot be had; nothing was simulated.
         typer.Exit: with the exit code, where it is not 0.
     """
-    from srs_twin.running import prepare
+    from srs_twin.experiment import prepare
 
     case = Case(scenario.name, scenario, folder)
     prepare(*case.order)
@@ -122,7 +233,7 @@ def run_loaded(scenario: Scenario, folder: Path, *, fails: frozenset[str], quiet
 
 def _expand(given: Sequence[str]) -> list[str]:
     """Put the files of a folder in its place, sorted by name; a shipped scenario goes before a folder."""
-    from srs_twin.files import shipped_names
+    from srs_twin.io.files import shipped_names
 
     found: list[str] = []
     for each in given:
@@ -133,8 +244,8 @@ def _expand(given: Sequence[str]) -> list[str]:
 
 def _load_all(cases: Sequence[Case], out: str | None, plants: Sequence[str] | None) -> None:
     """Load every scenario and see that it can run; say what is wrong with the bad ones."""
-    from srs_twin.folders import open_folder
-    from srs_twin.running import prepare
+    from srs_twin.experiment import prepare
+    from srs_twin.io.files import open_folder
     from srs_twin.scenario import load_scenario
 
     base = Path(out) if out else RUNS
@@ -176,7 +287,7 @@ def _run_all(
     for case in () if quiet else to_do:
         for warning in case.scenario.warnings if case.scenario else ():
             say(f"warning: {warning}")
-    from srs_twin.threads import processors
+    from srs_twin.parallel import processors
 
     workers = min(jobs or processors(), len(to_do))
     run = _run_here(to_do, task, quiet) if workers <= 1 else _run_in_workers(to_do, task, workers, quiet)
@@ -206,7 +317,7 @@ def _run_here(cases: Sequence[Case], task: Task, quiet: bool) -> Runs:
 
 def _run_in_workers(cases: Sequence[Case], task: Task, workers: int, quiet: bool) -> Runs:
     """Run scenarios in worker processes; yield each when it and all before it have ended."""
-    from srs_twin.processes import each
+    from srs_twin.parallel import each
 
     shown = 0
     with (

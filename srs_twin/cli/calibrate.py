@@ -1,22 +1,307 @@
-"""`srs-twin calibrate`: numbers from runs and measurements, written as files with their source."""
+"""`srs-twin calibrate`: numbers from runs and measurements, written as files with their source.
+
+`srs-twin calibrate friction`, `actuator`, `locomotion`: numbers of a robot from its own recordings.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, calibrate_fits, console, say
+from srs_twin.cli import INTERRUPTED, console, say
 from srs_twin.cli.batch import QuietOption
-from srs_twin.cli.counting import Counting
+from srs_twin.cli.fitting import (
+    FilesArgument,
+    FindOption,
+    FrequencyOption,
+    GapOption,
+    HeadOption,
+    LayoutOption,
+    NameOption,
+    OffsetOption,
+    OutOption,
+    OverwriteOption,
+    Place,
+    PressureOption,
+    RobotOption,
+    UpOption,
+    ValidateOption,
+    ValvesOption,
+    names_in,
+    reading,
+)
+from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
-from srs_twin.files import shown
+from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
-    from srs_twin.identification.measured import Measured
+    from srs_twin.identification.footprint import Measured
+    from srs_twin.identification.takes import Reading
+    from srs_twin.recordings.recording import Recording
+    from srs_twin.robot.spec import RobotSpec
+
+
+_LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m"
+
+
+def friction(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    validate: ValidateOption = None,
+    law: Annotated[
+        str, typer.Option("--law", metavar="NAME", help="Of sliding throws: wheel, axis or ellipse (skids).")
+    ] = "wheel",
+    wheel_inertia: Annotated[
+        bool, typer.Option("--wheel-inertia/--no-wheel-inertia", help="Whether throws spin wheels up.")
+    ] = True,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    name: NameOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find mu_t and mu_n from pulls or from throws.
+
+    Pulls are a table of deflections of a spring car, throws recordings.
+    """
+    place = Place.of(context, "friction", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.fit_file import data_sets
+    from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
+    from srs_twin.robot.spec import load_robot
+
+    spec, kept = load_robot(robot), validate or []
+    if _alike([*files, *kept], is_pulls, "tables of pulls", "recordings of throws"):
+        if len(files) > 1:
+            raise InputError(f"{files[1]}: one table of pulls makes a fit; give others with --validate")
+        pulls, others = read_pulls(files[0]), [read_pulls(each) for each in kept]
+        found = fit_pulls(pulls, validation=others)
+        title = f"Friction of {spec.name} from pulls"
+        place.finish(found, title=title, robot=robot, method="pulls", data=data_sets([pulls], others))
+        return
+    how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap)
+
+    def throw(path: str) -> Coasting:
+        recording = how.motion(path, spec)
+        say(recording.summary.text(), quiet=quiet)
+        return Coasting.of(recording.trajectory, path)
+
+    throws, held = [throw(each) for each in files], [throw(each) for each in kept]
+    with place.searching() as watch:
+        found = fit_coasting(
+            throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch
+        )  # fmt: skip
+    title = f"Friction of {spec.name} from throws"
+    place.finish(found, title=title, robot=robot, method="coasting", data=data_sets(throws, held))
+
+
+def actuator(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    valves: ValvesOption = None,
+    validate: ValidateOption = None,
+    pressure: PressureOption = None,
+    find: FindOption = None,
+    offset: OffsetOption = None,
+    starts: Annotated[int, typer.Option("--starts", metavar="N", min=1, max=100, help="Searches.")] = 1,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    name: NameOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find time constants, gains and biases of free segments.
+
+    From recordings of step responses, or gains alone from tables of held pressures.
+    """
+    place = Place.of(context, "actuator", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
+    from srs_twin.identification.fit_file import data_sets
+    from srs_twin.robot.spec import load_robot
+
+    spec, kept, names = load_robot(robot), validate or [], names_in(find)
+    if _alike([*files, *kept], is_static, "tables of held pressures", "recordings"):
+        _needless(valves, "--valves", "tables of held pressures have no log")
+        tables, others = ([read_static(each, spec) for each in given] for given in (files, kept))
+        with place.searching() as watch:
+            found = fit_static(tables, spec, names=names, validation=others, watch=watch)
+        title = f"Actuators of {spec.name} from held pressures"
+        place.finish(found, title=title, robot=robot, method="static", data=data_sets(tables, others))
+        return
+    how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset)
+    supply = _supply(spec, pressure)
+    takes = _takes([*files, *kept], valves, how, spec, quiet)
+    responses = [Response.of_recording(take, path, supply) for path, take in takes]
+    fitted, held = responses[: len(files)], responses[len(files) :]
+    with place.searching() as watch:
+        found = fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
+    title = f"Actuators of {spec.name} from responses"
+    place.finish(found, title=title, robot=robot, method="actuator", data=data_sets(fitted, held))
+
+
+def locomotion(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    valves: ValvesOption = None,
+    validate: ValidateOption = None,
+    pressure: PressureOption = None,
+    find: FindOption = _LOCOMOTION,
+    plant: Annotated[
+        str, typer.Option("--plant", metavar="NAME", help="Stands for the robot: analytical or twin.")
+    ] = "analytical",
+    model: Annotated[
+        str | None,
+        typer.Option("--model", metavar="NAME", help="Of the analytical plant. [default: complete]"),
+    ] = None,
+    law: Annotated[
+        str | None,
+        typer.Option("--law", metavar="NAME", help="Of the analytical plant's floor. [default: wheel]"),
+    ] = None,
+    against: Annotated[
+        str, typer.Option("--against", metavar="WHAT", help="What is compared: averages, shapes or both.")
+    ] = "both",
+    starts: Annotated[
+        int | None,
+        typer.Option(
+            "--starts",
+            metavar="N",
+            min=1,
+            max=100,
+            help="Searches. [default: 3; 1 where the twin's shapes lead]",
+        ),
+    ] = None,
+    frequency: FrequencyOption = None,
+    offset: OffsetOption = None,
+    up: UpOption = "auto",
+    layout: LayoutOption = "auto",
+    head: HeadOption = None,
+    longest_gap: GapOption = None,
+    name: NameOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find friction, gap, masses or stiffness from crawling runs."""
+    place = Place.of(context, "locomotion", robot, name, out, overwrite=overwrite, quiet=quiet)
+    from srs_twin.identification.fit_file import data_sets
+    from srs_twin.identification.locomotion import PlantModel, fit_locomotion
+    from srs_twin.identification.takes import gait_run, starts_at_rest
+    from srs_twin.robot.spec import load_robot
+
+    spec, kept = load_robot(robot), validate or []
+    stands = PlantModel(plant, _plant_settings(plant, model, law))
+    how = reading(
+        up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset, frequency=frequency
+    )  # fmt: skip
+    supply = _supply(spec, pressure)
+    takes = _takes([*files, *kept], valves, how, spec, quiet)
+    for path, take in takes:
+        if not starts_at_rest(take):
+            say(
+                f"warning: {path}: it begins while chambers fill; the plants begin with empty ones",
+                quiet=quiet,
+            )
+    runs = [gait_run(take, path, supply) for path, take in takes]
+    fitted, held = runs[: len(files)], runs[len(files) :]
+    searches = starts or (1 if plant == "twin" and against != "averages" else 3)
+    with place.searching() as watch:
+        found = fit_locomotion(
+            fitted, spec, names_in(find) or [], model=stands, against=against, validation=held,
+            starts=searches, watch=watch,
+        )  # fmt: skip
+    title = f"Locomotion of {spec.name} against the {plant} plant"
+    place.finish(found, title=title, robot=robot, method="locomotion", data=data_sets(fitted, held))
+
+
+def robot(
+    fits: Annotated[
+        list[str], typer.Argument(metavar="FIT", help="Fit files of one robot; later ones count.")
+    ],
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the new robot and its file.")],
+    out: Annotated[
+        str | None,
+        typer.Option("--out", metavar="FILE.yaml", help="[default: robots/NAME.yaml]"),
+    ] = None,
+    weak: Annotated[
+        bool, typer.Option("--weak/--no-weak", help="Take what is only weakly identified as well.")
+    ] = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a robot file: where fits began, with what they found."""
+    from pathlib import Path
+
+    from srs_twin.identification.fitted_robot import fitted_robot, write_robot
+    from srs_twin.io.files import shown
+
+    path = Path(out) if out else Path("robots") / f"{name}.yaml"
+    if path.exists() and not overwrite:
+        raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
+    write_robot(fitted_robot(fits, name, weak=weak), path)
+    say(f"robot in {path}", quiet=quiet)
+
+
+def _alike(files: Sequence[str], tells: Callable[[str], bool], one: str, other: str) -> bool:
+    """Say whether files are of one kind; refuse some of each.
+
+    Raises:
+        InputError: they are of both kinds, or one cannot be read.
+    """
+    kinds = [tells(each) for each in files]
+    if len(set(kinds)) > 1:
+        first, second = files[kinds.index(True)], files[kinds.index(False)]
+        raise InputError(f"{first} is one of {one}, {second} one of {other}: give them to a fit each")
+    return kinds[0]
+
+
+def _takes(
+    files: Sequence[str], valves: Sequence[str] | None, how: Reading, spec: RobotSpec, quiet: bool
+) -> list[tuple[str, Recording]]:
+    """Return (path, recording with its log) of each file, and say what was read."""
+    from srs_twin.identification.takes import logs_of
+
+    found = []
+    for path, log in zip(files, logs_of(files, valves or []), strict=True):
+        take = how.take(path, log, spec)
+        say(take.summary.text(), "", quiet=quiet)
+        found.append((path, take))
+    return found
+
+
+def _supply(spec: RobotSpec, pressure_kpa: float | None) -> float:
+    """Return the supply's gauge pressure, Pa."""
+    if pressure_kpa is None:
+        return spec.supply.nominal
+    if not 0.1 <= pressure_kpa <= 2000.0:
+        raise InputError(f"--pressure: {pressure_kpa:g} kPa is not allowed; it must be from 0.1 to 2000")
+    return 1e3 * pressure_kpa
+
+
+def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
+    """Return the settings of the plant that stands for the robot."""
+    if plant == "analytical":
+        return {"model": model or "complete", "friction": law or "wheel"}
+    _needless(model, "--model", "it belongs to --plant analytical")
+    _needless(law, "--law", "it belongs to --plant analytical")
+    return {}
+
+
+def _needless(given: object, option: str, why: str) -> None:
+    if given:
+        raise InputError(f"{option}: take it out; {why}")
+
 
 FOOTPRINTS = "calibration/footprints"
 _WIDTH = 100
@@ -25,10 +310,10 @@ _FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
 app = typer.Typer(
     rich_markup_mode=None, no_args_is_help=True, help="Numbers of a robot from recordings and runs."
 )
-app.command("friction")(calibrate_fits.friction)
-app.command("actuator")(calibrate_fits.actuator)
-app.command("locomotion")(calibrate_fits.locomotion)
-app.command("robot")(calibrate_fits.robot)
+app.command("friction")(friction)
+app.command("actuator")(actuator)
+app.command("locomotion")(locomotion)
+app.command("robot")(robot)
 
 
 @app.callback()
@@ -90,13 +375,13 @@ def footprint(
     With transients also what it sweeps as the offset changes.
     """
     wanted = None if offsets is None else _numbers(offsets)
-    from srs_twin.folders import open_folder
-    from srs_twin.identification.drive import Drive
+    from srs_twin.identification.footprint import Drive
     from srs_twin.identification.footprint import study as study_of
-    from srs_twin.identification.footprint_record import footprint_file, header, refuse_other
-    from srs_twin.planning.footprint_file import save_footprint
+    from srs_twin.identification.footprint_file import footprint_file, header, refuse_other
+    from srs_twin.io.files import open_folder
+    from srs_twin.planning.footprint import save_footprint
     from srs_twin.provenance import versions
-    from srs_twin.spec import load_robot
+    from srs_twin.robot.spec import load_robot
 
     spec = load_robot(robot)
     supply = spec.supply.nominal if pressure is None else 1000 * pressure
@@ -145,7 +430,7 @@ def _name(text: str) -> str:
 
 def _show(measured: Measured) -> None:
     """Print the table, and what changes of offset cost."""
-    from srs_twin.identification.footprint_record import rows
+    from srs_twin.identification.footprint_file import rows
 
     _table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows(measured))
     if measured.transients:

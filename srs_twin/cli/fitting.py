@@ -1,4 +1,11 @@
-"""What the commands that fit share: options, where a fit goes, what is written and shown."""
+"""What the commands that fit share: options, progress, what is written and shown.
+
+How far a fit's search is, on stderr: one line on a terminal, a line now and then where it is none.
+
+What a fit found, for the terminal: numbers, intervals, verdicts, correlations, residuals.
+
+What the commands that fit share: options, where a fit goes, what is written and shown.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +14,122 @@ import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, say
-from srs_twin.cli.searching import Searching
+from srs_twin.cli import INTERRUPTED, console, say
+from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
-    from srs_twin.identification.data_set import DataSet
-    from srs_twin.identification.estimate import Estimate
-    from srs_twin.identification.fit_file import FitFile, Method
+    from srs_twin.identification.estimate import Estimate, Parameter, Role
+    from srs_twin.identification.fit_file import DataSet, FitFile, Method
     from srs_twin.identification.takes import Reading
+
+
+class Searching(Display):
+    """Tells how often the model was run and how well it fits so far; a `Watch`."""
+
+    def __init__(self, title: str, *, quiet: bool = False) -> None:
+        super().__init__(title, quiet=quiet)
+        self._runs, self._least = 0, 0.0
+
+    def __call__(self, runs: int, least: float) -> None:
+        """Take note of one more run of the model; `least` is the best weighted RMS so far."""
+        self._runs, self._least = runs, least
+        self._show()
+
+    def _line(self) -> str:
+        return (
+            f"{self.title}: {self._runs} runs of the model, weighted residuals {self._least:.3g} RMS at best"
+        )
+
+    def _draw(self) -> None:
+        from rich.console import Console
+        from rich.markup import escape
+
+        text = escape(self._line())
+        if self._drawn is None:
+            self._drawn = Console(stderr=True).status(text)
+            self._drawn.start()
+        self._drawn.update(text)
+
+
+_WIDTH = 100
+_STRONG = 0.5
+_MOST_PAIRS = 6
+_MOST_SIGNALS = 24
+
+
+def show(estimate: Estimate) -> None:
+    """Print what was found."""
+    from rich import box
+    from rich.table import Table
+
+    terminal = console()
+    terminal.width = max(terminal.width, _WIDTH)  # cut numbers would be wrong numbers
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("parameter", "value", "95 % interval", "unit", "verdict"):
+        right = heading in ("value", "95 % interval")
+        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
+    for each in estimate.parameters:
+        table.add_row(*_row(each))
+    terminal.print(table)
+    for line in (*_reasons(estimate), *correlations(estimate), *cancelling(estimate)):
+        terminal.print(line, soft_wrap=True)
+    terminal.print(_residuals(estimate), soft_wrap=True)  # a path that is cut is no path
+    if not estimate.converged:
+        terminal.print("the search did not come to an end")
+
+
+def _row(each: Parameter) -> tuple[str, ...]:
+    if each.value is None:
+        return each.name, "–", "", each.unit, each.verdict
+    return each.name, f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}", each.unit, each.verdict
+
+
+def _reasons(estimate: Estimate) -> Iterator[str]:
+    yield from (f"{each.name}: {each.why}" for each in estimate.parameters if each.why)
+
+
+def correlations(estimate: Estimate) -> Iterator[str]:
+    """Yield a line for each of the strongest correlations of two estimates."""
+    names = [each.name for each in estimate.parameters]
+    known = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
+    pairs = [(float(estimate.correlation[i, j]), names[i], names[j]) for i, j in combinations(known, 2)]
+    strong = sorted((pair for pair in pairs if abs(pair[0]) >= _STRONG), key=lambda pair: -abs(pair[0]))
+    yield from (f"correlation {value:+.2f}: {one}, {other}" for value, one, other in strong[:_MOST_PAIRS])
+
+
+def cancelling(estimate: Estimate) -> Iterator[str]:
+    """Yield a line for each direction in which the residuals do not change."""
+    for row in estimate.cancels:
+        yield "cancels: " + ", ".join(f"{share:+.2f} {name}" for name, share in row.items())
+
+
+def _unit(unit: str) -> str:
+    """Return a unit as it follows a number; the unit 1 does not."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def _residuals(estimate: Estimate) -> str:
+    """Return the residuals of the fit and of the validation, signal by signal where these are few."""
+    lines = []
+    roles: tuple[Role, ...] = ("fit", "validation")
+    for role in roles:
+        whole = estimate.rms(role)
+        if whole is None:
+            continue
+        of = [each for each in estimate.residuals if each.role == role and len(each.values)]
+        lines.append(f"{role}: residuals {whole:.3g} times the expected noise")
+        lines += [f"  {each.name}: {each.rms:.3g}{_unit(each.unit)} RMS" for each in of[:_MOST_SIGNALS]]
+        if len(of) > _MOST_SIGNALS:
+            lines.append(f"  and {len(of) - _MOST_SIGNALS} more signals")
+    return "\n".join(lines)
+
 
 FITS = "calibration/fits"
 _LONGEST_COMMAND = 2000
@@ -122,7 +231,7 @@ class Place:
         command = as_typed(context)
         if path.exists() and not overwrite:
             _refuse_other(path, command)
-        from srs_twin.folders import open_folder
+        from srs_twin.io.files import open_folder
 
         open_folder(path.parent, (path.name, path.with_suffix(".html").name))
         return cls(given, path, command, quiet)
@@ -145,11 +254,11 @@ class Place:
         self, estimate: Estimate, *, title: str, robot: str, method: Method, data: Sequence[DataSet]
     ) -> None:
         """Write report and fit file, the fit last, and show what was found."""
-        from srs_twin.cli.fit_table import show
-        from srs_twin.files import atomic_write, shown
+        pass
         from srs_twin.identification.fit_file import fit_file, write_fit
+        from srs_twin.io.files import atomic_write, shown
         from srs_twin.provenance import versions
-        from srs_twin.viewing.fit_report import fit_report
+        from srs_twin.viewing.html.fit_report import fit_report
 
         fit = fit_file(
             estimate, name=self.name, title=title[:200], robot=robot, method=method, command=self.command,
@@ -167,8 +276,8 @@ class Place:
 
 def _refuse_other(path: Path, command: str) -> None:
     """Refuse a place where the fit of another command stands, or something else."""
-    from srs_twin.files import shown
     from srs_twin.identification.fit_file import load_fit
+    from srs_twin.io.files import shown
 
     remedy = "--overwrite replaces it, --name and --out lead elsewhere"
     try:
@@ -209,8 +318,8 @@ def reading(
     frequency: float | None = None,
 ) -> Reading:
     """Return how recordings are read."""
-    from srs_twin.identification.recording import LONGEST_GAP
     from srs_twin.identification.takes import Reading
+    from srs_twin.recordings.recording import LONGEST_GAP
 
     longest = LONGEST_GAP if longest_gap is None else longest_gap
     return Reading(up, layout, head, longest, offset, frequency)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from srs_twin.cli.case import Case
+from srs_twin.cli.batch import Case
 from srs_twin.errors import InputError
-from srs_twin.files import atomic_write
+from srs_twin.io.files import atomic_write
 
 if TYPE_CHECKING:
     from srs_twin.scenario import Outcome

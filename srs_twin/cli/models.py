@@ -10,7 +10,7 @@ import typer
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from srs_twin.mjcf_check import ModelReport
+    from srs_twin.mjcf.check import ModelReport
 
 app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models: export and check.")
 
@@ -23,10 +23,9 @@ def export(
     out: Annotated[str, typer.Option("--out", metavar="DIR", help="Where models/<robot>/ go.")] = "models",
 ) -> None:
     """Write robots as MJCF, each in a folder of its own."""
-    from srs_twin.files import printable, shipped_names
-    from srs_twin.folders import open_folder
-    from srs_twin.mjcf_export import SCENE, export_robot
-    from srs_twin.spec import load_robot
+    from srs_twin.io.files import open_folder, printable, shipped_names
+    from srs_twin.mjcf.export import SCENE, export_robot
+    from srs_twin.robot.spec import load_robot
 
     robots = [load_robot(name) for name in names or shipped_names("robot")]
     folders = {Path(out) / robot.name: robot for robot in robots}
@@ -48,8 +47,8 @@ def check(
 
     Shipped ones must be what an export of their robots would write.
     """
-    from srs_twin.files import printable, shipped_names, shown
-    from srs_twin.mjcf_check import check_mjcf
+    from srs_twin.io.files import printable, shipped_names, shown
+    from srs_twin.mjcf.check import check_mjcf
 
     bad = 0
     for model in models or shipped_names("robot"):
@@ -67,8 +66,8 @@ def _stale(robot: str | None, folder: Path) -> list[str]:
     """Return a fault for each file of a shipped robot that is not what an export would write."""
     if robot is None:
         return []
-    from srs_twin.mjcf_export import stale_files
-    from srs_twin.spec import load_robot
+    from srs_twin.mjcf.export import stale_files
+    from srs_twin.robot.spec import load_robot
 
     return [
         f"{name} is not current; `srs-twin models export {robot}` writes it anew"
@@ -87,7 +86,7 @@ def _praise(report: ModelReport, *, current: bool) -> str:
 
 def _find(model: str) -> tuple[Path, str | None]:
     """Return the file that a path means, or the scene of a shipped robot and the robot's name."""
-    from srs_twin.files import data_root, shipped_names
+    from srs_twin.io.files import data_root, shipped_names
 
     if "/" in model or model.endswith(".xml"):
         return Path(model), None

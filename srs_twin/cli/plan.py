@@ -12,7 +12,7 @@ import typer
 from srs_twin.cli import say
 from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS, OneOutOption, QuietOption
 from srs_twin.errors import InputError
-from srs_twin.files import shown
+from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
     from srs_twin.planning import Plan
@@ -36,7 +36,7 @@ def plan(
     """Plan the way of a scenario; nothing is simulated."""
     from srs_twin.cli.table import WORDS
     from srs_twin.comparison.following import plan_metrics
-    from srs_twin.folders import open_folder
+    from srs_twin.io.files import open_folder
     from srs_twin.scenario import load_scenario
     from srs_twin.scenario.following import FollowSettings
 
@@ -81,8 +81,8 @@ def _write(
     folder: Path, scenario: Scenario, settings: FollowSettings, found: Plan, metrics: dict[str, Any]
 ) -> None:
     """Write the plan as data and as a picture."""
-    from srs_twin.folders import replaced
-    from srs_twin.viewing.following_plot import plan_plot
+    from srs_twin.io.files import replaced
+    from srs_twin.viewing.plots.plan_view import plan_plot
 
     problem = settings.planner.problem
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}

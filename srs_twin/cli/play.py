@@ -14,13 +14,13 @@ def play(
 
     Keys: arrows, page up and page down.
     """
-    from srs_twin.spec import load_robot
+    from srs_twin.robot.spec import load_robot
 
     spec = load_robot(robot)
-    from srs_twin.viewing.window import MujocoWindow, refuse_without_display
+    from srs_twin.viewing.mujoco.live import MujocoWindow, refuse_without_display
 
     refuse_without_display()
-    from srs_twin.viewing.live import LiveSnake, steer
+    from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
     snake = LiveSnake(spec)
     with MujocoWindow(snake) as window:

@@ -14,12 +14,12 @@ import typer
 from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.progress import Progress
 from srs_twin.errors import InputError
-from srs_twin.files import printable, shown
+from srs_twin.io.files import printable, shown
 
 if TYPE_CHECKING:
-    from srs_twin.finished import FinishedRun
+    from srs_twin.experiment import FinishedRun
     from srs_twin.trajectory import Trajectory
-    from srs_twin.viewing.render import Size
+    from srs_twin.viewing.mujoco.render import Size
 
 VIDEO, PICTURE = ".mp4", ".png"
 _SMALLEST, _LARGEST = 64, 4096  # pixels
@@ -77,11 +77,11 @@ def render(
         raise InputError("give one of --video FILE.mp4, --image t=2.5 and --strobe")
     if video is not None and out is not None:
         raise InputError("--out is for pictures; the video goes where --video says")
-    from srs_twin.viewing.opengl import usable_opengl
+    from srs_twin.viewing.mujoco.opengl import usable_opengl
 
     usable_opengl()  # first: MuJoCo, imported from here on, refuses a name in MUJOCO_GL that it does not know
-    from srs_twin.finished import load_run
-    from srs_twin.folders import open_folder
+    from srs_twin.experiment import load_run
+    from srs_twin.io.files import open_folder
 
     job = _job(video, image, _size(size), fps, speed)
     target = None if (given := video if video is not None else out) is None else Path(given)
@@ -110,7 +110,7 @@ def render(
 
 
 def _job(video: str | None, image: str | None, size: Size, fps: int, speed: float) -> _Job:
-    from srs_twin.viewing.render import write_image, write_video
+    from srs_twin.viewing.mujoco.render import write_image, write_video
 
     if video is not None:
         return _Job(
@@ -127,7 +127,7 @@ def _job(video: str | None, image: str | None, size: Size, fps: int, speed: floa
             PICTURE,
             lambda path, run, twin, tell: write_image(path, run.scenario, twin, time, size=size),
         )
-    from srs_twin.viewing.strobe import write_strobe
+    from srs_twin.viewing.mujoco.strobe import write_strobe
 
     return _Job(
         lambda run: f"{run}-strobe{PICTURE}",
@@ -145,7 +145,7 @@ def _moment(given: str) -> float:
 
 
 def _size(given: str) -> Size:
-    from srs_twin.viewing.render import Size
+    from srs_twin.viewing.mujoco.render import Size
 
     match = re.fullmatch(r"(\d{1,5})[x×](\d{1,5})", given)
     sides = [int(side) for side in match.groups()] if match else []

@@ -23,7 +23,7 @@ from srs_twin.cli.fitting import (
 from srs_twin.errors import InputError, one_of
 
 if TYPE_CHECKING:
-    from srs_twin.robot_file import RobotFile
+    from srs_twin.robot.file import RobotFile
 
 _LONGEST = 3600.0  # s, of a scenario
 _BENCH_HZ = 1000  # bends follow valves within milliseconds
@@ -80,7 +80,7 @@ def replay(
     How far each is from it is measured. The folder's scenario.resolved.yaml is the same replay as a
     scenario, for `srs-twin run`.
     """
-    from srs_twin.files import results_name
+    from srs_twin.io.files import results_name
     from srs_twin.scenario import parse_scenario
 
     fails = failing(check=check, strict=strict)
@@ -117,9 +117,9 @@ def _given(**settings: object) -> dict[str, Any]:
 
 def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
     """Return a robot with what fits found of it."""
-    from srs_twin.documents import Document
     from srs_twin.identification.fitted_robot import overrides_of
-    from srs_twin.robots import load_robot_file, resolve_robot
+    from srs_twin.io.documents import Document
+    from srs_twin.robot.file import load_robot_file, resolve_robot
 
     if not fits:
         return load_robot_file(robot)
@@ -132,8 +132,8 @@ def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
 
 def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float:
     """Return how many whole ticks the recording lasts, s, and say what was read."""
-    from srs_twin.identification.recording import LONGEST_GAP
     from srs_twin.identification.takes import Reading, logs_of
+    from srs_twin.recordings.recording import LONGEST_GAP
     from srs_twin.scenario.settings import default_tick
 
     known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
@@ -163,10 +163,10 @@ def _expectations(path: str) -> list[Any]:
     Raises:
         InputFileError: everything that is wrong with it.
     """
-    from srs_twin.documents import load_yaml
-    from srs_twin.files import existing
+    from srs_twin.io.documents import load_yaml
+    from srs_twin.io.files import existing
+    from srs_twin.io.validation import validate
     from srs_twin.scenario.expectation_file import ExpectationsFile
-    from srs_twin.validation import validate
 
     document = load_yaml(existing(Path(path)))
     file = validate(ExpectationsFile, document, document.data)

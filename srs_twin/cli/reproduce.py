@@ -1,20 +1,59 @@
-"""`srs-twin reproduce`: every statement of the dissertation beside what both plants say."""
+"""Rows of the reproduction as JUnit XML: a suite a use, a test case for each row and column.
+
+`srs-twin reproduce`: every statement of the dissertation beside what both plants say.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from xml.etree.ElementTree import Element, SubElement
 
 import typer
 
 from srs_twin.cli import INTERRUPTED, say
-from srs_twin.cli.counting import Counting
+from srs_twin.cli.junit import sum_up, writable, write_tree
+from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
     from srs_twin.reproduction import Claim, Judged, Store
     from srs_twin.reproduction.runs import Orders
     from srs_twin.sweep.task import Row
+
+
+def write_rows(path: Path, rows: Sequence[Judged]) -> None:
+    """Write a report: what is missed is a failure, explained or not.
+
+    Args:
+        path: the file; an earlier one is replaced.
+        rows: judged.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    root = Element("testsuites", name="srs-twin reproduce")
+    for use in dict.fromkeys(row.claim.use for row in rows):
+        suite = SubElement(root, "testsuite", name=use)
+        for row in (row for row in rows if row.claim.use == use):
+            _cases(suite, row)
+        sum_up(suite, 0.0)
+    sum_up(root, 0.0)
+    write_tree(path, root)
+
+
+def _cases(suite: Element, row: Judged) -> None:
+    from srs_twin.reproduction.report import cell
+    from srs_twin.reproduction.verdicts import MET
+
+    claim = row.claim
+    for column, outcome in row.outcomes.items():
+        case = SubElement(suite, "testcase", classname=claim.id, name=column, time="0.000")
+        if outcome.verdict != MET:
+            said = f"{claim.id}, {column}: {cell(outcome)}, allowed {claim.allowed}"
+            failure = SubElement(case, "failure", message=writable(said), type=outcome.verdict)
+            failure.text = writable("\n".join([claim.says, claim.source, outcome.why]))
+
 
 CHANGED = 1
 OUT = Path("runs/reproduce")
@@ -50,16 +89,15 @@ def reproduce(
     ] = False,
 ) -> None:
     """Reproduce the dissertation: run what its claims need, judge every row, compare with the baseline."""
-    from srs_twin.process_server import start_server
+    from srs_twin.parallel import start_server
 
     # First of all: it loads what workers need while this process loads what it needs itself.
     start_server("srs_twin.sweep.warm")
     from srs_twin.errors import InputError
-    from srs_twin.files import shown
+    from srs_twin.io.files import shown
     from srs_twin.reproduction import load_claims, open_store
     from srs_twin.reproduction.claims import chosen
-    from srs_twin.reproduction.execution import HTML, JSON, JUNIT
-    from srs_twin.reproduction.runs import Orders
+    from srs_twin.reproduction.runs import HTML, JSON, JUNIT, Orders
 
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; leave --only and --quick out")
@@ -105,8 +143,7 @@ def _judged(
 
 def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, quiet: bool) -> list[Any]:
     """Return the figures whose runs are there; of a whole reproduction run what is theirs alone."""
-    from srs_twin.reproduction.figures import Source, drawn, wanted
-    from srs_twin.reproduction.pictures import PICTURES
+    from srs_twin.reproduction.figures import PICTURES, Source, drawn, wanted
 
     if every:
         keys = dict.fromkeys(order.key for order in wanted(PICTURES, orders))
@@ -120,11 +157,11 @@ def _written(
     out: Path, rows: Sequence[Judged], figures: list[Any] | None, *, write_baseline: bool
 ) -> list[str]:
     """Write the files; return what has changed from the baseline."""
-    from srs_twin.cli.reproduce_junit import write_rows
+    pass
     from srs_twin.reproduction import load_baseline
-    from srs_twin.reproduction.baseline import write_baseline as write
-    from srs_twin.reproduction.execution import HTML, JSON, JUNIT
     from srs_twin.reproduction.report import write_html, write_json
+    from srs_twin.reproduction.runs import HTML, JSON, JUNIT
+    from srs_twin.reproduction.verdicts import write_baseline as write
 
     if write_baseline:
         write(rows)
@@ -137,7 +174,7 @@ def _written(
 
 def _show(rows: Sequence[Judged]) -> None:
     """Print a line for each row, those of each use together, and how many are met."""
-    from srs_twin.reproduction.summary import TITLES, USES, percent, published, summary_line, verdict
+    from srs_twin.reproduction.report import TITLES, USES, percent, published, summary_line, verdict
 
     print(_FORMAT.format("row", "published", "analytical", "twin", "error", "verdict"))
     for use in USES:
@@ -161,7 +198,7 @@ def _show(rows: Sequence[Judged]) -> None:
 
 def _narrow(outcome: Any) -> str:
     """Return what came out in a few characters: of an ordering its first and last value."""
-    from srs_twin.reproduction.summary import cell, short
+    from srs_twin.reproduction.report import cell, short
 
     if outcome is None:
         return ""

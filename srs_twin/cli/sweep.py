@@ -10,17 +10,17 @@ import typer
 
 from srs_twin.cli import INTERRUPTED, console, say
 from srs_twin.cli.batch import QuietOption
-from srs_twin.cli.counting import Counting
+from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
-from srs_twin.files import shown
+from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from srs_twin.sweep import Summary, Sweep
-    from srs_twin.sweep.engines import Engine
+    from srs_twin.sweep.execution import Engine
     from srs_twin.sweep.task import Row
-    from srs_twin.viewing.sweep_beside import BesideTable
+    from srs_twin.viewing.plots.sweeps import BesideTable
 
 SWEEPS = Path("runs/sweeps")
 _SHOWN_REASONS = 5
@@ -120,20 +120,20 @@ def wanted_points(found: Sweep, without: Sequence[str]) -> set[str]:
 
 def _engine(name: str, workers: int | None, address: str | None) -> Engine:
     if name == "local":
-        from srs_twin.process_server import start_server
+        from srs_twin.parallel import start_server
 
         # First of all: it loads what workers need while this process loads what it needs itself.
         start_server("srs_twin.sweep.warm")
     from srs_twin.errors import UnknownNameError
-    from srs_twin.sweep import engines
+    from srs_twin.sweep import execution
 
-    if name not in engines.ENGINES:
-        raise UnknownNameError("engine", name, engines.ENGINES)
+    if name not in execution.ENGINES:
+        raise UnknownNameError("engine", name, execution.ENGINES)
     if name == "ray":
-        return engines.on_ray(address, workers)
+        return execution.on_ray(address, workers)
     if address is not None:
         raise InputError("--address belongs to --engine ray")
-    return engines.local(workers)
+    return execution.local(workers)
 
 
 def _failed(row: Row) -> bool:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.cli import console
-from srs_twin.comparison.summary import difference, published
+from srs_twin.comparison.metrics import difference, published
 from srs_twin.scenario.expectation import verdict
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from srs_twin.running import RunResult
+    from srs_twin.experiment import RunResult
 
 _MEASURED_ROWS = {
     "measured_shape_rms_m": ("shape, from measured", "m"),

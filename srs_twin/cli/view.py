@@ -36,21 +36,21 @@ def view(
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         shown = recordings[0]
         if len(recordings) > 1:
-            from srs_twin.viewing.side_by_side import write_side_by_side
+            from srs_twin.viewing.rerun.recording import write_side_by_side
 
             shown = Path(folder) / "side-by-side.rrd"
             write_side_by_side(shown, named(recordings))
         if web:
             _serve(shown, port or 0)
         else:
-            from srs_twin.viewing.viewer import open_recording
+            from srs_twin.viewing.rerun.viewer import open_recording
 
             open_recording(shown)
 
 
 def _serve(recording: Path, port: int) -> None:
     """Serve a recording until somebody ends it, which is no failure."""
-    from srs_twin.viewing.web import served
+    from srs_twin.viewing.rerun.web import served
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.comparison.sampling import segment_lengths
-from srs_twin.mjcf_numerics import Numerics, hinge_stations
-from srs_twin.shape import chord
-from srs_twin.spec import Geometry
+from srs_twin.geometry import chord
+from srs_twin.mjcf.numerics import Numerics, hinge_stations
+from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 

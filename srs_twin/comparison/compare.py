@@ -1,12 +1,18 @@
-"""compare(): how far two runs under the same valve commands lie apart."""
+"""compare(): how far two runs under the same valve commands lie apart.
+
+How far a plant is from what was measured of the robot: by signal, over time.
+
+Attribution: which assumption has which share in what lies between two runs.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.comparison.metrics import MEASURED_UNITS, plant_metrics
 from srs_twin.comparison.sampling import body_length, interpolant, label, require, rms, segment_lengths
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
@@ -173,3 +179,148 @@ def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: floa
 
 def _ratio(part: float, whole: float) -> float | None:
     return part / whole if whole else None
+
+
+_PREFIX = "measured_"
+_OF_BENDS = "measured_bend_rms_rad"
+_OF_A_WAY = ("measured_com_speed_rel", "measured_yaw_rate_abs")
+_MOST_ROWS = 50
+
+
+@dataclass(frozen=True)
+class MeasuredDifference:
+    """A plant's difference from a measured motion.
+
+    Attributes:
+        comparison: plant less measured, see `compare`.
+        only_bends: whether nothing but bends was measured; where the body is follows from them then.
+        held: whether both were held at the head, so that nothing went anywhere.
+    """
+
+    comparison: Comparison
+    only_bends: bool = False
+    held: bool = False
+
+    @classmethod
+    def of(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
+        """Compare a plant with what was measured, at the times of the latter.
+
+        Raises:
+            InputError: as `compare`.
+        """
+        only_bends = bool(measured.metadata.get("bends_only"))
+        return cls(compare(measured, run), only_bends, run.metadata.get("base") == "clamped")
+
+    @property
+    def metrics(self) -> dict[str, float | None]:
+        """Metrics of the plant, by the names in `MEASURED_UNITS`; None what was not measured."""
+        told = {_OF_BENDS} if self.only_bends else MEASURED_UNITS.keys() - (_OF_A_WAY if self.held else ())
+        metrics = self.comparison.metrics
+        return {
+            name: metrics[name.removeprefix(_PREFIX)] if name in told else None for name in MEASURED_UNITS
+        }
+
+    def signals(self) -> dict[str, np.ndarray]:
+        """Return the differences over time: shape and path as distances (m), heading, bends (rad)."""
+        bends = {f"bend_{j}_rad": each for j, each in enumerate(self.comparison.bend_error.T, start=1)}
+        if self.only_bends:
+            return bends
+        distances = {"shape_m": self.comparison.shape_error, "path_m": self.comparison.path_error}
+        return distances | {"heading_rad": self.comparison.heading_error} | bends
+
+    @property
+    def bend_rms(self) -> np.ndarray:
+        """Root mean square over the segments of the bends' difference at each instant, (T,), rad."""
+        return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
+
+    def document(self) -> dict[str, Any]:
+        """Return what metrics.json says: of each signal the RMS as a whole and in equal parts of the time."""
+        time = self.comparison.time
+        edges = np.linspace(0, len(time), min(_MOST_ROWS, len(time)) + 1).round().astype(int)
+        parts = list(zip(edges[:-1], edges[1:], strict=True))
+        signals = self.signals()
+        return {
+            "rms": {name: rms(values) for name, values in signals.items()},
+            "over_time": {
+                "time_s": [round(float(time[a:b].mean()), 6) for a, b in parts],
+                **{name: [rms(values[a:b]) for a, b in parts] for name, values in signals.items()},
+            },
+        }
+
+
+MEASURES = {
+    "com_speed_m_s": ("CoM speed", "m/s"),
+    "yaw_rate_rad_s": ("yaw rate", "rad/s"),
+    "mean_bend_amplitude_rad": ("bend amplitude", "rad"),
+    "shape_rms_m": ("body shape, RMS", "m"),
+}
+"""What is attributed: differences twin − analytical of three metrics, and the distance of the body shapes."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one assumption contributes to the gap.
+
+    Attributes:
+        name: short name.
+        title: one line for people.
+        value: contribution to each of `MEASURES`, in that order.
+        low: least of it over the orders in which the assumptions may be switched.
+        high: most of it.
+        how: "averaged" over orders on the analytical side, "first" of all there, or "refined" on the plant
+            that alone has it.
+    """
+
+    name: str
+    title: str
+    value: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    how: str
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """A gap between twin and analytical model, split.
+
+    Attributes:
+        reference: the analytical values of `MEASURES`; 0 for the distance.
+        gap: twin − analytical.
+        shares: what is explained; their values and the remainder add up to the gap.
+        remainder: what is not explained by any of them.
+        matched: gap that is left when both plants have stiff bends and the same friction at the same points.
+        same: assumptions on which the two plants agree in this scenario, so that they explain nothing.
+    """
+
+    reference: tuple[float, ...]
+    gap: tuple[float, ...]
+    shares: tuple[Share, ...]
+    remainder: tuple[float, ...]
+    matched: tuple[float, ...]
+    same: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return plain data for metrics.json, measures by name."""
+        parts = asdict(self)
+        return {
+            "measures": list(MEASURES),
+            **{name: list(parts[name]) for name in ("reference", "gap", "remainder", "matched", "same")},
+            "shares": [
+                {k: list(v) if isinstance(v, tuple) else v for k, v in s.items()} for s in parts["shares"]
+            ],
+        }
+
+
+def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
+    """Return candidate − reference in `MEASURES`, shape (4,).
+
+    Raises:
+        InputError: as in `compare`.
+        ValueError: one of the runs has no gait metrics.
+    """
+    ours, theirs = plant_metrics(reference), plant_metrics(candidate)
+    names = list(MEASURES)[:-1]
+    if any(run[name] is None for run in (ours, theirs) for name in names):
+        raise ValueError("a run without whole gait periods has no gait to explain")
+    differences = [theirs[name] - ours[name] for name in names]
+    return np.array([*differences, compare(reference, candidate).metrics["shape_rms_m"]])

@@ -18,10 +18,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from srs_twin.documents import load_yaml
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.files import existing, shown
-from srs_twin.validation import Strict, validate
+from srs_twin.io.documents import load_yaml
+from srs_twin.io.files import existing, shown
+from srs_twin.io.validation import Strict, validate
 
 REL, ABS = 1e-6, 1e-9
 """What two processor targets may differ by; docs/sweeps.md has what they were measured to."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from srs_twin.comparison.centre_line import hull_lines
 from srs_twin.comparison.sampling import positive_number
-from srs_twin.mjcf_numerics import WALL_M
+from srs_twin.mjcf.numerics import WALL_M
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -1,22 +1,158 @@
 """Metrics of iterative learning: amplitudes and duties by period, convergence, the path before and after.
 
+ChamberPeriods: a run under iterative learning, cut into the periods of each chamber's own clock.
+
+How far a body reaches to the left and right of the path of its centre of mass (Fig. 58, Table 8).
+
 What is measured is what the sensors said, in the periods of each chamber's own clock (`control.cycles`).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.chamber_periods import ChamberPeriods
-from srs_twin.comparison.gait_window import GaitWindow
-from srs_twin.comparison.lateral import PathFit, box_edges
-from srs_twin.comparison.period_path import LEAST_WAY, carried
-from srs_twin.comparison.sampling import body_length, positive_number
-from srs_twin.comparison.turning import path_curvature, turning_radius
+from srs_twin.comparison.gait import LEAST_WAY, GaitWindow, carried, path_curvature, turning_radius
+from srs_twin.comparison.sampling import body_length, label, positive_number
+from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
+
+_ROUNDING = 1e-6  # of a period
+
+
+@dataclass(frozen=True)
+class ChamberPeriods:
+    """What each chamber did in its own periods, of which the run holds K in whole.
+
+    Attributes:
+        amplitude: furthest sensed bend to the chamber's side, shape (K, segments, 2), rad; NaN where
+            nothing was read.
+        target: at the end of the period, same shape, rad; NaN where there is none.
+        duty: same shape.
+    """
+
+    amplitude: np.ndarray
+    target: np.ndarray
+    duty: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """Target less amplitude, shape (K, segments, 2), rad."""
+        return self.target - self.amplitude
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> ChamberPeriods:
+        """Cut a run into the periods of its chambers.
+
+        Raises:
+            InputError: the metadata do not say when chambers begin to fill, or how often.
+        """
+        sensed = trajectory.stack("sensed")
+        period, begins = _clocks(trajectory, sensed.shape[-1])
+        time = trajectory.time
+        whole = int(math.floor(((time[-1] - begins) / period).min() + _ROUNDING))
+        shape = (max(whole, 0), sensed.shape[-1], 2)
+        found = cls(np.full(shape, math.nan), np.full(shape, math.nan), np.full(shape, math.nan))
+        for side, name in enumerate(("plus", "minus")):
+            target, duty = trajectory.stack(f"target_{name}"), trajectory.stack(f"duty_{name}")
+            for j in range(shape[1]):
+                away = sensed[:, j] if side == 0 else -sensed[:, j]
+                edges = begins[j, side] + period * (np.arange(shape[0] + 1) - _ROUNDING)
+                cuts = np.searchsorted(time, edges)
+                for n, (first, end) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+                    good = away[first:end][np.isfinite(away[first:end])]
+                    found.amplitude[n, j, side] = good.max() if len(good) else math.nan
+                    # A sample shows what its tick was given: the last one of a period is still its own.
+                    found.target[n, j, side] = target[end - 1, j]
+                    found.duty[n, j, side] = duty[(first + end) // 2, j]
+        return found
+
+
+def _clocks(trajectory: Trajectory, segments: int) -> tuple[float, np.ndarray]:
+    """Return the gait period (s) and when each chamber first fills, shape (segments, 2), s."""
+    frequency = positive_number(trajectory, "gait_frequency_hz")
+    told = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
+    begins = np.array(told, dtype=float) if isinstance(told, list) else np.empty(0)
+    if frequency is None or begins.shape != (segments, 2) or not np.isfinite(begins).all():
+        raise InputError(
+            f"{label(trajectory)}: metadata gait_frequency_hz and control.fill_begins_s are needed to tell "
+            "the periods of the chambers"
+        )
+    return 1 / frequency, begins
+
+
+# A path that bends by less than this over its whole length is taken for a line, rad: where a circle would be
+# fitted to it, rounding would decide its radius.
+_LEAST_TURN = 1e-4
+
+
+@dataclass(frozen=True)
+class PathFit:
+    """The circle, or the line, that fits the period-averaged path of a centre of mass best.
+
+    Attributes:
+        centre: of the circle, shape (2,), m; of a line any point on it.
+        radius: m, positive where the centre lies on the left of the way the snake heads; None: a line.
+        ahead: unit vector along a line, shape (2,).
+    """
+
+    centre: np.ndarray
+    radius: float | None
+    ahead: np.ndarray
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, window: GaitWindow) -> PathFit | None:
+        """Return the fit over a window of whole periods; None of a snake that stays where it is."""
+        mean, velocity = window.running(trajectory, trajectory.com)
+        heading, turning = window.running(trajectory, trajectory["heading"])
+        middle = mean.mean(axis=0)
+        length = float(np.hypot(*velocity.T).mean()) * (window.periods - 1) * window.period
+        if length < 1e-9:
+            return None
+        # Along the path the heading goes with it: which side is left is the heading's to say.
+        facing = heading[len(heading) // 2]
+        ahead = np.array([np.cos(facing), np.sin(facing)])
+        turn = float(turning.mean()) * window.period
+        x, y = (mean - middle).T / length
+        # Kåsa's circle: x² + y² + a x + b y + c = 0, by least squares.
+        basis = np.stack([x, y, np.ones_like(x)], axis=-1)
+        (a, b, c), _, rank, _ = np.linalg.lstsq(basis, -(x**2 + y**2), rcond=1e-10)
+        bent = rank == 3 and abs(turn) * (window.periods - 1) >= _LEAST_TURN
+        if not bent:
+            along = np.linalg.svd(mean - middle, full_matrices=False)[2][0]
+            return cls(middle, None, along if along @ ahead > 0 else -along)
+        centre = np.array([-a / 2, -b / 2])
+        # Averaging over a period draws a circle inwards by the sinc of half the turn.
+        radius = length * float(np.sqrt(centre @ centre - c)) / float(np.sinc(turn / (2 * np.pi)))
+        left = ahead[0] * centre[1] - ahead[1] * centre[0]
+        return cls(middle + length * centre, radius if left > 0 else -radius, ahead)
+
+    def to_the_right(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points, shape (…, 2), lie to the right of the path, shape (…), m."""
+        apart = points - self.centre
+        if self.radius is None:
+            side: np.ndarray = self.ahead[1] * apart[..., 0] - self.ahead[0] * apart[..., 1]
+            return side
+        beyond = np.hypot(apart[..., 0], apart[..., 1]) - abs(self.radius)
+        return beyond if self.radius > 0 else -beyond
+
+
+def box_edges(trajectory: Trajectory, window: GaitWindow, path: PathFit) -> tuple[float, float]:
+    """Return the left and the right edge of what a body sweeps over a window, m; left is negative.
+
+    Each connector counts with half the width of the body on either side of it, across its own heading, where
+    the metadata give a width (``body_width_m``).
+    """
+    seen = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
+    theta, position = trajectory.stack("theta")[seen], trajectory.position[seen]
+    half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
+    across = half * np.stack([-np.sin(theta), np.cos(theta)], axis=-1)
+    reach = path.to_the_right(np.concatenate([position + across, position - across]))
+    return float(reach.min()), float(reach.max())
+
 
 # Metrics of a run under iterative learning, each one number or None.
 LEARNING_UNITS = {
@@ -47,7 +183,7 @@ CONVERGED = 0.05
 LAST_PERIODS = 5
 """Over how many periods at the end the path is measured."""
 
-_ROUNDING = 1e-6  # of a period
+_LEARNING_ROUNDING = 1e-6  # of a period
 _LEAST_CURVATURE = 1e-3
 """Of a path that is not straight beforehand, 1/m."""
 
@@ -170,7 +306,7 @@ def _before(trajectory: Trajectory, period: float) -> float | None:
     changed = np.flatnonzero((duty != duty[0]).any(axis=1))
     end = float(trajectory.time[changed[0] - 1] if len(changed) else trajectory.time[-1])
     window = GaitWindow.last(trajectory, period, end, 2)
-    if window is None or window.start - float(trajectory.time[0]) < 0.5 * period * (1 - _ROUNDING):
+    if window is None or window.start - float(trajectory.time[0]) < 0.5 * period * (1 - _LEARNING_ROUNDING):
         return None
     chords, turns = carried(trajectory, window)
     if not abs(chords.mean()) >= LEAST_WAY * body_length(trajectory):
@@ -187,7 +323,7 @@ def _straightened(before: float | None, after: float | None) -> dict[str, float 
 
 def _turns(trajectory: Trajectory, period: float) -> np.ndarray:
     """Return by how much each whole period of a run turns the body, rad."""
-    whole = int(math.floor((trajectory.time[-1] - trajectory.time[0]) / period + _ROUNDING))
+    whole = int(math.floor((trajectory.time[-1] - trajectory.time[0]) / period + _LEARNING_ROUNDING))
     heading = np.interp(
         trajectory.time[0] + period * np.arange(whole + 1), trajectory.time, trajectory["heading"]
     )

@@ -1,14 +1,139 @@
-"""Metrics of a module that follows a reference: step response, sine fit, rest, valve openings (Chapter 4)."""
+r"""Metrics of a module that follows a reference: step response, sine fit, rest, valve openings (Chapter 4).
+
+Sines in recorded signals: their frequency, and amplitude and phase by least squares.
+
+$$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
+
+The step response of a recorded bend: rise, overshoot, settling.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from srs_twin.comparison.gait_window import WARM_UP_PERIODS
+from srs_twin.comparison.gait import WARM_UP_PERIODS
 from srs_twin.comparison.sampling import require, rms
-from srs_twin.comparison.sines import SineFit, fit_sine, frequency_of
-from srs_twin.comparison.steps import step_response
 from srs_twin.trajectory import Trajectory
+
+# A sine leaves no more than this share of its amplitude, RMS, when it is fitted.
+_PURE = 1e-4
+
+
+@dataclass(frozen=True)
+class SineFit:
+    """A sine fitted to samples.
+
+    Attributes:
+        amplitude: A, unit of the signal, 0 or more.
+        phase: φ at time 0, rad.
+        offset: mean.
+        residual: RMS of what is left.
+    """
+
+    amplitude: float
+    phase: float
+    offset: float
+    residual: float
+
+
+def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
+    """Return the sine of a frequency (Hz) that leaves the least squares of samples, shape (samples,)."""
+    angle = 2 * np.pi * frequency * time
+    basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
+    (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
+    left = values - basis @ np.array([sine, cosine, offset])
+    rms = float(np.sqrt(np.mean(left**2)))
+    return SineFit(float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine)), float(offset), rms)
+
+
+def frequency_of(time: np.ndarray, values: np.ndarray) -> float | None:
+    """Return the frequency of a signal that is a sine without noise, Hz; None where it is something else.
+
+    Samples m apart of a sine obey x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Neighbours give a
+    first f; samples about a quarter period apart, where the cosine tells most, the final one.
+
+    Args:
+        time: equally spaced but for the last sample, shape (samples,), s.
+        values: shape (samples,).
+    """
+    values, time = values[:-1], time[:-1]
+    if len(values) < 8 or np.ptp(values) == 0:
+        return None
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    turn = _turn(values, 1)
+    if turn is None:
+        return None
+    quarter = max(1, round(np.pi / 2 / turn))
+    if quarter > 1 and 2 * quarter + 8 <= len(values):
+        finer = _turn(values, quarter)
+        turn = turn if finer is None else finer / quarter
+    frequency = float(turn / (2 * np.pi * period))
+    fit = fit_sine(time, values, frequency)
+    return frequency if fit.residual <= _PURE * fit.amplitude else None
+
+
+def _turn(values: np.ndarray, apart: int) -> float | None:
+    """Return by what angle the sine turns from a sample to one so many later, between 0 and π."""
+    middle = values[apart:-apart]
+    both = values[2 * apart :] + values[: -2 * apart]
+    middle, both = middle - middle.mean(), both - both.mean()
+    cosine = (middle @ both) / (2 * (middle @ middle))
+    return float(np.arccos(cosine)) if 0 < 1 - cosine < 2 else None
+
+
+def step_response(time: np.ndarray, bend: np.ndarray, before: float, after: float) -> dict[str, float | None]:
+    """Return how a bend answers a step of its reference; between samples it goes straight.
+
+    Args:
+        time: since the step, shape (samples,), s.
+        bend: shape (samples,), rad.
+        before: reference before the step, rad.
+        after: reference after it, rad.
+
+    Returns:
+        ``rise_time_s`` from 10 to 90 %, ``overshoot_rel`` and ``overshoot_rad`` (0 where it never goes
+        beyond), ``settling_2_s`` and ``settling_5_s``; None for what is not reached before the run ends.
+    """
+    share = (bend - before) / (after - before)
+    low, high = _first(time, share, 0.1), _first(time, share, 0.9)
+    beyond = max(0.0, float(share.max()) - 1.0)
+    return {
+        "rise_time_s": None if low is None or high is None else high - low,
+        "overshoot_rel": beyond,
+        "overshoot_rad": beyond * abs(after - before),
+        "settling_2_s": _settling(time, share, 0.02),
+        "settling_5_s": _settling(time, share, 0.05),
+    }
+
+
+def _first(time: np.ndarray, share: np.ndarray, level: float) -> float | None:
+    """Return when a level is first reached from below."""
+    above = np.flatnonzero(share >= level)
+    if not len(above):
+        return None
+    return _between(time, share, int(above[0]), level)
+
+
+def _settling(time: np.ndarray, share: np.ndarray, band: float) -> float | None:
+    """Return when the band about 1 is entered for good."""
+    outside = np.flatnonzero(np.abs(share - 1.0) > band)
+    if not len(outside):
+        return 0.0
+    last = int(outside[-1])
+    if last + 1 == len(share):
+        return None
+    return _between(time, share, last + 1, 1.0 + np.copysign(band, share[last] - 1.0))
+
+
+def _between(time: np.ndarray, share: np.ndarray, k: int, level: float) -> float:
+    """Return when the straight line from the sample before k to k crosses a level; at k = 0 its time."""
+    if k == 0:
+        return float(time[0])
+    part = (level - share[k - 1]) / (share[k] - share[k - 1])
+    return float(time[k - 1] + part * (time[k] - time[k - 1]))
+
 
 # Metrics of a run with a reference, each one number or None.
 TRACKING_UNITS = {

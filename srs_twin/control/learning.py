@@ -18,16 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.control.base import Controller
-from srs_twin.control.cycles import Cycles
-from srs_twin.control.duties import Duties
+from srs_twin.control.base import Controller, Readings
+from srs_twin.control.duties import Cycles, Duties, checked_offset, targets
 from srs_twin.control.gait import Gait
 from srs_twin.control.module_faults import ModuleFaults
 from srs_twin.control.pwm import PulseWidth
-from srs_twin.control.readings import Readings
-from srs_twin.control.targets import checked_offset, targets
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.spec import RobotSpec
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 
 if TYPE_CHECKING:

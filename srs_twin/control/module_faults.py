@@ -17,8 +17,7 @@ import math
 
 import numpy as np
 
-from srs_twin.control.cycles import Cycles
-from srs_twin.control.duties import SIDES
+from srs_twin.control.duties import SIDES, Cycles
 from srs_twin.trajectory import Event
 
 STILL_RAD = 0.02

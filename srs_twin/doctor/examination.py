@@ -16,8 +16,8 @@ from srs_twin.doctor.check import Answer, Check
 from srs_twin.doctor.children import BUDGET_S, ask
 from srs_twin.doctor.probes import LIBRARIES, PROBES
 from srs_twin.errors import InputError
-from srs_twin.files import data_root
-from srs_twin.viewing.viewer import rerun_executable
+from srs_twin.io.files import data_root
+from srs_twin.viewing.rerun.viewer import rerun_executable
 
 SIMULATION, VIEWERS = "simulation", "Rerun's viewer"
 RENDERING = "pictures by MuJoCo, off screen (one of them is enough)"

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from srs_twin.doctor.check import Check
 from srs_twin.errors import InputError
-from srs_twin.files import shown
-from srs_twin.folders import open_folder
+from srs_twin.io.files import open_folder, shown
 
 TOPIC = "machine"
 LEAST_MEMORY_BYTES = 1 << 30

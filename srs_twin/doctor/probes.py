@@ -53,8 +53,8 @@ def imports(modules: Sequence[str]) -> str:
 def data() -> str:
     """Load every robot that comes with the package; look for its model, and for scenarios."""
     from srs_twin.errors import SrsError
-    from srs_twin.files import data_root, shipped_names
-    from srs_twin.spec import load_robot
+    from srs_twin.io.files import data_root, shipped_names
+    from srs_twin.robot.spec import load_robot
 
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
     scenes = [name for name in robots if _scene(name).is_file()]
@@ -74,8 +74,8 @@ def data() -> str:
 
 def models() -> str:
     """Compile every shipped model and move each under random control."""
-    from srs_twin.files import shipped_names
-    from srs_twin.mjcf_check import examine
+    from srs_twin.io.files import shipped_names
+    from srs_twin.mjcf.check import examine
 
     scenes = {name: _scene(name) for name in shipped_names("robot") if _scene(name).is_file()}
     reports = {name: examine(scene, _PATIENCE_S, _SIMULATED_S) for name, scene in scenes.items()}
@@ -89,7 +89,7 @@ def models() -> str:
 
 def _scene(robot: str) -> Path:
     """Return the MJCF file of a shipped robot on a floor."""
-    from srs_twin.files import data_root
+    from srs_twin.io.files import data_root
 
     return data_root() / "models" / robot / "scene.xml"
 
@@ -111,7 +111,7 @@ def kernels() -> str:
 
 def drawing(opengl: str) -> str:
     """Draw a box off screen, with the OpenGL that MUJOCO_GL would name so."""
-    from srs_twin.viewing.opengl import PACKAGES, draw_box
+    from srs_twin.viewing.mujoco.opengl import PACKAGES, draw_box
 
     if opengl in LIBRARIES and ctypes.util.find_library(LIBRARIES[opengl]) is None:
         remedy = f"apt-get install {PACKAGES[opengl]} (Debian, Ubuntu)"
@@ -148,7 +148,7 @@ def without_a_screen() -> str:
 
 def in_a_browser() -> str:
     """Let Rerun serve its viewer for browsers, and fetch the page and the head of the program."""
-    from srs_twin.viewing.rerun_process import HOST, free_port
+    from srs_twin.viewing.rerun.viewer import HOST, free_port
 
     port = free_port()
     # A child would go on to ignore interrupts where this process was started to.
@@ -170,8 +170,7 @@ def in_a_browser() -> str:
 
 def _rerun() -> list[str]:
     """Return the words that start Rerun on a port of this machine that nobody uses."""
-    from srs_twin.viewing.rerun_process import HOST, free_port
-    from srs_twin.viewing.viewer import rerun_executable
+    from srs_twin.viewing.rerun.viewer import HOST, free_port, rerun_executable
 
     return [str(rerun_executable()), "--bind", HOST, "--port", str(free_port())]
 

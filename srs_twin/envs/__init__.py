@@ -18,8 +18,8 @@ def _register() -> None:
     for task in TASKS:
         gymnasium.register(
             f"SRSTwin/{task}-v0",
-            entry_point="srs_twin.envs.single:SnakeEnv",
-            vector_entry_point="srs_twin.envs.vector:SnakeVectorEnv",
+            entry_point="srs_twin.envs.gymnasium:SnakeEnv",
+            vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
         )
 

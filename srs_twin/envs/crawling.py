@@ -18,18 +18,16 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.control.base import LARGEST_READING, Readings
 from srs_twin.control.camera import Camera, Frames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
-from srs_twin.control.readings import LARGEST_READING, Readings
-from srs_twin.envs.signals import Signal, Signals, numbered
-from srs_twin.envs.task import Episode, Task, twin_settings
-from srs_twin.envs.variation import Variation
+from srs_twin.envs.task import Episode, Signal, Signals, Task, Variation, numbered, twin_settings
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor
-from srs_twin.spec import RobotSpec
 from srs_twin.world import Bounds, Goal, World
 
 STEP_S = 0.1

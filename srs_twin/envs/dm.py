@@ -9,8 +9,7 @@ import numpy as np
 from dm_control.rl import control
 from dm_env import specs
 
-from srs_twin.envs.signals import Signal, high, low
-from srs_twin.envs.task import Episode, Outcome, Task
+from srs_twin.envs.task import Episode, Outcome, Signal, Task, high, low
 from srs_twin.envs.tasks import make_task
 from srs_twin.plants.physics import dm as dm_mujoco
 

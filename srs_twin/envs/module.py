@@ -15,17 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.control.iterative_smc import CARRIER_HZ
+from srs_twin.control.base import LARGEST_READING, Readings
 from srs_twin.control.pwm import PulseWidth
-from srs_twin.control.readings import LARGEST_READING, Readings
-from srs_twin.envs.signals import Signal
-from srs_twin.envs.task import Episode, Task, twin_settings
-from srs_twin.envs.variation import Variation
+from srs_twin.control.smc import CARRIER_HZ
+from srs_twin.envs.task import Episode, Signal, Task, Variation, twin_settings
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.plants.twin import TwinSnake
-from srs_twin.pneumatics.bending import largest_bend
+from srs_twin.pneumatics.chambers import largest_bend
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor
-from srs_twin.spec import RobotSpec
 
 STEP_S = 0.05
 """Three periods of the carrier."""

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from srs_twin.envs import TASKS
-from srs_twin.envs.signals import Signals
+from srs_twin.envs.task import Signals
 from srs_twin.envs.tasks import make_task
-from srs_twin.files import atomic_write
+from srs_twin.io.files import atomic_write
 
 BEGIN, END = "<!-- signals: begin -->", "<!-- signals: end -->"
 

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.data_set import DataSet, fingerprint, keep_apart
 from srs_twin.identification.estimate import Estimate, Residual, Role
+from srs_twin.identification.fit_file import DataSet, fingerprint, keep_apart
 from srs_twin.identification.least_squares import least_squares
 from srs_twin.identification.unknowns import unknowns
-from srs_twin.spec import RobotSpec
+from srs_twin.robot.spec import RobotSpec
 
 WIDTH = "geometry.width_m"
 ROUNDING = 0.005

@@ -1,14 +1,102 @@
-"""Estimate: what a fit found, how well it is known, and what these data cannot tell."""
+r"""Estimate: what a fit found, how well it is known, and what these data cannot tell.
+
+What data can tell: from the Jacobian's singular values, never by hand.
+
+Let J be the derivatives of the weighted residuals by the coordinates z of `unknowns`, s_k its singular
+values with directions v_k, and E the difference between two Jacobians from steps h and 2h, which shows how
+far J itself is to be trusted. A direction is *blind* where moving along it does nothing that could be told
+from the error of the derivatives,
+
+$$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
+
+The others have the standard error σ/s_k. A parameter with a share of more than a tenth in the blind
+directions is not identifiable. So is one whose standard error is 1 or more in z, a factor e either way,
+for then the data hardly say more than its bounds do. Up to 0.1 it is identified, between them weakly. A
+smaller share in a blind direction adds the spread that the bounds leave to it.
+
+Reasons: why the data tell no number of a parameter, in words.
+
+How many independent samples a series of residuals is worth.
+
+Residuals of neighbouring samples resemble each other: of noise that cameras and filters smooth, and of what
+the model lacks. With ρ_k their autocorrelation, n samples tell a mean as well as n/τ independent ones,
+
+$$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k , $$
+
+the sum taken while pairs ρ_{2m} + ρ_{2m+1} are positive (Geyer 1992, Statistical Science 7: initial positive
+sequence). A fit of p unknowns takes the slow part of the noise out of the residuals, about a share c = p
+τ/n of their power at all short lags; it is put back, ρ_k → (ρ_k + c)/(1 + c), with τ as it comes out. All
+series are pooled, each weighted by its power. Series that are too short to tell, such as pulls or averages
+of runs, count as independent.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.identification.unknowns import Unknown
+
+IDENTIFIED = 0.1
+"""Largest standard error in z of what is identified."""
+
+KNOWN = 1.0
+"""Standard error in z from which on nothing is known."""
+
+BLIND_SHARE = 0.1
+"""Share in blind directions from which on a parameter is not identifiable."""
+
+_TRUSTED = 2.0
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What a Jacobian says, all in coordinates z.
+
+    Attributes:
+        covariance: shape (n, n).
+        share: of each parameter in the blind directions, shape (n,).
+        blind: these directions, shape (blind, n).
+    """
+
+    covariance: np.ndarray
+    share: np.ndarray
+    blind: np.ndarray
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Standard errors, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def hidden(self, i: int) -> bool:
+        """Say whether parameter i is not identifiable."""
+        return bool(self.share[i] > BLIND_SHARE or self.errors[i] >= KNOWN)
+
+
+def knowledge(jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray) -> Knowledge:
+    """Return what a Jacobian says.
+
+    Args:
+        jacobian: J, shape (samples, n).
+        error: E, same shape.
+        noise: σ of a weighted residual, grown by the root of the correlation time.
+        widths: between the bounds of each parameter, in z, shape (n,).
+    """
+    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
+    doubt = np.linalg.norm(error @ directions.T, axis=0)
+    is_blind = (singular <= _TRUSTED * doubt) | (singular <= _LEAST * singular[0])
+    seen, blind = directions[~is_blind], directions[is_blind]
+    covariance = (seen.T * (noise / singular[~is_blind]) ** 2) @ seen
+    # Uniform between the bounds: the variance of what nobody knows.
+    reach = (np.abs(blind) @ widths) / np.sqrt(12)
+    covariance += (blind.T * reach**2) @ blind
+    return Knowledge(covariance, np.linalg.norm(blind, axis=0), blind)
+
 
 Verdict = Literal["identified", "weakly identified", "not identifiable"]
 Role = Literal["fit", "validation"]
@@ -128,3 +216,107 @@ class Estimate:
                 f"{each.high:.5g}: {each.verdict}{why}"
             )
         return "\n".join(lines)
+
+
+_PART = 0.05
+"""Of a direction of length 1: parameters with a smaller share have no part in it."""
+
+
+def wanted_beyond(unknown: Unknown, z: float) -> str:
+    """Return why an unknown has no number whose coordinate z ends at a bound."""
+    lower = z - unknown.coordinate(unknown.low) < unknown.coordinate(unknown.high) - z
+    bound, side = (unknown.low, "least") if lower else (unknown.high, "most")
+    return f"the data want it at the {side} that is allowed, {bound:g} {unknown.unit}, or beyond"
+
+
+def hidden_because(
+    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Knowledge | None, place: int
+) -> str:
+    """Return why a parameter inside its bounds has no number.
+
+    Args:
+        unknowns: of the search.
+        inside: which of them do not end at a bound.
+        known: what the data tell of those; None: nothing.
+        place: of the parameter among them.
+    """
+    if known is None:
+        return "nothing can be told"
+    rows = [row for row in known.blind if abs(row[place]) > _PART]
+    others = sorted(
+        {
+            unknowns[inside[k]].name
+            for row in rows
+            for k in range(len(row))
+            if k != place and abs(row[k]) > _PART
+        }
+    )
+    if not rows:
+        return f"its standard error is {known.errors[place]:.2g} in units that matter, 1 or more"
+    if not others:
+        return "the residuals do not depend on it"
+    return f"together with {', '.join(others)} it cancels: only their combinations act"
+
+
+def cancels(
+    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Knowledge | None
+) -> tuple[dict[str, float], ...]:
+    """Return the directions in which the residuals do not change: name → share, the largest above 0.
+
+    Args:
+        unknowns: as in `hidden_because`.
+        inside: likewise.
+        known: likewise.
+    """
+    if known is None:
+        return ()
+    names = [unknowns[i].name for i in inside]
+    rows = []
+    for row in known.blind:
+        signed = row * np.sign(row[np.argmax(np.abs(row))])
+        rows.append(
+            {name: round(float(v), 3) for name, v in zip(names, signed, strict=True) if abs(v) > _PART}
+        )
+    return tuple(rows)
+
+
+LEAST_SAMPLES = 20
+"""Shorter series say nothing about their autocorrelation."""
+
+
+_ROUNDS = 5
+_MOST_TAKEN = 0.5  # c beyond which a fit has taken so much that the rest says nothing of it
+
+
+def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
+    """Return τ, 1 or more.
+
+    Args:
+        series: residuals over time, each of shape (samples,), in comparable units.
+        unknowns: p, how many numbers were fitted.
+    """
+    long = [each for each in series if len(each) >= LEAST_SAMPLES]
+    if not long or not any(each.any() for each in long):
+        return 1.0
+    most = max(len(each) for each in long)
+    total = np.zeros(most)
+    for each in long:
+        total[: len(each)] += _autocovariance(each / max(abs(r).max() for r in long))
+    rho = total / total[0]
+    pairs = rho[: most // 2 * 2].reshape(-1, 2).sum(axis=1)
+    ends = np.flatnonzero(pairs <= 0)
+    kept = pairs[: ends[0]] if ends.size else pairs
+    lags = 2 * len(kept) - 1  # besides lag 0
+    plain = max(1.0, float(2 * kept.sum() - 1))
+    samples, time = sum(len(each) for each in long), plain
+    for _ in range(_ROUNDS):
+        taken = min(unknowns * time / samples, _MOST_TAKEN)
+        time = max(1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * taken) / (1 + taken))
+    return time
+
+
+def _autocovariance(values: np.ndarray) -> np.ndarray:
+    """Return Σ_t r_t r_{t+k} for k = 0…n−1."""
+    size = 1 << (2 * len(values) - 1).bit_length()
+    spectrum = np.fft.rfft(values, size)
+    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)])

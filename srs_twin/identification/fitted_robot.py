@@ -1,19 +1,138 @@
-"""Robots made of fits: one base, and what each fit found of it, later ones over earlier ones."""
+"""Robots made of fits: one base, and what each fit found of it, later ones over earlier ones.
+
+Overrides: a fit as the `robot: {base: …}` block of a scenario.
+"""
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from srs_twin.documents import Document, dump_yaml
 from srs_twin.errors import InputError
-from srs_twin.files import atomic_write
-from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.identification.overrides import fitted, robot_override
-from srs_twin.robot_file import RobotFile
-from srs_twin.robots import load_robot_file, resolve_robot
+from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
+from srs_twin.identification.unknowns import known, unknowns, with_values
+from srs_twin.io.documents import Document, dump_yaml
+from srs_twin.io.files import atomic_write
+from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.spec import RobotSpec
+
+_PA_PER_KPA = 1e3
+_ROUNDED = 1e-7  # fit files have nine digits
+_SPREADS = {
+    "gain": "gain_spread", "tau_fill": "tau_spread", "tau_vent": "tau_spread", "bias_rad": "bias_spread_rad",
+    "sensor_bias_rad": "sensor_bias_spread_rad",
+}  # fmt: skip
+
+
+def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None) -> dict[str, Any]:
+    """Return the block that gives a scenario's robot what a fit found: base, and records by section.
+
+    What is not identifiable stays as the base has it, or where the fit held it.
+
+    Args:
+        fit: what was found; its robot becomes the base.
+        weak: whether what is only weakly identified is taken as well.
+        over: the base with what other fits found, whose lists keep the elements that this one did not look
+            for; None: the base.
+
+    Raises:
+        InputError: no such base robot, one that draws at random what was fitted, or nothing was found.
+    """
+    file = load_robot_file(fit.robot)
+    taken = _taken(fit, weak)
+    if not taken:
+        raise InputError(f"{fit.name}: nothing in it is identified, so there is nothing to change a robot by")
+    values = {each.name: each.value for each in taken if each.value is not None}
+    held, moved = fit.held.keys() & {"actuator.bend_rad"}, _moved(fit, file.spec())
+    kept = {name: fit.held[name] for name in held} | moved
+    spec = with_values(file.spec() if over is None else over, kept | values)
+    block: dict[str, Any] = {"base": fit.robot}
+    for each in taken:
+        section, key = each.name.split(".", 1)
+        for where, record in _records(spec, section, key).items():
+            block.setdefault(section, {})[where] = record | _origin(fit, [e for e in taken if _same(e, each)])
+    if any(name.startswith("modules.gain") for name in values) and held and "actuator.bend_rad" not in values:
+        # Gains are multiples of what was held.
+        source = {"status": "calibrated", "source": f"held in fit {fit.name}: gains are multiples of it"}
+        block.setdefault("actuator", {}).update(
+            {where: record | source for where, record in _records(spec, "actuator", "bend_rad").items()}
+        )
+    for name in moved:
+        section, key = name.split(".", 1)
+        source = {"status": "estimated", "source": f"held in fit {fit.name}: its values refer to it"}
+        for where, record in _records(spec, section, key).items():
+            block.setdefault(section, {}).setdefault(where, record | source)
+    spread = file.modules
+    for key in block.get("modules", {}) if spread else ():
+        if getattr(spread, _SPREADS[key]) is not None:
+            raise InputError(
+                f"{fit.robot}: it draws modules.{key} at random ({_SPREADS[key]}), which a fit cannot stand "
+                "on; take that out first"
+            )
+    return block
+
+
+def fitted(fit: FitFile, over: RobotSpec, *, weak: bool = True) -> RobotSpec:
+    """Return a robot with what a fit found and what it held; arguments as in `robot_override`."""
+    found = {each.name: each.value for each in _taken(fit, weak) if each.value is not None}
+    return with_values(over, _moved(fit, load_robot_file(fit.robot).spec()) | found)
+
+
+def _moved(fit: FitFile, base: RobotSpec) -> dict[str, float]:
+    """Return what a fit held elsewhere than its base has it: its values hold only beside these."""
+    held = {name: value for name, value in fit.held.items() if known(name)}
+    return {
+        each.name: held[each.name]
+        for each in unknowns(base, held)
+        if not math.isclose(each.start, held[each.name], rel_tol=_ROUNDED, abs_tol=_ROUNDED)
+    }
+
+
+def _taken(fit: FitFile, weak: bool) -> list[ParameterEntry]:
+    """Return the parameters that change a robot."""
+    return [
+        each for each in fit.parameters if each.verdict == "identified" or (weak and each.value is not None)
+    ]
+
+
+def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any]]:
+    """Return the records of a robot file that a parameter decides, by key."""
+    if section == "modules":
+        name = re.sub(r"(_plus|_minus)?_\d+$", "", key)
+        values = spec.modules.array(name.removesuffix("_rad")).tolist()
+        return {name: {"value": values, "unit": "rad" if name.endswith("_rad") else "1"}}
+    if section == "mass":
+        masses = list(spec.mass.connectors)
+        alike = len(set(masses)) == 1
+        found = {"connectors_kg": {"value": masses[0] if alike else masses, "unit": "kg"}}
+        return found | (
+            {"wheel_kg": {"value": spec.mass.wheel, "unit": "kg"}} if key == "connectors_kg" else {}
+        )
+    if key == "bend_rad":
+        nominal = spec.supply.nominal
+        return {
+            "bend_rad": {"value": spec.actuator.gain * nominal, "unit": "rad"},
+            "at_pressure_kpa": {"value": nominal / _PA_PER_KPA, "unit": "kPa"},
+        }
+    attribute = re.sub(r"(_m|_s|_rad|_nm_per_rad)$", "", key)
+    unit = {"m": "m", "s": "s", "rad": "rad"}.get(key.rpartition("_")[2], "1")
+    unit = "N*m/rad" if key.endswith("_nm_per_rad") else "1" if key.startswith("mu_") else unit
+    return {key: {"value": getattr(getattr(spec, section), attribute), "unit": unit}}
+
+
+def _same(one: ParameterEntry, other: ParameterEntry) -> bool:
+    """Say whether two parameters stand in one record of a robot file."""
+    return re.sub(r"(_plus|_minus)?_\d+$", "", one.name) == re.sub(r"(_plus|_minus)?_\d+$", "", other.name)
+
+
+def _origin(fit: FitFile, entries: list[ParameterEntry]) -> dict[str, str]:
+    words = "; ".join(f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries)
+    source = f"fit {fit.name} ({fit.method}), 95 %: {words}"
+    return {"status": "calibrated", "source": source if len(source) <= 1000 else source[:997] + "..."}
 
 
 def overrides_of(

@@ -1,19 +1,375 @@
 """measure_footprint: what a robot sweeps at each offset, and when the offset changes, by running it.
 
+Drive: how a snake is driven while its footprint is measured, and the runs that this takes.
+
+Measured: a footprint as it was measured, with what the repeats differ.
+
+Study: the runs by which a footprint is measured, and what is measured of them.
+
+Each offset is run several times, with the gait begun at another phase each time; each change of offset as
+well, at several phases of the gait.
+
 Section 5.3 measured the curvature of the path, the speed and the circles that bound the body at seven offsets
 (Fig. 58, Table 8). Here a plant is run instead.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
-from srs_twin.identification.drive import Drive
-from srs_twin.identification.measured import Measured
-from srs_twin.identification.study import Study
+from srs_twin.comparison.gait import GaitWindow
+from srs_twin.control.commands import Steered
+from srs_twin.control.gait import Gait
+from srs_twin.control.learning import ILC, TARGETS
+from srs_twin.errors import DivergedError, InputError, UnknownNameError
+from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, together, transient, widest
+from srs_twin.planning.footprint import Footprint, Transient
 from srs_twin.plants.base import Plant
-from srs_twin.spec import RobotSpec
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.rollout import Job, run_many
+from srs_twin.trajectory import Trajectory
+
+PLANTS = ("twin", "analytical")
+CONTROLLERS = ("gait", "ilc")
+TICK = 0.005
+"""Control tick, s: learning has to see the ripple's peaks, and changes of offset fall on ticks."""
+RECORD_HZ = 100.0
+_LEAST_SAMPLES = 25
+"""Samples in a gait period, fewer do not show the edges."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A robot, what drives it and how.
+
+    Attributes:
+        spec: the robot.
+        frequency: of the gait, Hz.
+        supply_pa: supply pressure, Pa.
+        controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
+        target: of learning, rad.
+        plant: "twin", "analytical" (model compliant on wheels), or what makes a plant of the right tick.
+        steering: of learning, see `ILC`.
+    """
+
+    spec: RobotSpec
+    frequency: float
+    supply_pa: float
+    controller: str = "gait"
+    target: float = 0.7
+    plant: str | Callable[[], Plant] = "twin"
+    steering: str = TARGETS
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be driven.
+
+        Raises:
+            InputError: a number out of its range, or a pressure above what the robot may be given in pulses.
+            UnknownNameError: a controller or plant that there is not.
+        """
+        if self.controller not in CONTROLLERS:
+            raise UnknownNameError("controller", self.controller, CONTROLLERS)
+        if isinstance(self.plant, str) and self.plant not in PLANTS:
+            raise UnknownNameError("plant", self.plant, PLANTS)
+        given = ("pressure", self.supply_pa / 1000, "kPa"), ("frequency", self.frequency, "Hz")
+        for name, value, unit in given:
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"{name} {value:g} {unit} is not allowed; it must be finite and above 0")
+        if self.spec.segments < 2:
+            raise InputError(
+                f"{self.spec.name} has one segment; it does not crawl, so that it has no footprint"
+            )
+        supply = self.spec.supply
+        if self.supply_pa > supply.pulsed_limit:
+            raise InputError(
+                f"pressure {self.supply_pa / 1000:g} kPa is above the {supply.pulsed_limit / 1000:g} kPa "
+                f"that {self.spec.name} may be given in pulses ({supply.limit_source})"
+            )
+        most = RECORD_HZ / _LEAST_SAMPLES
+        if self.frequency > most:
+            raise InputError(f"frequency {self.frequency:g} Hz is not allowed; {most:.3g} Hz is the most")
+        self.make(0.0)
+
+    @property
+    def period(self) -> float:
+        """Of the gait, s."""
+        return 1 / self.frequency
+
+    @property
+    def settling(self) -> int:
+        """Gait periods after which nothing is left of a start from rest: air, or duties not yet learnt."""
+        return 16 if self.controller == "ilc" else 8
+
+    @property
+    def lasting(self) -> int:
+        """Gait periods that a change of offset is given to be over."""
+        return 12 if self.controller == "ilc" else 6
+
+    @property
+    def offsets(self) -> tuple[float, ...]:
+        """The offsets that are measured where none are asked for: Table 8's, or to ±0.4 as in Fig. 33."""
+        most = 3 if self.controller == "ilc" else 4
+        return tuple(k / 10 for k in range(-most, most + 1))
+
+    def check(self, offset: float) -> None:
+        """Refuse an offset that the controller cannot have.
+
+        Raises:
+            InputError: it is out of range.
+        """
+        self.make(offset)
+
+    def make(self, offset: float, phase: float = 0.0) -> Gait | ILC:
+        """Return a controller; ψ = phase, rad.
+
+        Raises:
+            InputError: it cannot have these settings.
+        """
+        if self.controller == "ilc":
+            return ILC(self.frequency, offset, target=self.target, phase=phase, steering=self.steering)
+        return Gait(self.frequency, offset, phase=phase)
+
+    def steered(self, offset: float, changes: Sequence[tuple[float, float]]) -> Steered:
+        """Return a controller whose offset changes."""
+        return Steered(self.make(offset), changes)
+
+    def plant_maker(self) -> Callable[[], Plant]:
+        """Return what makes the plant; heavy imports wait until it does."""
+        if callable(self.plant):
+            return self.plant
+        return partial(_twin if self.plant == "twin" else _analytical, self)
+
+    def steady_job(self, maker: Callable[[], Plant], offset: float, phase: float, periods: int) -> Job:
+        """Return a run under one offset that ends with so many periods to be measured."""
+        duration = ticks((self.settling + periods) * self.period)
+        return Job(maker, partial(self.make, offset, phase), duration, record_hz=RECORD_HZ)
+
+    def change_time(self, share: float) -> float:
+        """Return when the offset changes (s): once the path has settled, after a share of a gait period."""
+        return ticks((self.settling + share) * self.period)
+
+    def change_job(
+        self, maker: Callable[[], Plant], change: tuple[float, float], time: float, periods: int
+    ) -> Job:
+        """Return a run in which the offset changes at a time (s) from one to another.
+
+        After what the change may last, so many periods follow.
+        """
+        before, after = change
+        duration = ticks(time + (self.lasting + periods) * self.period)
+        return Job(maker, partial(self.steered, before, [(time, after)]), duration, record_hz=RECORD_HZ)
+
+
+def ticks(time: float) -> float:
+    """Return the time (s) of the first sample then or later: samples are taken every other tick."""
+    return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
+
+
+def _twin(drive: Drive) -> Plant:
+    from srs_twin.plants.twin import TwinSnake
+
+    return TwinSnake(drive.spec, supply_pa=drive.supply_pa, tick=TICK)
+
+
+def _analytical(drive: Drive) -> Plant:
+    from srs_twin.plants.analytical import AnalyticalSnake
+
+    # Under the pulses of learning the model with given bends slips (docs/learning.md).
+    return AnalyticalSnake(
+        drive.spec, model="compliant", friction="wheel", supply_pa=drive.supply_pa, tick=TICK
+    )
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured footprint.
+
+    Attributes:
+        drive: robot, controller, plant.
+        offsets: rising.
+        steady: the path at each.
+        spread: half the range of the repeats, of each number of `steady`.
+        transients: the changes of offset that were measured.
+        repeats: runs an offset, and a change.
+        periods: of each that were measured.
+    """
+
+    drive: Drive
+    offsets: tuple[float, ...]
+    steady: tuple[SteadyPath, ...]
+    spread: tuple[SteadyPath, ...]
+    transients: tuple[Transient, ...]
+    repeats: int
+    periods: int
+
+    def footprint(self, name: str = "measured", title: str = "measured") -> Footprint:
+        """Return it as the planner takes it; `planning.footprint.problems` says if it can be one."""
+        speeds, curvatures, left, right, ahead, behind = (
+            tuple(getattr(path, key) for path in self.steady)
+            for key in ("speed", "curvature", "left", "right", "ahead", "behind")
+        )
+        return Footprint(
+            name,
+            title,
+            self.offsets,
+            curvatures,
+            speeds,
+            left,
+            right,
+            max(ahead),
+            max(behind),
+            self.transients,
+        )
+
+
+LEAST_OFFSETS, MOST_OFFSETS = 3, 101
+LEAST_PERIODS, MOST_PERIODS = 3, 200
+MOST_PHASES = 64
+
+
+@dataclass(frozen=True)
+class Study:
+    """The runs that a footprint is measured by.
+
+    Attributes:
+        drive: robot, controller, plant.
+        offsets: three or more, on both sides of 0, rising.
+        changes: (before, after) of the changes of offset to measure.
+        periods: of each steady run that are measured.
+        phases: runs an offset and a change, begun at equally spaced phases of the gait.
+    """
+
+    drive: Drive
+    offsets: tuple[float, ...]
+    changes: tuple[tuple[float, float], ...]
+    periods: int = 6
+    phases: int = 4
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be measured.
+
+        Raises:
+            InputError: offsets or numbers out of their range.
+        """
+        for offset in (*self.offsets, *(each for change in self.changes for each in change)):
+            self.drive.check(offset)
+        if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
+            raise InputError(
+                f"offsets {_listed(self.offsets)} are not allowed; each must be there once, rising"
+            )
+        both = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
+        if not (both and LEAST_OFFSETS <= len(self.offsets) <= MOST_OFFSETS):
+            raise InputError(
+                f"offsets {_listed(self.offsets)} are not allowed; a planner needs {LEAST_OFFSETS} to "
+                f"{MOST_OFFSETS}, on both sides of 0"
+            )
+        for before, after in self.changes:
+            if before == after or not {before, after} <= set(self.offsets):
+                raise InputError(
+                    f"a change from offset {before:g} to {after:g} is none between two measured ones"
+                )
+        for name, value, low, high in (
+            ("periods", self.periods, LEAST_PERIODS, MOST_PERIODS), ("phases", self.phases, 1, MOST_PHASES),
+        ):  # fmt: skip
+            if not low <= value <= high:
+                raise InputError(f"{name} {value} is not allowed; it must be from {low} to {high}")
+
+    @property
+    def runs(self) -> int:
+        """How many runs it takes."""
+        return self.phases * (len(self.offsets) + len(self.changes))
+
+    def measure(
+        self, *, threads: int | None = None, progress: Callable[[int], None] | None = None
+    ) -> Measured:
+        """Run and measure.
+
+        Args:
+            threads: how many runs at once; default one a processor. The numbers do not depend on it.
+            progress: called with how many runs are done.
+
+        Raises:
+            DivergedError: a run diverged; the message says which.
+            InputError: the snake gets nowhere at an offset.
+        """
+        drive, maker = self.drive, self.drive.plant_maker()
+        shares = [k / self.phases for k in range(self.phases)]
+        jobs = [
+            drive.steady_job(maker, offset, 2 * math.pi * share, self.periods)
+            for offset in self.offsets for share in shares
+        ]  # fmt: skip
+        times = [drive.change_time(share) for share in shares]
+        jobs += [
+            drive.change_job(maker, change, time, STEADY_PERIODS) for change in self.changes for time in times
+        ]
+        runs = self._run(jobs, threads, progress)
+        repeats = [runs[k : k + self.phases] for k in range(0, len(runs), self.phases)]
+        found = {
+            offset: self._steady(offset, each)
+            for offset, each in zip(self.offsets, repeats[: len(self.offsets)], strict=True)
+        }
+        transients = [
+            self._transient(change, times, each, {offset: path for offset, (path, _) in found.items()})
+            for change, each in zip(self.changes, repeats[len(self.offsets) :], strict=True)
+        ]
+        paths, spread = zip(*found.values(), strict=True)
+        return Measured(drive, self.offsets, paths, spread, tuple(transients), self.phases, self.periods)
+
+    def _run(
+        self, jobs: Sequence[Job], threads: int | None, progress: Callable[[int], None] | None
+    ) -> list[Trajectory]:
+        runs = []
+        for k, run in enumerate(run_many(jobs, threads=threads, progress=progress)):
+            if isinstance(run, DivergedError):
+                run.args = (f"{self._named(k // self.phases)}: {run}",)
+                raise run
+            runs.append(run)
+        return runs
+
+    def _steady(self, offset: float, runs: Sequence[Trajectory]) -> tuple[SteadyPath, SteadyPath]:
+        """Return the path at an offset and its spread."""
+        try:
+            return together([steady_path(self.drive, run, self.periods) for run in runs])
+        except InputError as error:
+            raise InputError(f"offset {offset:g}: {error}") from error
+
+    def _transient(
+        self, change: tuple[float, float], times: Sequence[float], runs: Sequence[Trajectory],
+        paths: Mapping[float, SteadyPath],
+    ) -> Transient:  # fmt: skip
+        """Return what a change of offset does, at whatever phase of the gait it comes."""
+        geometry, period, (before, after) = self.drive.spec.geometry, self.drive.period, change
+        try:
+            return widest([
+                transient(run, geometry, period, Change(time, before, after), paths[before], paths[after])
+                for run, time in zip(runs, times, strict=True)
+            ])  # fmt: skip
+        except InputError as error:
+            raise InputError(f"offset {before:g} to {after:g}: {error}") from error
+
+    def _named(self, number: int) -> str:
+        if number < len(self.offsets):
+            return f"offset {self.offsets[number]:g}"
+        return "offset {:g} to {:g}".format(*self.changes[number - len(self.offsets)])
+
+
+def steady_path(drive: Drive, run: Trajectory, periods: int) -> SteadyPath:
+    """Return the path over the last periods of a run.
+
+    Raises:
+        InputError: the run is too short, or the snake gets nowhere.
+    """
+    window = GaitWindow.last(run, drive.period, float(run.time[-1]), periods)
+    if window is None:
+        raise InputError(f"the run is shorter than {periods} gait periods")
+    return SteadyPath.of(run, drive.spec.geometry, window)
+
+
+def _listed(offsets: Sequence[float]) -> str:
+    return ", ".join(f"{offset:g}" for offset in offsets) or "(none)"
 
 
 def measure_footprint(

@@ -1,4 +1,13 @@
-r"""least_squares: find unknowns from residuals, with what these data can and cannot tell of them.
+r"""least_squares: find unknowns from residuals with few runs of a model, and what the data tell of them.
+
+Search: where the sum of squared weighted residuals is least, found with as few runs of a model as can be.
+
+SciPy's trust-region method goes down from a start, with differences for the Jacobian. Of a model with kinks
+it is tried anew with a coarse step where it ended. Where a *guide* names residuals that change evenly with
+the unknowns however far off these are, the search begins by them alone: of a crawling robot the bends, while
+path and heading say little from some per cent on, for then it has turned elsewhere.
+
+least_squares: find unknowns from residuals, with what these data can and cannot tell of them.
 
 The sum of squared weighted residuals is least at the estimate; SciPy's trust-region method finds it within
 bounds, in the coordinates of `unknowns`, with central differences for the Jacobian. With S the sum, n samples
@@ -13,17 +22,236 @@ overstates the error of others. Everything is deterministic: more starts than on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from srs_twin.identification.estimate import Estimate, Parameter, Verdict
-from srs_twin.identification.independence import correlation_time
-from srs_twin.identification.reasons import cancels, hidden_because, wanted_beyond
-from srs_twin.identification.search import End, Manner, Residuals, Search, Values, Watch, starts_of
+from srs_twin.errors import InputError
+from srs_twin.identification.estimate import (
+    IDENTIFIED,
+    Estimate,
+    Knowledge,
+    Parameter,
+    Residual,
+    Verdict,
+    cancels,
+    correlation_time,
+    hidden_because,
+    knowledge,
+    wanted_beyond,
+)
 from srs_twin.identification.unknowns import Unknown
-from srs_twin.identification.verdicts import IDENTIFIED, Knowledge, knowledge
+
+Values = Mapping[str, float]
+Residuals = Callable[[Values], Sequence[Residual]]
+Guide = Callable[[Residual], bool]
+
+Watch = Callable[[int, float], None]
+"""Called while a search goes on, with how often the model was run and the least weighted RMS so far."""
+
+_SPREAD = 1.5  # z: how far other starts lie from the first
+_APART = 0.7  # z: between starts
+_DRAWN = 12  # candidates for each start besides the first
+_ATTEMPTS = 4
+_BETTER = 0.99  # share of the sum of squares below which another attempt is worth it
+_MOST_STEPS = 100
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a search suits a model.
+
+    Attributes:
+        step: of the differences, in z; larger for models that are not smooth.
+        coarse: a larger step with which a search that has ended is tried anew, for models with kinks; with a
+            guide, that of the search by the guide, and none is tried anew.
+        tolerance: share of the sum of squares, or of z, below which a step ends the search; None: what suits
+            the step of the differences.
+        guide: says which residuals change evenly with the unknowns, however far off these are. A search
+            begins by them alone and goes on by all of them.
+        telling: step of the differences by which is judged what the data tell, where they leave open more
+            than the search's step; None: that of the search.
+        enough: RMS of the weighted residuals below which a search ends: nothing is left to explain.
+        most_runs: how often a search may run the model; one that would run it more often ends at the best it
+            has found, as not converged. None: as often as it takes.
+    """
+
+    step: float = 1e-4
+    coarse: float | None = None
+    tolerance: float | None = None
+    guide: Guide | None = None
+    telling: float | None = None
+    enough: float = 0.0
+    most_runs: int | None = None
+
+    @property
+    def ending(self) -> float:
+        """The tolerance that holds."""
+        return max(1e-12, 1e-3 * self.step**2) if self.tolerance is None else self.tolerance
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a search ended: z of shape (n,), half the sum of squares, whether it converged."""
+
+    z: np.ndarray
+    cost: float
+    converged: bool
+
+
+class Search:
+    """Weighted residuals as a function of z, and their derivatives."""
+
+    def __init__(
+        self, residuals: Residuals, unknowns: tuple[Unknown, ...], manner: Manner, watch: Watch | None
+    ) -> None:
+        self.unknowns, self._manner, self._residuals = unknowns, manner, residuals
+        self._watch, self._runs, self._told = watch, 0, np.inf
+        self._searching, self._left, self._best = False, np.inf, End(np.zeros(0), np.inf, False)
+        if not unknowns:
+            raise InputError("a fit needs at least one unknown")
+        self.low = np.array([each.coordinate(each.low) for each in unknowns])
+        self.high = np.array([each.coordinate(each.high) for each in unknowns])
+        first = np.array([each.coordinate(each.start) for each in unknowns])
+        weighted = self.weighted(first)
+        if len(weighted) <= len(unknowns):
+            raise InputError(
+                f"{len(weighted)} samples cannot tell {len(unknowns)} unknowns; more data are needed"
+            )
+        if not np.isfinite(weighted).all():
+            raise InputError("residuals are not finite where the search starts; check the data")
+
+    def values(self, z: np.ndarray) -> dict[str, float]:
+        """Return the values of the unknowns at z, by name."""
+        return {each.name: each.value(float(at)) for each, at in zip(self.unknowns, z, strict=True)}
+
+    def residuals(self, z: np.ndarray) -> tuple[Residual, ...]:
+        """Return all residuals at z; this runs the model."""
+        return tuple(self._residuals(self.values(z)))
+
+    def weighted(self, z: np.ndarray, only: Guide | None = None) -> np.ndarray:
+        """Return weighted residuals of the data to fit, shape (samples,), or those that a guide takes.
+
+        Raises:
+            _EndedError: a search has no run left, or nothing to explain.
+        """
+        if self._searching and self._left <= 0:
+            raise _EndedError
+        fitted = [each for each in self.residuals(z) if each.role == "fit"]
+        every = _together(fitted)
+        self._note(z, every)
+        if self._searching and self._best.converged:
+            raise _EndedError
+        return every if only is None else _together([each for each in fitted if only(each)])
+
+    def _note(self, z: np.ndarray, weighted: np.ndarray) -> None:
+        """Count a run, and remember the best of them."""
+        self._left -= 1
+        cost = 0.5 * float(weighted @ weighted)
+        rms = float(np.sqrt(2 * cost / max(len(weighted), 1)))
+        if cost < self._best.cost:
+            self._best = End(z.copy(), cost, rms < self._manner.enough)
+        if self._watch is not None and len(weighted):
+            self._runs += 1
+            self._told = min(self._told, rms)
+            self._watch(self._runs, self._told)
+
+    def jacobian(self, z: np.ndarray, h: float, only: Guide | None = None) -> np.ndarray:
+        """Return derivatives by central differences of step h, one-sided at bounds, shape (samples, n)."""
+        columns = []
+        for i in range(len(z)):
+            up, down = z.copy(), z.copy()
+            up[i], down[i] = min(z[i] + h, self.high[i]), max(z[i] - h, self.low[i])
+            columns.append((self.weighted(up, only) - self.weighted(down, only)) / (up[i] - down[i]))
+        return np.stack(columns, axis=1)
+
+    def derivatives(self, z: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a Jacobian, and by how much it may be wrong, shape (samples, n) each.
+
+        Args:
+            z: where.
+            noise: of a weighted residual.
+        """
+        step, telling = self._manner.step, self._manner.telling
+        if telling is not None:
+            least = float(np.linalg.svd(self.jacobian(z, telling), compute_uv=False)[-1])
+            step = telling if noise > step * least else step
+        fine, coarse = self.jacobian(z, step), self.jacobian(z, 2 * step)
+        if telling is None:
+            return fine, coarse - fine
+        # Of a model that is not smooth neither is the better one: two samples, and the error of their mean.
+        return (fine + coarse) / 2, (coarse - fine) / 2
+
+    def run(self, start: np.ndarray) -> End:
+        """Search from a start, by the guide first; where the runs are spent, return the best there was."""
+        manner = self._manner
+        self._best = End(start, np.inf, False)
+        self._searching, self._left = True, manner.most_runs or np.inf
+        try:
+            if manner.guide is None:
+                return self._through_kinks(start)
+            led = self._once(start, manner.coarse or manner.step, manner.guide)
+            return self._once(led.z, manner.step)
+        except _EndedError:
+            return self._best
+        finally:
+            self._searching = False
+
+    def preferred(self, z: np.ndarray) -> float:
+        """Return how badly z suits as a start: by the guide, where there is one."""
+        return float(np.sum(self.weighted(z, self._manner.guide) ** 2))
+
+    def _through_kinks(self, start: np.ndarray) -> End:
+        """Search by all residuals; where a kink may have held it up, again with the coarse step, and on."""
+        fine, coarse = self._manner.step, self._manner.coarse
+        end = self._once(start, fine)
+        for _ in range(_ATTEMPTS):
+            if coarse is None:
+                break
+            before, other = end, self._once(end.z, coarse)
+            end = self._once(other.z, fine) if other.cost < before.cost else before
+            if not end.cost < _BETTER * before.cost:
+                break
+        return end
+
+    def _once(self, start: np.ndarray, step: float, only: Guide | None = None) -> End:
+        # Half a second to import: only for who fits.
+        from scipy import optimize
+
+        # What a guide says nothing of stays where it is: the start counts as one observation.
+        held = np.zeros((0, len(start))) if only is None else np.eye(len(start))
+        found = optimize.least_squares(
+            lambda z: np.concatenate([self.weighted(z, only), held @ (z - start)]), start,
+            lambda z: np.concatenate([self.jacobian(z, step, only), held]), (self.low, self.high),
+            "trf", ftol=self._manner.ending, xtol=self._manner.ending, gtol=1e-15, max_nfev=_MOST_STEPS,
+        )  # fmt: skip
+        return End(found.x, float(found.cost), found.status > 0)
+
+
+class _EndedError(Exception):
+    """A search has run the model as often as it may, or nothing is left to explain."""
+
+
+def _together(residuals: Sequence[Residual]) -> np.ndarray:
+    found = [each.values / each.scale for each in residuals]
+    return np.concatenate(found) if found else np.zeros(0)
+
+
+def starts_of(search: Search, count: int, seed: int) -> list[np.ndarray]:
+    """Return the first start and, of many drawn about it, those that fit best."""
+    first = np.array([each.coordinate(each.start) for each in search.unknowns])
+    draw = np.random.default_rng(seed)
+    shifts = draw.uniform(-_SPREAD, _SPREAD, (_DRAWN * (count - 1), len(first)))
+    drawn = [np.clip(first + shift, search.low, search.high) for shift in shifts]
+    drawn.sort(key=search.preferred)
+    chosen = [first]
+    for z in drawn:
+        # Two that lie close together end alike.
+        if len(chosen) < count and all(np.linalg.norm(z - other) > _APART for other in chosen):
+            chosen.append(z)
+    return chosen
+
 
 LEVEL = 0.95
 """Of the confidence intervals."""

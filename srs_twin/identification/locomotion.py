@@ -19,15 +19,14 @@ import numpy as np
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.data_set import DataSet, data_sets, keep_apart, trajectory_hash
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.least_squares import least_squares
-from srs_twin.identification.search import Manner, Watch
+from srs_twin.identification.fit_file import DataSet, data_sets, keep_apart, trajectory_hash
+from srs_twin.identification.least_squares import Manner, Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
-from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 PLANTS = ("analytical", "twin")

@@ -18,17 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.identification.data_set import DataSet, data_sets, fingerprint, keep_apart
-from srs_twin.identification.drive import Drive
-from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role
-from srs_twin.identification.least_squares import least_squares
-from srs_twin.identification.search import Manner
-from srs_twin.identification.steady import SteadyPath
-from srs_twin.identification.study import steady_path
+from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, knowledge
+from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart
+from srs_twin.identification.footprint import Drive, steady_path
+from srs_twin.identification.least_squares import Manner, least_squares
+from srs_twin.identification.paths import SteadyPath
 from srs_twin.identification.unknowns import Unknown, unknowns, with_values
-from srs_twin.identification.verdicts import knowledge
-from srs_twin.published import PublishedRun
-from srs_twin.rollouts import run_many
+from srs_twin.robot.published import PublishedRun
+from srs_twin.rollout import run_many
 
 PERIODS = 5
 """At the end of a run, over which its path is measured."""

@@ -13,16 +13,15 @@ import numpy as np
 
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
-from srs_twin.files import existing
-from srs_twin.identification.bend_log import is_bend_log, read_bends
-from srs_twin.identification.joining import join
 from srs_twin.identification.locomotion import GaitRun
-from srs_twin.identification.recording import LONGEST_GAP, Recording, read_motion
-from srs_twin.identification.valve_log import ValveLog, read_valves
+from srs_twin.io.files import existing
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
-from srs_twin.spec import RobotSpec
+from srs_twin.recordings.clock import join
+from srs_twin.recordings.logs import ValveLog, is_bend_log, read_bends, read_valves
+from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _LOG = ".valves.csv"

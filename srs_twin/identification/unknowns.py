@@ -19,8 +19,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.modules import Modules
-from srs_twin.spec import WHEEL_SHARE, RobotSpec
+from srs_twin.robot.spec import WHEEL_SHARE, Modules, RobotSpec
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compiled import compiled
+from srs_twin.planning.arcs import blocked
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import Segment
-from srs_twin.planning.swept import blocked
 from srs_twin.world import Bounds, Circle, Polygon, Pose, World
 
 _ANYWHERE = Bounds((-math.inf, math.inf), (-math.inf, math.inf))

@@ -11,13 +11,12 @@ import math
 from typing import Any
 
 from srs_twin.errors import InputError
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.best_first import Moves, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import shortest, word
-from srs_twin.planning.primitives import Primitives
-from srs_twin.planning.problem import Outcome, Plan, Problem, path_of
-from srs_twin.planning.settings import Settings
-from srs_twin.planning.smoothing import shortened
+from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, path_of
+from srs_twin.planning.search import shortened
 from srs_twin.planning.tree import Pieces, moves_of
 from srs_twin.world import Pose
 

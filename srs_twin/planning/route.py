@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compiled import compiled
+from srs_twin.planning.arcs import along, place
 from srs_twin.planning.problem import Segment
-from srs_twin.planning.swept import along, place
 from srs_twin.world import Pose
 
 BEYOND = 2.0

@@ -1,4 +1,11 @@
-"""The default planner: best-first search from both ends, coarse first, with a budget and a named outcome."""
+"""The default planner: best-first search from both ends with a budget, shortening, proofs of no path.
+
+Proof that there is no path: obstacles so close together that start and goal lie in different rooms.
+
+Shortening of a found path: Dubins paths between two of its poses where they are free and shorter.
+
+The default planner: best-first search from both ends, coarse first, with a budget and a named outcome.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +15,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.planning.arcs import Primitives, along
+from srs_twin.planning.best_first import Moves, one_arc, passes
 from srs_twin.planning.collision import Checker, Surroundings
+from srs_twin.planning.dubins import shortest, word
 from srs_twin.planning.guide import guide_to
-from srs_twin.planning.primitives import Primitives
-from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, path_of
-from srs_twin.planning.settings import Settings
-from srs_twin.planning.smoothing import shortened
+from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, Settings, path_of
 from srs_twin.planning.tree import (
     Pieces,
     Resolution,
@@ -24,8 +34,151 @@ from srs_twin.planning.tree import (
     target_of,
     turned,
 )  # fmt: skip
-from srs_twin.planning.unreachable import disconnected
-from srs_twin.world import Goal
+from srs_twin.world import Goal, Pose, World
+
+_PIECES = 32
+"""A quarter of a circle is replaced by so many chords, inside it: gaps may only look wider than they are."""
+
+
+def disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
+    """Say whether every path from start to goal comes nearer to something than the clearance.
+
+    Let o be a point of an obstacle nearer to a smooth path than the clearance w. If the path's point nearest
+    to o is none of its ends, o lies straight across the path from it, within the edges: a collision. So it is
+    an end, at most w from o, and whatever else of the path is within w of o is within 2 w of that end. Hence
+    a free path lies in what is left when obstacles grow by w and bounds shrink by w, or in discs of 2 w about
+    its ends. If no connected part of that holds start and goal, there is no path, whatever its curvature.
+
+    Args:
+        start: where the path begins.
+        goal: where it may end, within the goal's radius.
+        world: obstacles and bounds.
+        clearance: `Footprint.narrowest`, m.
+    """
+    import shapely
+
+    here, there = shapely.Point(start.x, start.y), shapely.Point(goal.x, goal.y)
+    about = 1 / math.cos(math.pi / (4 * _PIECES))
+    ends = [
+        here.buffer(2 * clearance * about, quad_segs=_PIECES),
+        there.buffer((2 * clearance + goal.radius) * about, quad_segs=_PIECES),
+    ]
+    grown = [shapely.Point(c.x, c.y).buffer(c.radius + clearance, quad_segs=_PIECES) for c in world.obstacles]
+    grown += [shapely.Polygon(p.corners).buffer(clearance, quad_segs=_PIECES) for p in world.polygons]
+    if not grown and world.bounds is None:
+        return False
+    blocked = shapely.union_all(grown)
+    room = _room(world, shapely.union_all([blocked, *ends]).bounds, clearance)
+    free = shapely.union_all([room.difference(blocked), *ends])
+    rooms = list(free.geoms) if free.geom_type == "MultiPolygon" else [free]
+    return not any(each.intersects(here) and each.intersects(there) for each in rooms)
+
+
+def _room(world: World, extent: tuple[float, float, float, float], clearance: float):  # type: ignore[no-untyped-def]
+    """Return the bounds less the clearance, or, where there are none, a way round everything."""
+    import shapely
+
+    if world.bounds is None:
+        west, south, east, north = extent
+        return shapely.box(west - clearance, south - clearance, east + clearance, north + clearance)
+    (west, east), (south, north) = world.bounds.x, world.bounds.y
+    west, east, south, north = west + clearance, east - clearance, south + clearance, north - clearance
+    return shapely.box(west, south, east, north) if west < east and south < north else shapely.Polygon()
+
+
+_ROUNDS = 4
+_WORTH = 1e-4
+"""A round that saves less than this share of the path is the last."""
+
+
+def shortened(start: Pose, path: Pieces, moves: Moves, around: Surroundings, radius: float) -> Pieces:
+    """Return a path with the same ends, free and not longer.
+
+    Args:
+        start: where it begins.
+        path: a free path, its curvatures among those of the moves.
+        moves: what the snake can do.
+        around: the world.
+        radius: of Dubins paths, m.
+    """
+    for turn in range(_ROUNDS):
+        before = _length(path)
+        # Cuts begin and end in other places each round.
+        path = _cut(start, _split(path, radius / (2 + turn)), moves, around, radius)
+        if _length(path) > before * (1 - _WORTH):
+            break
+    return path
+
+
+def _cut(start: Pose, path: Pieces, moves: Moves, around: Surroundings, radius: float) -> Pieces:
+    """Go along the path once, from each pose as far as a short cut leads."""
+    poses, places = np.empty((len(path) + 1, 3)), np.zeros(len(path) + 1)
+    poses[0] = start.x, start.y, start.heading
+    for k, (curvature, length) in enumerate(path):
+        poses[k + 1] = along(*poses[k], curvature, length)
+        places[k + 1] = places[k] + length
+    done: Pieces = []
+    k = 0
+    while k < len(path):
+        last = len(path)
+        while (last := int(_farthest(poses, places, k, last, moves, around, radius))) > k:
+            x, y, heading = map(float, poses[last])
+            cut = shortest(Pose(*map(float, poses[k])), x, y, heading, radius)
+            cuts = list(zip(cut.curvatures, cut.lengths, strict=True))
+            # A change of offset is felt on what follows it, so a cut is judged with the rest of the path.
+            if not moves.changes.any() or _passes(start, [*done, *cuts, *path[last:]], moves, around):
+                done += cuts
+                break
+            last -= 1
+        else:
+            done.append(path[k])
+        k = max(last, k + 1)
+    return done
+
+
+def _passes(start: Pose, path: Pieces, moves: Moves, around: Surroundings) -> bool:
+    """Say whether a path is free, transients included."""
+    pieces = [(c, length) for c, length in path if length > 0]
+    which = np.array([int(np.argmin(abs(moves.curvatures - c))) for c, _ in pieces])
+    lengths = np.array([length for _, length in pieces])
+    return bool(_all_free(start.x, start.y, start.heading, which, lengths, moves, around))
+
+
+@compiled
+def _all_free(x, y, heading, which, lengths, moves, around):  # type: ignore[no-untyped-def]
+    """Say whether arcs laid end to end are free."""
+    before, left, right, lasting = len(moves.curvatures), 0.0, 0.0, 0.0
+    for k in range(len(which)):
+        free, x, y, heading, left, right, lasting = one_arc(
+            x, y, heading, before, which[k], lengths[k], left, right, lasting, moves, around
+        )
+        if not free:
+            return False
+        before = which[k]
+    return True
+
+
+@compiled
+def _farthest(poses, places, k, until, moves, around, radius):  # type: ignore[no-untyped-def]
+    """Return the last pose, `until` at most, to which a free short cut leads from pose k, or k."""
+    x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+    for last in range(until, k, -1):
+        path = word(x, y, heading, poses[last, 0], poses[last, 1], poses[last, 2], False, radius)
+        if path[3] + path[4] + path[5] < places[last] - places[k] - 1e-9:
+            if passes(x, y, heading, path, len(moves.curvatures), 0.0, 0.0, 0.0, moves, around):
+                return last
+    return k
+
+
+def _split(path: Pieces, longest: float) -> Pieces:
+    """Return the path in pieces of this length at most."""
+    counts = [math.ceil(length / longest) for _, length in path]
+    return [(c, length / n) for (c, length), n in zip(path, counts, strict=True) for _ in range(n)]
+
+
+def _length(path: Pieces) -> float:
+    return math.fsum(length for _, length in path)
+
 
 # The coarsest arcs: five curvatures, turns of 0.5 rad at most; a cell is about a third of an arc and half of
 # the smallest change of heading wide, so that a node's children do not fall into one cell.
@@ -72,7 +225,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     for level, resolution in enumerate(_resolutions(problem, settings.levels)):
         trees = _trees(resolution, problem, settings, checker.surroundings)
         guided = partial(_guided, resolution, problem, settings, checker.surroundings)
-        ended = _at(trees, guided, problem, budget, _length(best), prove=level == 0)
+        ended = _at(trees, guided, problem, budget, _search_length(best), prove=level == 0)
         if ended.path is not None:
             best = _finished(ended.path, trees[0], problem, settings, checker)
         if ended.final or budget.spent or (best is not None and not settings.improve):
@@ -172,9 +325,10 @@ def _finished(
         radius = 1 / min(body.tightest)
         shorter = path_of(start, shortened(start, found, tree.moves, checker.surroundings, radius), body)
         # Transients hang on what came before; a path that is no longer free with them is not taken.
-        path = shorter if _length(shorter) < _length(path) and checker.free_path(shorter) else path
+        if _search_length(shorter) < _search_length(path) and checker.free_path(shorter):
+            path = shorter
     return path
 
 
-def _length(path: tuple[Segment, ...] | None) -> float:
+def _search_length(path: tuple[Segment, ...] | None) -> float:
     return math.inf if path is None else math.fsum(s.length for s in path)

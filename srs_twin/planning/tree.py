@@ -7,22 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.best_first import (
     ARRIVED,
     CONNECTED,
     EXHAUSTED,
+    EXPANDED,
     FULL,
+    Frontier,
     Moves,
     Target,
     add_root,
+    empty_frontier,
     expand,
+    grown,
 )  # fmt: skip
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import shortest
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.frontier import EXPANDED, Frontier, empty_frontier, grown
 from srs_twin.planning.guide import NO_GUIDE, Guide
-from srs_twin.planning.primitives import Primitives
 from srs_twin.world import Goal, Pose
 
 Pieces = list[tuple[float, float]]

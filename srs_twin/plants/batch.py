@@ -28,12 +28,11 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.plants.base import Pose, SnakeState
-from srs_twin.plants.divergence import refuse_wild
+from srs_twin.parallel import Workers
+from srs_twin.plants.base import Pose, SnakeState, refuse_wild
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
-from srs_twin.spec import RobotSpec
-from srs_twin.threads import Workers
+from srs_twin.robot.spec import RobotSpec
 
 
 class TwinBatch:

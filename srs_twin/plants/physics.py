@@ -1,4 +1,7 @@
-"""SnakePhysics: the twin's bodies in MuJoCo, driven by its chambers, and what can be read off them."""
+"""Stretch and View: what the engine did over some steps, and what can be seen of the bodies.
+
+SnakePhysics: the twin's bodies in MuJoCo, driven by its chambers, and what can be read off them.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,72 @@ import os
 import threading
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
-
-from srs_twin.plants.base import Pose
-from srs_twin.plants.stretch import Stretch, View
-from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.bending import as_felt
-from srs_twin.spec import GRAVITY, RobotSpec
-from srs_twin.world import World
-
-# Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
-os.environ.setdefault("MUJOCO_GL", "disabled")
-
 import mujoco  # noqa: E402
+import numpy as np
 from dm_control import mujoco as dm  # noqa: E402
 from mujoco import rollout as mujoco_rollout  # noqa: E402
 
-from srs_twin.mjcf import scene_mjcf  # noqa: E402
-from srs_twin.mjcf_numerics import Numerics  # noqa: E402
-from srs_twin.mjcf_wheels import preload_force, treads  # noqa: E402
+from srs_twin.mjcf.model import scene_mjcf  # noqa: E402
+from srs_twin.mjcf.numerics import Numerics  # noqa: E402
+from srs_twin.mjcf.wheels import preload_force, treads  # noqa: E402
+from srs_twin.plants.base import Pose
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace
+from srs_twin.pneumatics.chambers import as_felt
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.world import World
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What the engine did over some steps.
+
+    Attributes:
+        states: at the end of each step: time, qpos, qvel; shape (steps, 1 + nq + nv).
+        floor_force: of the floor on each wheel during each step, shape (steps, N, 2, 3), N, world.
+        foot_velocity: of the points of the connectors above the contacts, at each step's beginning, same
+            shape, m/s.
+        energy: kinetic energy at each step's beginning, shape (steps,), J.
+        obstacle_force: of all obstacles on each connector with the halves of its segments during each step,
+            shape (steps, N, 3), N, world.
+        obstacle_power: that the snake spends on them at each step's beginning, shape (steps,), W.
+    """
+
+    states: np.ndarray
+    floor_force: np.ndarray
+    foot_velocity: np.ndarray
+    energy: np.ndarray
+    obstacle_force: np.ndarray
+    obstacle_power: np.ndarray
+
+
+@dataclass(frozen=True)
+class View:
+    """What can be seen of the bodies at some moments, the samples first, connectors head first, world frame.
+
+    Attributes:
+        qpos: generalised positions, shape (samples, nq).
+        com: centre of mass, shape (samples, 3), m.
+        com_velocity: same shape, m/s.
+        positions: connectors, shape (samples, N, 3), m.
+        headings: theirs, shape (samples, N), wrapped to (−π, π], rad.
+        bends: shape (samples, segments), rad.
+        bend_rates: same shape, rad/s.
+    """
+
+    qpos: np.ndarray
+    com: np.ndarray
+    com_velocity: np.ndarray
+    positions: np.ndarray
+    headings: np.ndarray
+    bends: np.ndarray
+    bend_rates: np.ndarray
+
+
+# Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
+os.environ.setdefault("MUJOCO_GL", "disabled")
 
 
 class Heard(threading.local):

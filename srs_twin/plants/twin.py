@@ -7,18 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.arrays import implausible, joined, plausible
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
-from srs_twin.mjcf_numerics import PRELOAD, WHEELS, Numerics
-from srs_twin.plants.base import BASES, Plant, Pose, SnakeState
-from srs_twin.plants.divergence import believed
-from srs_twin.plants.physics import HEARD, SnakePhysics
-from srs_twin.plants.stretch import Stretch
-from srs_twin.plausible import implausible, plausible
+from srs_twin.mjcf.numerics import PRELOAD, WHEELS, Numerics
+from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, believed
+from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
-from srs_twin.pneumatics.bending import air_bend
-from srs_twin.records import joined
+from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor, make_sensor
-from srs_twin.spec import RobotSpec
 from srs_twin.world import World
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible

@@ -6,8 +6,8 @@ from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics.base import Pneumatics, Trace
 from srs_twin.pneumatics.lag import LagPneumatics
 from srs_twin.pneumatics.orifice import OrificePneumatics
-from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
-from srs_twin.spec import RobotSpec
+from srs_twin.pneumatics.valves import LAYOUTS, Schedule
+from srs_twin.robot.spec import RobotSpec
 
 KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
 

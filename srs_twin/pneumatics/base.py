@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.arrays import implausible, plausible
 from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.plausible import implausible, plausible
-from srs_twin.pneumatics.faults import StuckValve
-from srs_twin.pneumatics.schedule import LAYOUTS, Schedule
-from srs_twin.spec import RobotSpec
+from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
+from srs_twin.robot.spec import RobotSpec
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import math
 from collections.abc import Callable
 
 from srs_twin.compiled import compiled
-from srs_twin.pneumatics.chamber import AMBIENT_PA
-from srs_twin.spec import RobotSpec
+from srs_twin.pneumatics.chambers import AMBIENT_PA
+from srs_twin.robot.spec import RobotSpec
 
 REFERENCE_PA = 100_000.0
 """Absolute pressure of the reference state of ISO 6358, Pa."""

@@ -25,12 +25,11 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.bending import flattened, gains
-from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, gains, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
 from srs_twin.pneumatics.orifice_kernels import Plumbing, follow
-from srs_twin.pneumatics.schedule import Schedule
-from srs_twin.spec import RobotSpec
+from srs_twin.pneumatics.valves import Schedule
+from srs_twin.robot.spec import RobotSpec
 
 CRITICAL_RATIO = 0.3
 """b of a small solenoid valve, estimated; such valves have 0.2 to 0.5."""

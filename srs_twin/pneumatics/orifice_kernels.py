@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compiled import compiled
-from srs_twin.pneumatics.bending import flattened
-from srs_twin.pneumatics.chamber import AMBIENT_PA, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, volume
 from srs_twin.pneumatics.flow import flow
 
 GAMMA = 1 - math.sqrt(0.5)

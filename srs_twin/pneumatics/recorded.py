@@ -18,9 +18,9 @@ import numpy as np
 from srs_twin.compiled import compiled
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Pneumatics, Trace
-from srs_twin.pneumatics.bending import flattened, gains
-from srs_twin.pneumatics.schedule import Schedule
-from srs_twin.spec import RobotSpec
+from srs_twin.pneumatics.chambers import flattened, gains
+from srs_twin.pneumatics.valves import Schedule
+from srs_twin.robot.spec import RobotSpec
 
 
 class RecordedPressures(Pneumatics):

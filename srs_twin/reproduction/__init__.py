@@ -1,10 +1,8 @@
 """The dissertation's claims as rows: each one statement, the runs that produce it, and a verdict a plant."""
 
-from srs_twin.reproduction.baseline import Baseline, load_baseline
 from srs_twin.reproduction.claims import Claim, load_claims
-from srs_twin.reproduction.evaluation import judge
-from srs_twin.reproduction.execution import Store, open_store
-from srs_twin.reproduction.outcomes import Judged, Outcome
+from srs_twin.reproduction.runs import Store, open_store
+from srs_twin.reproduction.verdicts import Baseline, Judged, Outcome, judge, load_baseline
 
 __all__ = [
     "Baseline",

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srs_twin.robot.spec import GRAVITY, load_robot
 from srs_twin.scenario import load_scenario, parse_scenario
-from srs_twin.spec import GRAVITY, load_robot
 
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
@@ -122,9 +122,9 @@ def change_of_offset(scenario: str, before: float, after: float, at_period: floa
     Returns:
         Of both plants ``first``: curvature over the first period after the change over the final one.
     """
+    from srs_twin.control.commands import Steered
     from srs_twin.control.gait import Gait
     from srs_twin.control.learning import ILC
-    from srs_twin.control.steered import Steered
     from srs_twin.rollout import rollout
 
     given = _with(load_scenario(scenario), offset=before)

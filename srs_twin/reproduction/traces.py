@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from srs_twin.comparison.chamber_periods import ChamberPeriods
-from srs_twin.comparison.gait_window import GaitWindow
+from srs_twin.comparison.gait import GaitWindow
+from srs_twin.comparison.learning import ChamberPeriods
 from srs_twin.comparison.sampling import body_length
-from srs_twin.comparison.sines import fit_sine
-from srs_twin.shape import arc_between, measured_bend, pair_heading
+from srs_twin.comparison.tracking import fit_sine
+from srs_twin.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
 
 Trace = Callable[[Trajectory], float | None]

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import model_validator
 
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 ORIFICE_ONLY = ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml", "line_begins_kpa")
 _OF_THE_LINE = ("line_volume_ml", "line_begins_kpa")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.robot_file import PA_PER_KPA, RobotFile
+from srs_twin.robot.file import PA_PER_KPA, RobotFile
 from srs_twin.scenario.air_file import PneumaticsFile
 from srs_twin.scenario.checks import recorded_pressures, tick_of
 from srs_twin.scenario.control import ControllerSettings
@@ -29,7 +29,7 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.world import World
 
 if TYPE_CHECKING:
-    from srs_twin.identification.recording import Recording
+    from srs_twin.recordings.recording import Recording
 
 L_PER_MIN = 60_000.0
 ML = 1e6

@@ -6,11 +6,11 @@ import math
 from typing import TYPE_CHECKING
 
 from srs_twin.comparison.metrics import MEASURED_UNITS
-from srs_twin.control.steady import HoldValves
-from srs_twin.documents import Document
+from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError, TimeStepError, whole_steps
-from srs_twin.pneumatics.bending import largest_bend
-from srs_twin.robot_file import RobotFile
+from srs_twin.io.documents import Document
+from srs_twin.pneumatics.chambers import largest_bend
+from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.control import ControllerSettings, LearningSettings, controller_settings
 from srs_twin.scenario.control_file import FollowFile, LearningFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
@@ -18,7 +18,7 @@ from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
 from srs_twin.scenario.settings import SensorSettings, default_tick
 
 if TYPE_CHECKING:
-    from srs_twin.identification.recording import Recording
+    from srs_twin.recordings.recording import Recording
 
 _LONGER = 1e-6  # s: rounding
 _ROUNDED = 1.001

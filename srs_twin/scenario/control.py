@@ -26,9 +26,9 @@ from srs_twin.scenario.control_file import (
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
-    from srs_twin.identification.recording import Recording
     from srs_twin.pneumatics import Pneumatics, Schedule
-    from srs_twin.spec import RobotSpec
+    from srs_twin.recordings.recording import Recording
+    from srs_twin.robot.spec import RobotSpec
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class DirectSettings:
 
     def make(self) -> Controller:
         """Return a fresh controller."""
-        from srs_twin.control.direct_smc import DirectSMC
+        from srs_twin.control.smc import DirectSMC
 
         return DirectSMC(self.reference, D=self.slope, epsilon=self.epsilon, cutoff_hz=self.cutoff_hz)
 
@@ -95,7 +95,7 @@ class IterativeSettings:
 
     def make(self) -> Controller:
         """Return a fresh controller."""
-        from srs_twin.control.iterative_smc import IterativeSMC
+        from srs_twin.control.smc import IterativeSMC
 
         return IterativeSMC(self.reference, K=self.gain, D=self.slope, carrier_hz=self.carrier_hz)
 
@@ -114,7 +114,7 @@ class HoldSettings:
 
     def make(self) -> Controller:
         """Return a fresh controller."""
-        from srs_twin.control.steady import HoldValves
+        from srs_twin.control.replay import HoldValves
 
         return HoldValves(self.plus, self.minus)
 

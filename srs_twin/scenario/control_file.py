@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from srs_twin.control import direct_smc, iterative_smc, learning
-from srs_twin.control.targets import LARGEST_OFFSET
+from srs_twin.control import learning, smc
+from srs_twin.control.duties import LARGEST_OFFSET
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 _KIND = "Which controller."
 _SHAPE = "How the bend changes over time."
@@ -90,22 +90,20 @@ class DirectFile(_FollowingFile):
     """Sliding mode control by valve states, with separate inlet and outlet valves (Eq. 31)."""
 
     kind: Literal["direct_smc"] = section(_KIND)
-    d_per_s: float = quantity("D, slope of the sliding manifold", "1/s", 0.001, 1000.0, direct_smc.D_PER_S)
+    d_per_s: float = quantity("D, slope of the sliding manifold", "1/s", 0.001, 1000.0, smc.DIRECT_D_PER_S)
     epsilon_rad_per_s: float = quantity(
-        "ε, half the width of the dead zone", "rad/s", 0.0001, 1000.0, direct_smc.EPSILON_RAD_PER_S
+        "ε, half the width of the dead zone", "rad/s", 0.0001, 1000.0, smc.EPSILON_RAD_PER_S
     )
-    cutoff_hz: float = quantity("Cutoff of the velocity filter", "Hz", 0.1, 1000.0, direct_smc.CUTOFF_HZ)
+    cutoff_hz: float = quantity("Cutoff of the velocity filter", "Hz", 0.1, 1000.0, smc.CUTOFF_HZ)
 
 
 class IterativeFile(_FollowingFile):
     """Sliding mode control through the duty of pulse-width modulated 3/2 valves (Eq. 29)."""
 
     kind: Literal["iterative_smc"] = section(_KIND)
-    k_s_per_rad: float = quantity("K, gain", "s/rad", 1e-5, 1000.0, iterative_smc.K_S_PER_RAD)
-    d_per_s: float = quantity("D, slope of the sliding manifold", "1/s", 0.001, 1000.0, iterative_smc.D_PER_S)
-    carrier_hz: float = quantity(
-        "Carrier of the pulse-width modulation", "Hz", 1.0, 1000.0, iterative_smc.CARRIER_HZ
-    )
+    k_s_per_rad: float = quantity("K, gain", "s/rad", 1e-5, 1000.0, smc.K_S_PER_RAD)
+    d_per_s: float = quantity("D, slope of the sliding manifold", "1/s", 0.001, 1000.0, smc.ITERATIVE_D_PER_S)
+    carrier_hz: float = quantity("Carrier of the pulse-width modulation", "Hz", 1.0, 1000.0, smc.CARRIER_HZ)
 
 
 class HoldFile(Strict):

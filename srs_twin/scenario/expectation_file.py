@@ -8,9 +8,9 @@ from pydantic import Field, field_validator, model_validator
 
 from srs_twin.comparison.metrics import METRICS_LISTED
 from srs_twin.errors import UnknownNameError
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.expectation import COMPARISON, known_metrics
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 _BOUND = 1e9
 

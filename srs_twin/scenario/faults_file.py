@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from srs_twin.pneumatics.faults import StuckValve
+from srs_twin.io.validation import Strict
+from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario.fields import quantity, section
 from srs_twin.sensing import DeadSensor
-from srs_twin.validation import Strict
 
 _KIND = "What breaks."
 _CHAMBERS = ("plus", "minus")

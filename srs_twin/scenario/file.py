@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, WithJsonSchema
 
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.air_file import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.control_file import ControllerFile
 from srs_twin.scenario.expectation_file import ExpectationFile
@@ -16,7 +17,6 @@ from srs_twin.scenario.plants_file import AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.recording_file import RecordingFile
 from srs_twin.scenario.sensor_file import SensorFile
 from srs_twin.scenario.world_file import StartFile, WorldFile
-from srs_twin.validation import Strict
 
 
 class ComparisonFile(Strict):

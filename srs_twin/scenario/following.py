@@ -11,8 +11,7 @@ from srs_twin.scenario.route_finding import GIVEN, PlannerSettings
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
-    from srs_twin.control.following import Conditions
-    from srs_twin.control.steering import Steering
+    from srs_twin.control.following import Conditions, Steering
     from srs_twin.planning import Footprint
 
 GAIN_PER_RAD = 0.6
@@ -77,7 +76,7 @@ class FollowSettings:
         return Conditions(Camera(*self.camera), self.delay, self._settled, self.stray, self.replans)
 
     def _law(self) -> Steering:
-        from srs_twin.control.steering import BearingLaw, PathLaw
+        from srs_twin.control.following import BearingLaw, PathLaw
 
         if self.follower == "bearing":
             return BearingLaw(self.gain, self.spacing, self.near)

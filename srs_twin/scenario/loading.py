@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from srs_twin.documents import Document, load_yaml
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
-from srs_twin.files import find, results_name
-from srs_twin.planning.footprint_file import load_footprint
-from srs_twin.robot_file import RobotFile
-from srs_twin.robots import resolve_robot
+from srs_twin.io.documents import Document, load_yaml
+from srs_twin.io.files import find, results_name
+from srs_twin.io.validation import validate
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.robot.file import RobotFile, resolve_robot
 from srs_twin.scenario.building import build, sensors, supply
 from srs_twin.scenario.checks import (
     check,
@@ -30,11 +30,10 @@ from srs_twin.scenario.following import FollowSettings, follow_settings
 from srs_twin.scenario.route_finding import planner_settings
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.surroundings import start_of, world_of
-from srs_twin.validation import validate
 from srs_twin.world import World
 
 if TYPE_CHECKING:
-    from srs_twin.identification.recording import Recording
+    from srs_twin.recordings.recording import Recording
 
 Found = TypeVar("Found")
 
@@ -96,9 +95,8 @@ def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Reco
     given = file.recording
     if given is None:
         return None
-    from srs_twin.identification.bench import on_bench
     from srs_twin.identification.takes import NO_MARKERS, Reading, logs_of, only_bends, repeats
-    from srs_twin.identification.valve_log import read_valves
+    from srs_twin.recordings.logs import on_bench, read_valves
 
     reading = Reading(
         given.up, given.layout, given.head, given.longest_gap_s, given.offset_s, given.gait_frequency_hz

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 _KIND = "How the way is found."
 

@@ -8,8 +8,8 @@ from pydantic import Field, field_validator, model_validator
 
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 PLANTS = ("analytical", "twin")
 

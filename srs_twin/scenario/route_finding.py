@@ -90,7 +90,7 @@ def _plan(settings: PlannerSettings) -> Plan:
 def _found(settings: PlannerSettings, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
     """Return the plan behind a fixed beginning."""
     from srs_twin.planning import plan
-    from srs_twin.planning.shaping import plan_shaped
+    from srs_twin.planning.planner import plan_shaped
 
     if settings.shaped:
         return plan_shaped(problem, settings.settings, begin)

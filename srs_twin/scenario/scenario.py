@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.pneumatics.faults import StuckValve
+from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.control import ControllerSettings, LearningSettings, ReplaySettings
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.following import FollowSettings
@@ -21,7 +22,6 @@ from srs_twin.scenario.settings import (
     default_tick,
 )
 from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
-from srs_twin.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.world import World
 

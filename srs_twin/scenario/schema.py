@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from srs_twin.robot_file import RobotFile
+from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ROBOT_TEXT, ScenarioFile
 
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import model_validator
 
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 
 class SensorFile(Strict):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import HallSensor, Sensor, Strip, make_sensor
 from srs_twin.sensing.hall import SPAN
-from srs_twin.spec import RobotSpec
 
 if TYPE_CHECKING:
     from srs_twin.pneumatics import Pneumatics

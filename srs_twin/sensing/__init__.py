@@ -6,13 +6,17 @@ from dataclasses import fields
 from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.sensing.base import IdealSensor, Sensor
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing.calibration import Calibration, calibrate
-from srs_twin.sensing.curvature import CurvatureSensor
-from srs_twin.sensing.drift import DeadSensor, DriftedSensor, FaultySensor
-from srs_twin.sensing.hall import SPAN, HallSensor
-from srs_twin.sensing.strip import Strip
-from srs_twin.spec import RobotSpec
+from srs_twin.sensing.hall import SPAN, HallSensor, Strip
+from srs_twin.sensing.sensors import (
+    CurvatureSensor,
+    DeadSensor,
+    DriftedSensor,
+    FaultySensor,
+    IdealSensor,
+    Sensor,
+)
 
 KINDS = (IdealSensor.kind, CurvatureSensor.kind)
 

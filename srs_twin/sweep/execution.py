@@ -1,33 +1,136 @@
-"""Running a sweep: what is missing is run, every row is kept at once, at the end they become one table."""
+"""Running a sweep: an engine runs what is missing, every row is kept at once, one table at the end.
+
+Engines: who runs the points of a sweep. Rows do not depend on it.
+
+Running a sweep: what is missing is run, every row is kept at once, at the end they become one table.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
+import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.documents import dump_yaml
 from srs_twin.errors import InputError, SrsError
-from srs_twin.files import atomic_write, printable, shown
-from srs_twin.folders import open_folder
-from srs_twin.processes import Done
+from srs_twin.io.documents import dump_yaml
+from srs_twin.io.files import atomic_write, open_folder, printable, shown
+from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import POINTS, file_digests, source_digests
-from srs_twin.sweep.engines import Engine
-from srs_twin.sweep.points import Point, Sweep
+from srs_twin.sweep.points import Experiment, Point, Sweep
 from srs_twin.sweep.report import REPORT, write_report
-from srs_twin.sweep.results import RESULTS, digest, shown_columns, shown_metrics, spans, table, write
-from srs_twin.sweep.store import About, RowStore
-from srs_twin.sweep.task import DONE, FAILED, Row
-from srs_twin.viewing.sweep_beside import BesideTable, beside_table
-from srs_twin.viewing.sweep_table import SweepTable
+from srs_twin.sweep.store import (
+    RESULTS,
+    About,
+    RowStore,
+    digest,
+    shown_columns,
+    shown_metrics,
+    spans,
+    table,
+    write,
+)
+from srs_twin.sweep.task import DONE, FAILED, Row, run_point
+from srs_twin.viewing.plots.sweeps import BesideTable, SweepTable, beside_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+# No reports to anybody, and workers that take this environment as it is instead of building it anew.
+_RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
+# A Ray of our own serves nobody else. Under this name Ray keeps to the loopback address, on Linux as well.
+_LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+
+Engine = Callable[[Experiment, Sequence[Point]], Iterator[Done[Row]]]
+
+
+def local(workers: int | None = None) -> Engine:
+    """Return the engine that runs points in processes of this machine.
+
+    Threads, or `mujoco.batch` for twins of one model, would be no faster (see benchmarks/sweeps.py), and one
+    run that goes down would take the others along.
+
+    Args:
+        workers: how many processes; default one a processor.
+    """
+
+    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+        start_server("srs_twin.sweep.warm")
+        return each(partial(run_point, experiment), points, workers=workers)
+
+    return run
+
+
+def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
+    """Return the engine that runs points on a Ray cluster, or on a Ray of this machine's own.
+
+    Args:
+        address: of a cluster, as `ray.init` takes it; None starts one here, which ends with the sweep.
+        workers: processors of one started here; default all.
+
+    Raises:
+        InputError: Ray is not installed, or an address goes with a number of workers.
+    """
+    for name, value in (_RAY_SETTINGS | ({} if address else _LOOPBACK_ONLY)).items():
+        os.environ.setdefault(name, value)
+    try:
+        import ray
+    except ImportError as error:
+        raise InputError("--engine ray needs Ray; install it with: pip install 'srs-twin[ray]'") from error
+    if address is not None and workers is not None:
+        raise InputError("--workers belongs to a Ray of this machine's own; a cluster has the workers it has")
+
+    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+        try:
+            if address:
+                ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+            else:
+                ray.init(
+                    num_cpus=workers, include_dashboard=False, log_to_driver=False,
+                    logging_level=logging.ERROR,
+                )  # fmt: skip
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise InputError(f"Ray cannot be reached at {address or 'this machine'}: {error}") from error
+        try:
+            yield from _shared_out(experiment, points)
+        finally:
+            ray.shutdown()
+
+    return run
+
+
+def _shared_out(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+    """Keep two points a processor under way; yield as they finish."""
+    import ray
+
+    task = ray.remote(max_retries=3)(run_point)
+    common = ray.put(experiment)
+    slots = max(2, int(2 * ray.cluster_resources().get("CPU", 1)))
+    under_way: dict[object, int] = {}
+    coming = iter(enumerate(points))
+    while True:
+        while len(under_way) < slots and (new := next(coming, None)) is not None:
+            under_way[task.remote(common, new[1])] = new[0]
+        if not under_way:
+            return
+        for finished in ray.wait(list(under_way), num_returns=1)[0]:
+            number = under_way.pop(finished)
+            try:
+                yield Done(number, ray.get(finished), None)
+            except ray.exceptions.RayError as error:
+                yield Done(number, None, error)
+
+
+ENGINES = ("local", "ray")
+
 
 SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
 TRAJECTORIES, PLOTS = "trajectories", "plots"
@@ -167,7 +270,7 @@ class OpenSweep:
         if not self.sweep.plots:
             return {}
         # matplotlib takes longer to import than a sweep without pictures has to wait.
-        from srs_twin.viewing.sweep_plots import PlotRequest, draw, save
+        from srs_twin.viewing.plots.sweeps import PlotRequest, draw, save
 
         titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):

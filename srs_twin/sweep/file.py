@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from srs_twin.io.validation import Strict
 from srs_twin.scenario.fields import quantity, section
-from srs_twin.validation import Strict
 
 MAX_FIELDS = 16
 MAX_POINTS = 1_000_000

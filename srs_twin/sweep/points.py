@@ -1,23 +1,32 @@
-"""Sweep and its points: documents of scenarios that differ in some fields, and the key of each."""
+"""Sweep and its points: documents of scenarios that differ in some fields, and the key of each.
+
+Samples: the values of several fields put together to points.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.documents import Loc
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.io.documents import Loc
 from srs_twin.provenance import run_key
-from srs_twin.robot_file import units_of
+from srs_twin.robot.file import units_of
+from srs_twin.robot.sourced import restated
 from srs_twin.scenario.planner_file import PLANNER_FILES
-from srs_twin.sourced import restated
+from srs_twin.sweep.file import MAX_POINTS, RangeFile, SamplingFile
 
 if TYPE_CHECKING:
     from srs_twin.sweep.file import PlotFile
-    from srs_twin.viewing.sweep_beside import Beside
+    from srs_twin.viewing.plots.sweeps import Beside
+
 
 Value = bool | int | float | str
 Changes = Mapping[str, Value]
@@ -170,3 +179,57 @@ def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: flo
         return document.get("duration_s")
     tick = max(ticks)
     return round(math.ceil(periods / frequency / tick * (1 - 1e-12)) * tick, 9)
+
+
+Given = Mapping[str, Sequence[Value] | RangeFile]
+
+
+def sample(vary: Given, sampling: SamplingFile) -> list[tuple[Value, ...]]:
+    """Return the points, a row each with a value for each field.
+
+    Raises:
+        InputError: lists of unequal length, a range without a count, or too many points.
+    """
+    if sampling.kind in ("latin_hypercube", "sobol"):
+        return _drawn(list(vary.values()), sampling)
+    lists = [_listed(name, values) for name, values in vary.items()]
+    if sampling.kind == "list":
+        lengths = {name: len(values) for name, values in zip(vary, lists, strict=True)}
+        if len(set(lengths.values())) > 1:
+            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise InputError(f"sampling: list takes as many values of each field, but there are {told}")
+        return list(zip(*lists, strict=True))
+    count = 1
+    for values in lists:
+        count *= len(values)
+    if count > MAX_POINTS:
+        raise InputError(f"the grid has {count} points; at most {MAX_POINTS} are allowed")
+    return list(product(*lists))
+
+
+def _listed(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
+    if not isinstance(values, RangeFile):
+        return list(values)
+    if values.count is None:
+        raise InputError(f"{name}: a range needs a count here, or sampling: latin_hypercube or sobol")
+    spaced = np.geomspace if values.scale == "log" else np.linspace
+    return [float(value) for value in spaced(values.start, values.stop, values.count)]
+
+
+def _drawn(fields: Sequence[Sequence[Value] | RangeFile], sampling: SamplingFile) -> list[tuple[Value, ...]]:
+    """Spread points over the ranges; of a list, every value gets an equal share."""
+    from scipy.stats import qmc
+
+    assert sampling.count is not None, "checked by the file's model"
+    engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
+    unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
+    columns = [_placed(values, shares) for values, shares in zip(fields, unit.T, strict=True)]
+    return list(zip(*columns, strict=True))
+
+
+def _placed(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[Value]:
+    if not isinstance(values, RangeFile):
+        return [values[int(share * len(values))] for share in shares]
+    if values.scale == "log":
+        return [float(value) for value in values.start * (values.stop / values.start) ** shares]
+    return [float(value) for value in values.start + (values.stop - values.start) * shares]

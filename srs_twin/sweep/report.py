@@ -1,21 +1,164 @@
-"""report.html of a sweep: what was varied, what came out, beside what was published, in one page to print."""
+"""report.html of a sweep: what was varied, what came out, beside what was published.
+
+What a sweep's results say as tables of text: a row a run, and means by the values of each field.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.files import atomic_write
-from srs_twin.viewing.html import Markup, element, folded, image, page, table
-from srs_twin.viewing.labels import field_label
-from srs_twin.viewing.sweep_beside import BesideTable
-from srs_twin.viewing.sweep_summary import TextTable, means_by, run_tables
-from srs_twin.viewing.sweep_table import SweepTable
+import numpy as np
+
+from srs_twin.io.files import atomic_write
+from srs_twin.viewing.html.page import Markup, element, folded, image, page, table
+from srs_twin.viewing.plots.labels import field_label
+from srs_twin.viewing.plots.sweeps import COMPARISON, PLAN, BesideTable, SweepTable, Values
 
 if TYPE_CHECKING:
     from srs_twin.sweep.execution import Summary
     from srs_twin.sweep.points import Sweep
+
+
+MOST_RUNS = 200
+"""Beyond so many runs there is no row a run."""
+
+_MOST_COLUMNS = 24
+_COLUMNS = 6  # of metrics side by side: what a printed page holds
+_MOST_VALUES = 60  # of a field; more numbers are put together
+_PARTS = 10
+_NONE = "–"
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table as text.
+
+    Attributes:
+        headings: one a column, with the unit.
+        rows: cells.
+        left_out: what it does not show; empty where it shows all.
+    """
+
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left_out: str = ""
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A metric of a plant or of the comparison: its heading, and a number a run, NaN where there is none."""
+
+    heading: str
+    numbers: np.ndarray
+
+
+def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[TextTable]:
+    """Return a row a run in the order of the fields' values, few metrics a table.
+
+    Args:
+        rows: results of a sweep; of more than `MOST_RUNS` runs, what is returned says so and has no rows.
+        metrics: what is shown, of each plant that has it; of a list, its mean.
+    """
+    if len(rows.failed) > MOST_RUNS:
+        return [TextTable((), (), f"{len(rows.failed)} runs, a row each in results.parquet.")]
+    fields, failed = [rows.values(name, "") for name in rows.fields], rows.failed
+    order = np.lexsort([field.numbers for field in reversed(fields)])
+    columns, left_out = _columns(rows, metrics)
+    headings = (*(field.label for field in fields), *(["status"] if failed.any() else []))
+    named = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
+    if failed.any():
+        named = [(*names, "failed" if failed[i] else "done") for names, i in zip(named, order, strict=True)]
+    made = []
+    for few in _few(columns):
+        cells = ([_text(column.numbers[i]) for column in few] for i in order)
+        lines = tuple((*names, *line) for names, line in zip(named, cells, strict=True))
+        made.append(TextTable((*headings, *(column.heading for column in few)), lines, left_out))
+    return made
+
+
+def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[TextTable]:
+    """Return mean ± standard deviation of each metric by the values of a field, few metrics a table.
+
+    None where they say nothing new: the field has one value, or `run_tables` has each value's only run.
+
+    Args:
+        name: a varied field; where it has many values, ten equal parts of their range.
+        rows: results of a sweep; runs that failed are left out.
+        metrics: as `run_tables` takes them.
+    """
+    field, failed = rows.values(name, ""), rows.failed
+    known = field.numbers[np.isfinite(field.numbers)]
+    different = len(np.unique(known))
+    if different < 2 or (different == len(known) and len(failed) <= MOST_RUNS):
+        return []
+    texts, group, left_out = _groups(field)
+    columns, not_shown = _columns(rows, metrics)
+    order = np.argsort(group, kind="stable")
+    begins = np.searchsorted(group[order], np.arange(len(texts) + 1))
+    runs = [order[low:high] for low, high in zip(begins, begins[1:], strict=False)]
+    runs = [each[~failed[each]] for each in runs]
+    made = []
+    for few in _few(columns):
+        lines = tuple(
+            (text, str(len(each)), *(_mean(column.numbers[each]) for column in few))
+            for text, each in zip(texts, runs, strict=True)
+        )
+        headings = (field.label, "runs", *(column.heading for column in few))
+        made.append(TextTable(headings, lines, " ".join(filter(None, (left_out, not_shown)))))
+    return made
+
+
+def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
+    """Return the columns of metrics, those of one metric side by side, and what is said of those left out."""
+    found = []
+    for metric in dict.fromkeys(metrics):
+        for owner in rows.holders(metric):
+            values = rows.metric(metric, owner)
+            heading = values.label if owner in (COMPARISON, PLAN) else f"{values.label}, {owner}"
+            found.append(_Column(heading, values.numbers))
+    if len(found) <= _MOST_COLUMNS:
+        return found, ""
+    said = f"{_MOST_COLUMNS} of {len(found)} columns are shown; results.parquet has all."
+    return found[:_MOST_COLUMNS], said
+
+
+def _few(columns: Sequence[_Column]) -> Iterator[Sequence[_Column]]:
+    """Yield columns in tables that a page holds; one without columns where there are none."""
+    for first in range(0, max(len(columns), 1), _COLUMNS):
+        yield columns[first : first + _COLUMNS]
+
+
+def _groups(field: Values) -> tuple[list[str], np.ndarray, str]:
+    """Return the values of a field as text, which of them each row has (-1: none), and what is left out."""
+    known = np.isfinite(field.numbers)
+    different = np.unique(field.numbers[known])
+    group = np.full(len(field.numbers), -1)
+    if len(different) <= _MOST_VALUES or field.names:
+        group[known] = np.searchsorted(different, field.numbers[known])
+        group[group >= _MOST_VALUES] = -1
+        more = len(different) > _MOST_VALUES
+        said = f"{_MOST_VALUES} of {len(different)} values are shown." if more else ""
+        return [field.text(value) for value in different[:_MOST_VALUES]], group, said
+    ends = np.linspace(different[0], different[-1], _PARTS + 1)
+    group[known] = np.clip(np.searchsorted(ends, field.numbers[known], side="right") - 1, 0, _PARTS - 1)
+    return [f"{low:.4g} to {high:.4g}" for low, high in zip(ends, ends[1:], strict=False)], group, ""
+
+
+def _mean(numbers: np.ndarray) -> str:
+    """Return mean ± standard deviation, and of how many runs where some have no value."""
+    known = numbers[np.isfinite(numbers)]
+    if not len(known):
+        return _NONE
+    spread = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
+    return f"{known.mean():.4g}{spread}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
+
+
+def _text(number: float) -> str:
+    return f"{number:.4g}" if np.isfinite(number) else _NONE
+
 
 REPORT = "report.html"
 

@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from srs_twin.comparison.compare import compare
+from srs_twin.comparison.compare import MeasuredDifference, compare
 from srs_twin.comparison.following import plan_metrics
-from srs_twin.comparison.measured import MeasuredDifference
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError, SrsError
 from srs_twin.rollout import rollout

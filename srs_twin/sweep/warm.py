@@ -7,8 +7,8 @@ half a second that no worker has to spend again. MuJoCo is left to those that ne
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.gait import Gait
 from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.robot.spec import load_robot
 from srs_twin.rollout import rollout
-from srs_twin.spec import load_robot
 from srs_twin.sweep import task as task
 
 plant_metrics(rollout(AnalyticalSnake(load_robot("gen2")), Gait(2.0), 2.0))

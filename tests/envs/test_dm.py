@@ -9,7 +9,7 @@ from absl.testing import absltest
 from dm_env import test_utils
 
 from srs_twin.envs import TASKS, dm
-from srs_twin.envs.single import SnakeEnv
+from srs_twin.envs.gymnasium import SnakeEnv
 
 
 class _Mixin(test_utils.EnvironmentTestMixin):

@@ -17,9 +17,8 @@ from srs_twin import Gait, InputError, TwinSnake, rollout
 from srs_twin.control.camera import Camera
 from srs_twin.envs import TASKS
 from srs_twin.envs.crawling import OPEN, CrawlTask, Field
-from srs_twin.envs.single import SnakeEnv
+from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
 from srs_twin.envs.tasks import make_task
-from srs_twin.envs.vector import SnakeVectorEnv
 from srs_twin.errors import DivergedError
 from srs_twin.plants.base import SnakeState
 from srs_twin.world import Bounds

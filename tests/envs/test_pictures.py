@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from srs_twin import InputError
-from srs_twin.envs.single import SnakeEnv
-from srs_twin.viewing.opengl import usable_opengl
+from srs_twin.envs.gymnasium import SnakeEnv
+from srs_twin.viewing.mujoco.opengl import usable_opengl
 
 
 def drawable() -> bool:

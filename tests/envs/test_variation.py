@@ -9,15 +9,14 @@ import pytest
 from snakes import robot
 
 from srs_twin import InputError
-from srs_twin.documents import dump_yaml
-from srs_twin.envs.single import SnakeEnv
+from srs_twin.envs.gymnasium import SnakeEnv
+from srs_twin.envs.task import Variation
 from srs_twin.envs.tasks import make_task
-from srs_twin.envs.variation import Variation
-from srs_twin.identification.data_set import DataSet
 from srs_twin.identification.estimate import Estimate, Parameter
-from srs_twin.identification.fit_file import fit_file, write_fit
+from srs_twin.identification.fit_file import DataSet, fit_file, write_fit
+from srs_twin.io.documents import dump_yaml
 from srs_twin.pneumatics import make_pneumatics
-from srs_twin.robots import load_robot_file
+from srs_twin.robot.file import load_robot_file
 
 DRAWS = 400
 

@@ -17,7 +17,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.files import shown
+from srs_twin.io.files import shown
 
 Make = Callable[[Path], None]
 Generated = st.SearchStrategy[bytes]

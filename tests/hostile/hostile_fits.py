@@ -12,10 +12,9 @@ from hostile_yaml import edited
 from hypothesis import strategies as st
 
 from srs_twin import load_robot
-from srs_twin.identification.data_set import DataSet
+from srs_twin.identification.actuator import StaticTable, read_static
 from srs_twin.identification.estimate import Estimate, Parameter
-from srs_twin.identification.fit_file import FitFile, fit_file
-from srs_twin.identification.static_bends import StaticTable, read_static
+from srs_twin.identification.fit_file import DataSet, FitFile, fit_file
 
 FIT = f"""\
 name: pulls

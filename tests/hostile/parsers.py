@@ -18,12 +18,11 @@ from harness import Identity, Malformed, Parser
 from hostile_yaml import STRUCTURE, anything_anywhere, edited, no_numbers
 from hypothesis import strategies as st
 
-from srs_twin.documents import dump_yaml, parse_yaml
-from srs_twin.files import shipped_folder
 from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.mjcf_check import check_mjcf
-from srs_twin.robot_file import RobotFile
-from srs_twin.robots import load_robot_file
+from srs_twin.io.documents import dump_yaml, parse_yaml
+from srs_twin.io.files import shipped_folder
+from srs_twin.mjcf.check import check_mjcf
+from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.sweep import load_sweep
@@ -207,7 +206,7 @@ PARSERS: tuple[Parser, ...] = (
         suffix=".csv",
         good=hostile_logs.MOTIVE,
         parse=hostile_logs.motion,
-        function="srs_twin.identification.recording:read_markers",
+        function="srs_twin.recordings.recording:read_markers",
         malformed=hostile_logs.MOTIVE_MALFORMED,
         values=hostile_logs.values(hostile_logs.MOTIVE),
         same=hostile_logs.same_motion,
@@ -217,7 +216,7 @@ PARSERS: tuple[Parser, ...] = (
         suffix=".csv",
         good=hostile_logs.PLAIN,
         parse=hostile_logs.motion,
-        function="srs_twin.identification.recording:read_markers",
+        function="srs_twin.recordings.recording:read_markers",
         malformed=hostile_logs.PLAIN_MALFORMED,
         values=hostile_logs.values(hostile_logs.PLAIN),
         same=hostile_logs.same_motion,
@@ -227,7 +226,7 @@ PARSERS: tuple[Parser, ...] = (
         suffix=".csv",
         good=hostile_logs.VALVES,
         parse=hostile_logs.valves,
-        function="srs_twin.identification.source:read_source",
+        function="srs_twin.recordings.source:read_source",
         malformed=hostile_logs.VALVE_MALFORMED,
         values=hostile_logs.values(hostile_logs.VALVES),
         same=hostile_logs.same_valves,
@@ -237,7 +236,7 @@ PARSERS: tuple[Parser, ...] = (
         suffix=".csv",
         good=hostile_fits.TABLE,
         parse=hostile_fits.table,
-        function="srs_twin.identification.source:read_source",
+        function="srs_twin.recordings.source:read_source",
         malformed=hostile_fits.TABLE_MALFORMED,
         values=hostile_logs.values(hostile_fits.TABLE),
         same=hostile_fits.same_tables,

@@ -103,8 +103,8 @@ def test_what_is_written_is_read_back(parser: Parser, tmp_path: Path):
 
 @given(st.text(max_size=200))
 def test_any_text_is_a_document_or_refused(text: str):
-    from srs_twin.documents import parse_yaml
     from srs_twin.errors import InputFileError
+    from srs_twin.io.documents import parse_yaml
 
     try:
         parse_yaml(text, "x").finish()

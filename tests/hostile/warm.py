@@ -10,9 +10,8 @@ from functools import cache
 from pathlib import Path
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.files import existing, shown
-from srs_twin.mjcf_check import ModelReport, verdict
-from srs_twin.mjcf_scan import scan_mjcf
+from srs_twin.io.files import existing, shown
+from srs_twin.mjcf.check import ModelReport, scan_mjcf, verdict
 
 LIMIT_S = 10
 

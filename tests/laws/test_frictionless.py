@@ -9,7 +9,7 @@ from smooth import Wave
 from snakes import chain, robot, throw
 
 from srs_twin import AnalyticalSnake, Gait, Plant, RobotSpec, TwinSnake, rollout
-from srs_twin.plants import kernels
+from srs_twin.plants.analytical import kernels
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
 EVEN, UNEVEN = robot(mu_t=0.0, mu_n=0.0), chain(MASSES, mu_t=0.0, mu_n=0.0)

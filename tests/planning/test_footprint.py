@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.files import shipped_folder, shipped_names
+from srs_twin.io.files import shipped_folder, shipped_names
 from srs_twin.planning import Footprint, load_footprint
-from srs_twin.planning.footprint import Transient, checked
-from srs_twin.planning.footprint_file import load_footprint_file, save_footprint
+from srs_twin.planning.footprint import Transient, checked, load_footprint_file, save_footprint
 
 # Table 8 as printed: offset, speed, left, right, radius.
 TABLE_8 = (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.planning.frontier import NODES, OPEN, empty_frontier, grown, pop, push, slot_of
+from srs_twin.planning.best_first import NODES, OPEN, empty_frontier, grown, pop, push, slot_of
 from srs_twin.planning.guide import NO_GUIDE, guide_to, way_from
 from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 

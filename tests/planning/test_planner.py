@@ -16,12 +16,12 @@ from plan_worlds import drawn_problem
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning import Footprint, Outcome, Primitives, Problem, Settings, load_footprint, plan
+from srs_twin.planning.arcs import along
 from srs_twin.planning.best_first import rest
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
-from srs_twin.planning.swept import along
+from srs_twin.planning.search import disconnected
 from srs_twin.planning.tree import moves_of, target_of
-from srs_twin.planning.unreachable import disconnected
 from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 TEXT = load_footprint("gen2_section52")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from plan_sampling import TOUCH, deepest, joints, misses
 
-from srs_twin.planning import Problem, Settings, load_footprint, plan, shaping
+from srs_twin.planning import Problem, Settings, load_footprint, plan, planner
+from srs_twin.planning.arcs import along
+from srs_twin.planning.planner import plan_shaped, shaped
 from srs_twin.planning.problem import Segment, path_of
-from srs_twin.planning.shaping import plan_shaped, shaped
-from srs_twin.planning.swept import along
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.world import Bounds, Circle, Goal, Pose, World
 
@@ -97,7 +97,7 @@ def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
         made.append(plan(problem, settings))
         return made[-1]
 
-    monkeypatch.setattr(shaping, "plan", counted)
+    monkeypatch.setattr(planner, "plan", counted)
     answer = plan_shaped(Problem(START, GOAL, FIELD, LEARNT.reduced(0.8, 0.03)), Settings())
     assert len(made) > 1
     assert answer.expanded == sum(each.expanded for each in made)

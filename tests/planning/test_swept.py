@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from srs_twin.errors import InputError
-from srs_twin.planning.primitives import Primitives, swept_polygon
-from srs_twin.planning.swept import along, blocked
+from srs_twin.planning.arcs import Primitives, along, blocked, swept_polygon
 from srs_twin.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])

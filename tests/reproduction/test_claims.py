@@ -8,7 +8,7 @@ import re
 import pytest
 from conftest import ROOT
 
-from srs_twin.attribution.switches import Ladder
+from srs_twin.attribution import Ladder
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.reproduction import load_claims
 from srs_twin.reproduction.claims import chosen

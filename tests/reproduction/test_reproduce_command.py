@@ -12,8 +12,8 @@ from conftest import ROOT
 
 from srs_twin.cli import main
 from srs_twin.reproduction import load_baseline, load_claims
-from srs_twin.reproduction.outcomes import MET
-from srs_twin.reproduction.summary import between, markdown, remembered, summary_line
+from srs_twin.reproduction.report import between, markdown, remembered, summary_line
+from srs_twin.reproduction.verdicts import MET
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
 OUT = "out/reproduce"
@@ -88,7 +88,7 @@ def test_a_verdict_that_changed_is_exit_code_1_better_or_worse(before, tmp_path,
     )
     path = tmp_path / "baseline.json"
     path.write_text(was)
-    monkeypatch.setattr("srs_twin.reproduction.baseline.baseline_file", lambda: path)
+    monkeypatch.setattr("srs_twin.reproduction.verdicts.baseline_file", lambda: path)
     with pytest.raises(SystemExit) as left:
         main(["reproduce", "--only", "actuator-90.gen1", "--out", str(tmp_path / "out"), "--quiet"])
     assert left.value.code == 1

@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
 from srs_twin.reproduction import Judged, Outcome, judge
-from srs_twin.reproduction.baseline import Baseline, load_baseline, write_baseline
 from srs_twin.reproduction.claims import Cause, Claim, Measure
-from srs_twin.reproduction.outcomes import combined, taken
+from srs_twin.reproduction.report import count, summary_line
 from srs_twin.reproduction.runs import Order
-from srs_twin.reproduction.summary import count, summary_line
+from srs_twin.reproduction.verdicts import Baseline, combined, load_baseline, taken, write_baseline
 from srs_twin.sweep.task import DONE, Row
 
 

@@ -9,8 +9,8 @@ import pytest
 from conftest import ROOT
 
 from srs_twin import load_scenario
-from srs_twin.files import shipped_names
-from srs_twin.running import run_scenario
+from srs_twin.experiment import run_scenario
+from srs_twin.io.files import shipped_names
 
 DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 

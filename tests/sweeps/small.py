@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from srs_twin.documents import parse_yaml
 from srs_twin.errors import DivergedError
-from srs_twin.processes import Done
+from srs_twin.io.documents import parse_yaml
+from srs_twin.parallel import Done
 from srs_twin.sweep.task import run_point
 
 SMALL = """\

@@ -9,11 +9,9 @@ from conftest import ROOT
 from ruamel.yaml import YAML
 from small import SMALL, here, write
 
-from srs_twin.documents import parse_yaml
+from srs_twin.io.documents import parse_yaml
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.viewing.sweep_beside import Beside, beside_table
-from srs_twin.viewing.sweep_plots import PlotRequest, draw
-from srs_twin.viewing.sweep_table import SweepTable
+from srs_twin.viewing.plots.sweeps import Beside, PlotRequest, SweepTable, beside_table, draw
 
 P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
 GIVEN = (

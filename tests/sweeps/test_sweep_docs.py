@@ -14,9 +14,9 @@ from nbclient import NotebookClient
 from small import SMALL, write
 
 from srs_twin.cli import main
-from srs_twin.files import shipped_names
+from srs_twin.io.files import shipped_names
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.sweep.engines import local
+from srs_twin.sweep.execution import local
 from srs_twin.sweep.file import BesideFile, PlotFile, SweepFile
 
 PAGE = (ROOT / "docs" / "sweeps.md").read_text("utf-8")

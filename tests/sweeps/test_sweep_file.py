@@ -7,7 +7,7 @@ from conftest import ROOT
 from small import SMALL, write
 
 from srs_twin.errors import InputError
-from srs_twin.files import shipped_names
+from srs_twin.io.files import shipped_names
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.sweep import load_sweep
 

@@ -9,7 +9,7 @@ from conftest import ROOT
 from small import here, write
 
 from srs_twin import rollout
-from srs_twin.comparison.measured import MeasuredDifference
+from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.errors import InputFileError
 from srs_twin.scenario import parse_scenario

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
 from srs_twin.sweep.file import RangeFile, SamplingFile
-from srs_twin.sweep.samples import sample
+from srs_twin.sweep.points import sample
 
 GRID, LIST = SamplingFile(), SamplingFile(kind="list")
 

@@ -1,0 +1,380 @@
+r"""Why twin and analytical model differ: assumptions switched one at a time, and each one's share.
+
+Shapley's value: what each of several switches contributes when their effects depend on each other.
+
+With v(S) what is seen when the switches S are on, switch i contributes on average over all n! orders
+
+$$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr], $$
+
+and the contributions add up to v(all) − v(none).
+
+The assumptions that may differ between the plants, and how each is switched.
+
+On the analytical side a switch turns an assumption of the model into what the twin has; any subset of them is
+a model. What the twin alone has is refined: by how much it is made smaller and how its effect then shrinks
+give what it contributes in all.
+
+explain(): run the ladder of assumptions and split the gap between twin and analytical model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.errors import DivergedError, InputError
+from srs_twin.mjcf.numerics import PRELOAD, Numerics
+from srs_twin.plants.base import Plant
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.rollout import Job, run_many
+from srs_twin.scenario.scenario import AnalyticalSettings, Scenario, TwinSettings
+from srs_twin.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one switch contributes: its average over all orders, the least and the most of it."""
+
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def subsets(names: Sequence[str]) -> list[frozenset[str]]:
+    """Return all subsets, small ones first."""
+    return [frozenset(some) for size in range(len(names) + 1) for some in combinations(names, size)]
+
+
+def contributions(names: Sequence[str], seen: Mapping[frozenset[str], np.ndarray]) -> dict[str, Contribution]:
+    """Return what each switch contributes.
+
+    Args:
+        names: the switches.
+        seen: what is seen with each subset of them on; arrays of one shape.
+    """
+    n = len(names)
+    found = {}
+    for name in names:
+        others = [each for each in names if each != name]
+        steps = [(len(some), seen[some | {name}] - seen[some]) for some in subsets(others)]
+        weights = [
+            math.factorial(size) * math.factorial(n - size - 1) / math.factorial(n) for size, _ in steps
+        ]
+        value = np.sum([w * step for w, (_, step) in zip(weights, steps, strict=True)], axis=0)
+        every = [step for _, step in steps]
+        found[name] = Contribution(value, np.min(every, axis=0), np.max(every, axis=0))
+    return found
+
+
+LAW_OF = {"rolling": "wheel", "skid": "ellipse"}
+"""What the twin stands on → the friction law that describes it."""
+
+FROZEN = "frozen chords"
+STIFF = 45.0
+"""How many times stiffer the bends of the matched setting are: gen 2's 0.44 become 20 N·m/rad."""
+
+Change = Callable[[RobotSpec], RobotSpec]
+
+
+@dataclass(frozen=True)
+class Switch:
+    """An assumption of the analytical model that the twin does not make.
+
+    Attributes:
+        name: short name.
+        title: what it is, from → to.
+    """
+
+    name: str
+    title: str
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Something that one plant alone has, made smaller.
+
+    Attributes:
+        name: short name.
+        title: what it is, and how it was made smaller.
+        plant: "twin" or "analytical".
+        options: changed arguments of the plant.
+        factor: all of its effect over the part that the refinement took away.
+        base: changed arguments of the plant that it is compared with.
+        change: of the robot.
+    """
+
+    name: str
+    title: str
+    plant: str
+    options: dict[str, Any]
+    factor: float
+    base: dict[str, Any] = field(default_factory=dict)
+    change: Change = lambda spec: spec
+
+
+class Ladder:
+    """The plants of a scenario with any of their assumptions switched.
+
+    Attributes:
+        first: what is switched before all others: arcs come before they can yield.
+        switches: those of the analytical side that differ here and go in any order.
+        same: names of those that do not.
+        refinements: of what one plant alone has.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        analytical, twin = scenario.plants.get("analytical"), scenario.plants.get("twin")
+        self._model = analytical if isinstance(analytical, AnalyticalSettings) else AnalyticalSettings()
+        self._twin = twin if isinstance(twin, TwinSettings) else TwinSettings()
+        every = self._all_switches()
+        differing = [switch for switch, differs in every if differs]
+        self.first = [switch for switch in differing if switch.name == FROZEN]
+        self.switches = [switch for switch in differing if switch.name != FROZEN]
+        self.same = [switch.name for switch, differs in every if not differs]
+        self.refinements = self._refinements()
+
+    def _all_switches(self) -> list[tuple[Switch, bool]]:
+        model, twin, spec = self._model, self._twin, self._scenario.robot
+        law, bending = LAW_OF[twin.wheels], spec.bending
+        compliant = model.model == "compliant"
+        off_tau = bending.damping_time != spec.actuator.tau_mode
+        return [
+            (Switch("friction law", f"friction law: {model.friction} → {law}"), model.friction != law),
+            (
+                Switch("wheel track", "contacts: one point a connector → two at the track"),
+                model.friction not in LAW_OF.values(),
+            ),
+            (Switch("rigid gaps", f"rigid gaps: {model.gaps} → {twin.gaps}"), model.gaps != twin.gaps),
+            (
+                Switch(FROZEN, "chords frozen, and friction torque where it is left out → arcs"),
+                model.model == "simplified",
+            ),
+            (Switch("compliance", "bends: as given → springs that load and inertia deflect"), not compliant),
+            (
+                Switch("damping", f"damping c/k: τ₂ → {1e3 * bending.damping_time:g} ms"),
+                off_tau and not compliant,
+            ),
+            (
+                Switch(
+                    "connector inertia", f"inertia of a connector about itself: {model.inertia} → compact"
+                ),
+                model.inertia != "connector",
+            ),
+        ]
+
+    def _refinements(self) -> list[Refinement]:
+        numerics = Numerics(wheels=self._twin.wheels, preload=PRELOAD[self._twin.wheels])
+        softness = {
+            "slip_time": numerics.slip_time / 2,
+            "axle_time": numerics.axle_time / 2,
+            "preload": 2 * numerics.preload,
+        }
+        step, hinges = self._twin.timestep, self._twin.hinges_per_segment
+        arcs = {"constant_curvature": True}
+        model = {"timestep": self._model.timestep / 4, "slip_speed": self._model.slip_speed / 4}
+        spin = Refinement(
+            "wheel inertia", "wheels' inertia about their axles", "twin", {"wheel_spin": 0.25}, 4 / 3
+        )
+        return [
+            Refinement("curvature not constant", "segments under load bend to an S", "twin", arcs, 1.0),
+            Refinement(
+                "bending discretisation", f"{hinges} hinges a segment for an arc", "twin",
+                arcs | {"hinges_per_segment": 2 * hinges}, 4 / 3, arcs,
+            ),
+            *([spin] if self._twin.wheels == "rolling" else []),
+            Refinement("contact softness", "contacts that slip before they hold", "twin", softness, 2.0),
+            Refinement(
+                "out-of-plane motion", "segments that pitch and roll", "twin", {}, 4 / 3,
+                change=_stiffer_out_of_plane,
+            ),
+            Refinement(
+                "link mass", "mass between the hinges", "twin", {"link_share": numerics.link_share / 2}, 2.0
+            ),
+            Refinement("twin time step", f"its {1e3 * step:g} ms", "twin", {"timestep": step / 2}, 2.0),
+            Refinement("model time step", "the model's time step and slip speed", "analytical", model, 4 / 3),
+        ]  # fmt: skip
+
+    def analytical(self, on: frozenset[str], **options: Any) -> Plant:
+        """Return the analytical model with these switches on.
+
+        Args:
+            on: names of switches.
+            options: further changes.
+        """
+        model, spec = self._model, self._scenario.robot
+        changes: dict[str, Any] = {}
+        if "friction law" in on or "wheel track" in on:
+            at_track = "wheel track" in on or model.friction in LAW_OF.values()
+            changes["track"] = spec.geometry.half_track if at_track else 0.0
+        if "friction law" in on:
+            changes["friction"] = LAW_OF[self._twin.wheels]
+        if "rigid gaps" in on:
+            changes["gaps"] = self._twin.gaps
+        if FROZEN in on:
+            changes |= {"model": "complete", "friction_torque": True}
+        if "compliance" in on:
+            changes |= {"model": "compliant", "friction_torque": True}
+        if "connector inertia" in on:
+            changes["inertia"] = "connector"
+        if "damping" not in on and model.model != "compliant":
+            spec = replace(spec, bending=replace(spec.bending, damping_time=spec.actuator.tau_mode))
+        return self._scenario.build_plant("analytical", robot=spec, **changes | options)
+
+    def twin(self, change: Change = lambda spec: spec, **options: Any) -> Plant:
+        """Return the twin with these changes of the robot and of its own arguments."""
+        return self._scenario.build_plant("twin", robot=change(self._scenario.robot), **options)
+
+    def stiff_twin(self) -> Plant:
+        """Return the twin with the stiff bends of the match."""
+
+        def stiffer(spec: RobotSpec) -> RobotSpec:
+            stiffness, lag = STIFF * spec.bending.stiffness, spec.actuator.tau_mode
+            return replace(spec, bending=replace(spec.bending, stiffness=stiffness, damping_time=lag))
+
+        return self.twin(stiffer)
+
+    def matched(self) -> Plant:
+        """Return the analytical model with the twin's friction, inertia and gaps, and its bends as given."""
+        on = {"friction law", "wheel track", "rigid gaps", "connector inertia"}
+        return self.analytical(frozenset(on), model="complete", friction_torque=True)
+
+
+def _stiffer_out_of_plane(spec: RobotSpec) -> RobotSpec:
+    bending = spec.bending
+    stiffer = replace(
+        bending, pitch_stiffness=4 * bending.pitch_stiffness, roll_stiffness=4 * bending.roll_stiffness
+    )
+    return replace(spec, bending=stiffer)
+
+
+Progress = Callable[[float], None]
+
+
+def explain(
+    scenario: Scenario, trajectories: Mapping[str, Trajectory], *, progress: Progress | None = None
+) -> Attribution:
+    """Say why the two plants of a run differ.
+
+    On the analytical side every subset of the assumptions that differ is run against the twin as it is, and
+    each assumption's share averaged over the orders of switching (`shapley`). What the twin alone has is
+    then refined, one at a time, against the model that has everything else in common with it. Shares and
+    remainder add up to the gap.
+
+    Args:
+        scenario: what ran.
+        trajectories: what both plants did, by name.
+        progress: called with the part that is done, 0 to 1.
+
+    Raises:
+        InputError: one plant alone ran, or the runs have no whole gait periods to compare.
+        DivergedError: one of the variants diverged.
+    """
+    if not {"analytical", "twin"} <= trajectories.keys():
+        raise InputError("a difference needs two plants to be explained; run both")
+    model, twin = trajectories["analytical"], trajectories["twin"]
+    try:
+        gap = gap_between(model, twin)
+    except ValueError as error:
+        raise InputError(f"{scenario.name}: {error}; three or more periods of a gait are needed") from error
+    if scenario.gap_factor:
+        raise InputError(
+            f"{scenario.name}: comparison.gap_factor scales a speed and leaves nothing to explain it by; "
+            "take it out, rigid gaps are a switch of their own"
+        )
+    ladder = Ladder(scenario)
+    first = frozenset(switch.name for switch in ladder.first)
+    names = [switch.name for switch in ladder.switches]
+    sets = [first | some for some in subsets(names)]
+    runs = _run_all(scenario, _variants(ladder, sets), progress)
+    runs |= {_key(frozenset()): model, _key({}): twin}
+
+    seen = {some: gap_between(runs[_key(some)], twin) for some in sets}
+    found = contributions(names, {some - first: value for some, value in seen.items()})
+    shares = [_first_share(switch, seen[first] - gap) for switch in ladder.first]
+    for switch in ladder.switches:
+        shares.append(_share(switch.name, switch.title, "averaged", found[switch.name]))
+    alike = runs[_key(sets[-1])]
+    for each in ladder.refinements:
+        if each.plant == "twin":
+            before, after = (gap_between(alike, runs[key]) for key in (_key(each.base), each.name))
+        else:
+            before, after = seen[sets[-1]], gap_between(runs[each.name], twin)
+        value = each.factor * (after - before)
+        shares.append(_share(each.name, each.title, "refined", Contribution(value, value, value)))
+    remainder = gap - np.sum([share.value for share in shares], axis=0)
+    ours = plant_metrics(model)
+    return Attribution(
+        reference=tuple(float(ours.get(name) or 0.0) for name in MEASURES),
+        gap=_numbers(gap),
+        shares=tuple(shares),
+        remainder=_numbers(remainder),
+        matched=_numbers(gap_between(runs["matched"], runs["stiff twin"])),
+        same=tuple(ladder.same),
+    )
+
+
+def _variants(ladder: Ladder, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:
+    """Return what has to run besides the two plants themselves, by name."""
+    plants: dict[str, Callable[[], Plant]] = {"stiff twin": ladder.stiff_twin, "matched": ladder.matched}
+    for some in (some for some in sets if some):
+        plants[_key(some)] = partial(ladder.analytical, some)
+    for each in ladder.refinements:
+        if each.plant == "analytical":
+            plants[each.name] = partial(ladder.analytical, sets[-1], **each.options)
+            continue
+        plants[each.name] = partial(ladder.twin, each.change, **each.options)
+        if each.base:
+            plants.setdefault(_key(each.base), partial(ladder.twin, **each.base))
+    return plants
+
+
+def _key(switched: frozenset[str] | Mapping[str, Any]) -> str:
+    """Return a name for the model with these switches on, or for the twin with these arguments."""
+    plant = "model" if isinstance(switched, frozenset) else "twin"
+    return f"{plant} with {', '.join(sorted(switched))}"
+
+
+def _run_all(
+    scenario: Scenario, plants: Mapping[str, Callable[[], Plant]], progress: Progress | None
+) -> dict[str, Trajectory]:
+    """Roll every plant out under the scenario's gait, on all processors."""
+    jobs = [
+        Job(
+            build, scenario.build_controller, scenario.duration, scenario.pose, scenario.seed,
+            scenario.record_hz,
+        )
+        for build in plants.values()
+    ]  # fmt: skip
+    told = None if progress is None else lambda done: progress(done / len(jobs))
+    found: dict[str, Trajectory] = {}
+    for name, run in zip(plants, run_many(jobs, progress=told), strict=True):
+        if isinstance(run, DivergedError):
+            run.args = (f"{scenario.name}: why they differ: {name}: {run}",)
+            raise run
+        found[name] = run
+    return found
+
+
+def _first_share(switch: Switch, change: np.ndarray) -> Share:
+    return _share(switch.name, switch.title, "first", Contribution(change, change, change))
+
+
+def _share(name: str, title: str, how: str, found: Contribution) -> Share:
+    """Return a share; what a switch takes off the gap is its share of it."""
+    return Share(name, title, _numbers(-found.value), _numbers(-found.high), _numbers(-found.low), how)
+
+
+def _numbers(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+__all__ = ["explain"]

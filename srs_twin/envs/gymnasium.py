@@ -1,0 +1,305 @@
+"""gymnasium's faces of a task: one environment, and many stepped together over threads.
+
+Pictures of an episode: the twin, its obstacles and its goal, drawn without a screen.
+
+SnakeEnv: gymnasium's face of a task.
+
+SnakeVectorEnv: many environments of one task, stepped together over threads.
+
+Each is a `SnakeEnv` of its own and gives what it gives alone, bit for bit. Threads share out whole
+environments, as `TwinBatch` does and for its reasons: nearly all the time of a step is one engine call, which
+frees the interpreter's lock, and chambers, commands and observations are computed beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from srs_twin.envs.task import Episode, Signals, high, low
+from srs_twin.envs.tasks import make_task
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.parallel import Workers
+
+_GOAL = np.array([0.69, 0.19, 0.19, 0.6], dtype=np.float32)
+_GOAL_HEIGHT = 0.002  # m
+_ELEVATION, _LENGTHS, _APART = -65.0, 4.0, 1.7
+
+
+class Pictures:
+    """Draws episodes one after the other; OpenGL is asked for with the first picture."""
+
+    def __init__(self, width: int, height: int) -> None:
+        """Prepare for pictures of so many pixels."""
+        self._size = width, height
+        self._canvas: Any = None
+        self._model: mujoco.MjModel | None = None
+
+    def of(self, episode: Episode) -> np.ndarray:
+        """Return a picture of now, shape (height, width, 3), bytes.
+
+        Raises:
+            InputError: no OpenGL draws here without a screen.
+        """
+        from srs_twin.viewing.mujoco.canvas import Canvas
+
+        physics = episode.twin.physics
+        model, data = physics.model.ptr, physics.data.ptr
+        if model is not self._model:
+            self.close()
+            self._canvas, self._model = Canvas(model, *self._size), model
+        mujoco.mj_camlight(model, data)
+        camera = _camera(episode)
+        picture: np.ndarray = self._canvas.draw(data, camera, lambda scene: _add_goal(scene, episode))
+        return picture
+
+    def close(self) -> None:
+        """Give OpenGL's memory back."""
+        if self._canvas is not None:
+            self._canvas.__exit__(None, None, None)
+            self._canvas = self._model = None
+
+
+def _camera(episode: Episode) -> mujoco.MjvCamera:
+    """Look down on the snake, and on the goal where there is one, from a distance that shows both."""
+    camera, middle = mujoco.MjvCamera(), episode.twin.physics.center_of_mass()
+    camera.elevation, camera.azimuth = _ELEVATION, 90.0
+    camera.distance = _LENGTHS * episode.twin.spec.geometry.body_length
+    if episode.goal is not None:
+        way = np.array([episode.goal.x, episode.goal.y]) - middle[:2]
+        middle[:2] += way / 2
+        camera.distance = max(camera.distance, _APART * float(np.hypot(*way)))
+    camera.lookat = middle
+    return camera
+
+
+def _add_goal(scene: mujoco.MjvScene, episode: Episode) -> None:
+    """Lay the goal on the floor as a disc."""
+    goal = episode.goal
+    if goal is None or scene.ngeom == scene.maxgeom:
+        return
+    disc = scene.geoms[scene.ngeom]
+    size = np.array([goal.radius, goal.radius, _GOAL_HEIGHT])
+    place, cylinder = np.array([goal.x, goal.y, _GOAL_HEIGHT]), mujoco.mjtGeom.mjGEOM_CYLINDER
+    mujoco.mjv_initGeom(disc, cylinder, size, place, np.eye(3).ravel(), _GOAL)
+    scene.ngeom += 1
+
+
+RENDER_MODES = ("rgb_array",)
+FPS = 10
+
+
+class SnakeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """A task for one agent; `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` makes it.
+
+    Actions and observations are boxes of float32, one number for each of the task's signals. The time limit
+    is the task's own, so that `truncated` comes from here and no wrapper is needed.
+
+    Attributes:
+        task: what is to be done, with its tables of signals.
+        episode: the one that runs; None before the first `reset`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        **settings: Any,
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            task: "GoTo", "Obstacles" or "Module".
+            render_mode: "rgb_array": pictures, without a screen; None: no pictures.
+            width: of pictures, pixels.
+            height: of pictures, pixels.
+            **settings: of the task, as `CrawlTask` and `ModuleTask` take them.
+
+        Raises:
+            UnknownNameError: another task or render mode.
+            InputError: as the task raises it.
+        """
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UnknownNameError("render mode", render_mode, RENDER_MODES)
+        self.render_mode = render_mode
+        self.task = make_task(task, **settings)
+        self.metadata = {**self.metadata, "render_fps": round(1 / self.task.step_s)}  # type: ignore[misc]
+        self.action_space = space_of(self.task.actions)
+        self.observation_space = space_of(self.task.observations)
+        self.episode: Episode | None = None
+        self._pictures = Pictures(width, height)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode; all that is random in it comes from `np_random`, which `seed` sets.
+
+        Raises:
+            InputError: options; there are none.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise InputError(f"reset takes no options; given: {', '.join(options)}")
+        self.episode = self.task.begin(self.np_random, self.episode)
+        return self.episode.first.observation, self.episode.first.info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Let an action hold for a step of the task.
+
+        Raises:
+            InputError: before the first `reset`, after the end, or an action of another shape.
+        """
+        done = self._running().step(action)
+        return done.observation, done.reward, done.terminated, done.truncated, done.info
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture, shape (height, width, 3), bytes; None without a render mode.
+
+        Raises:
+            InputError: before the first `reset`, or no OpenGL draws here without a screen.
+        """
+        return None if self.render_mode is None else self._pictures.of(self._running())
+
+    def close(self) -> None:
+        """Give back what pictures have taken."""
+        self._pictures.close()
+
+    def _running(self) -> Episode:
+        if self.episode is None:
+            raise InputError("no episode has begun; reset the environment first")
+        return self.episode
+
+
+def space_of(signals: Signals) -> spaces.Box:
+    """Return the box of some signals."""
+    return spaces.Box(low(signals), high(signals), dtype=np.float32)
+
+
+Told = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
+
+
+class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """Environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
+
+    An environment whose episode has ended begins another with the next step, whatever its action
+    (`AutoresetMode.NEXT_STEP`, as gymnasium's own vectors do by default).
+
+    Attributes:
+        envs: each one.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        **settings: Any,
+    ) -> None:
+        """Make the environments.
+
+        Args:
+            task: "GoTo", "Obstacles" or "Module".
+            num_envs: how many.
+            threads: how many; default one a processor.
+            render_mode: as in `SnakeEnv`.
+            **settings: as in `SnakeEnv`.
+
+        Raises:
+            InputError: no environment at all, or as `SnakeEnv` raises it.
+        """
+        if num_envs < 1:
+            raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
+        self._workers = Workers(threads)
+        self.envs = [SnakeEnv(task, render_mode=render_mode, **settings) for _ in range(num_envs)]
+        first = self.envs[0]
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.metadata = {**first.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.single_action_space, self.single_observation_space = first.action_space, first.observation_space
+        self.action_space = batch_space(first.action_space, num_envs)
+        self.observation_space = batch_space(first.observation_space, num_envs)
+        self._over = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode everywhere.
+
+        Args:
+            seed: of each environment; of one number s they are s, s + 1, …
+            options: there are none.
+
+        Raises:
+            InputError: not one seed an environment, or options.
+        """
+        if seed is None or isinstance(seed, int | np.integer):
+            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise InputError(f"seed: {len(seeds)} were given for {self.num_envs} environments; give one each")
+        begun = self._workers.each(
+            self.num_envs, lambda k, _: self.envs[k].reset(seed=seeds[k], options=options)
+        )
+        self._over = np.zeros(self.num_envs, dtype=bool)
+        return np.stack([observation for observation, _ in begun]), self._joined(info for _, info in begun)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Let the actions hold for a step of the task, shape (environments, actions).
+
+        Raises:
+            InputError: not one action of finite numbers an environment; nothing has moved then.
+        """
+        given, wanted = np.asarray(actions, dtype=float), self.action_space.shape
+        if given.shape != wanted or not np.isfinite(given).all():
+            raise InputError(
+                f"actions of shape {given.shape} are not allowed; give finite numbers of shape {wanted}, "
+                f"an action for each of {self.num_envs} environments"
+            )
+        told = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
+        terminated, truncated = (np.array([each[i] for each in told]) for i in (2, 3))
+        self._over = terminated | truncated
+        return (
+            np.stack([each[0] for each in told]), np.array([each[1] for each in told]), terminated, truncated,
+            self._joined(each[4] for each in told),
+        )  # fmt: skip
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return a picture of each environment; None without a render mode."""
+        pictures = (env.render() for env in self.envs)
+        return tuple(picture for picture in pictures if picture is not None) or None
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Give back what pictures have taken."""
+        for env in self.envs:
+            env.close()
+
+    def _stepped(self, k: int, action: np.ndarray) -> Told:
+        if self._over[k]:
+            observation, info = self.envs[k].reset()
+            return observation, 0.0, False, False, info
+        return self.envs[k].step(action)
+
+    def _joined(self, infos: Any) -> dict[str, Any]:
+        joined: dict[str, Any] = {}
+        for k, info in enumerate(infos):
+            joined = self._add_info(joined, info, k)
+        return joined

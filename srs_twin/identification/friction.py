@@ -1,0 +1,420 @@
+r"""Friction of the wheels from pulls with a spring car (Eq. 17, Table 2) and from coasting.
+
+Friction from a spring car (Eq. 17, Table 2): the spring's largest deformation as motion begins.
+
+$$ \mu = \frac{k\,\Delta L_{max}}{m g}, $$
+
+once for each pull, along with wheels that roll and across with wheels held. The estimate is the mean over the
+pulls with its standard error, grown by what is not known of k and m, which all pulls share. It is the
+friction at which motion begins; while the robot slides it may be less: `coasting` measures that.
+
+Table of pulls with a spring car, from a plain CSV file.
+
+One pull a row: ``along_mm`` or ``across_mm``, the spring's largest deformation (m without a unit; a blank
+cell: not pulled that way). ``spring_n_per_m`` and ``mass_kg`` are the same in every row that has them, as
+are their standard errors ``spring_error_n_per_m`` and ``mass_error_kg``, which may be left out.
+
+Friction from coasting: the robot is thrown across the floor, straight, with vented chambers.
+
+Along its wheels it loses μ_t g/(1 + s), across them μ_n g; thrown at an angle, what the friction law says
+(`plants.sliding`, which also tells what s is). Where each run began and how fast it was thrown is found along
+with μ_t and μ_n; a direction in which it went no further than noise is taken as not thrown at all.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.friction import LAWS
+from srs_twin.identification.estimate import IDENTIFIED, KNOWN, Estimate, Parameter, Residual, Role, Verdict
+from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart, trajectory_hash
+from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
+from srs_twin.identification.unknowns import Unknown, unknowns
+from srs_twin.plants.analytical.floor import slide, spin_share
+from srs_twin.recordings.source import Source, read_source
+from srs_twin.recordings.tables import LENGTHS, Column, Rows, read_columns, read_rows
+from srs_twin.recordings.trajectories import moving_slope
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.trajectory import Trajectory
+
+_NAMES = ("friction.mu_t", "friction.mu_n")
+_WAYS = ("along", "across")
+_LEAST_PULLS = 2
+
+
+@dataclass(frozen=True)
+class Pulls:
+    """What a spring car measured.
+
+    Attributes:
+        along: largest deformation of the spring in each pull with rolling wheels, m.
+        across: the same, across the body or with wheels held, m.
+        stiffness: k of the spring, N/m.
+        mass: m of what was pulled, kg.
+        stiffness_error: standard error of k, N/m.
+        mass_error: standard error of m, kg.
+        name: what the data are called.
+        sha256: of their file; empty where there is none.
+    """
+
+    along: Sequence[float]
+    across: Sequence[float]
+    stiffness: float
+    mass: float
+    stiffness_error: float = 0.0
+    mass_error: float = 0.0
+    name: str = "pulls"
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        for what in ("stiffness", "mass"):
+            value, error = getattr(self, what), getattr(self, f"{what}_error")
+            if not (math.isfinite(value) and value > 0 and math.isfinite(error) and 0 <= error < value):
+                raise InputError(
+                    f"{self.name}: {what} {value!r} with error {error!r} is not allowed; it must be above 0 "
+                    "and its error smaller"
+                )
+        for way in _WAYS:
+            pulls = np.asarray(getattr(self, way), dtype=float)
+            if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
+                raise InputError(f"{self.name}: pulls {way} must be a list of lengths in m, 0 or more")
+            if len(pulls) == 1:
+                raise InputError(
+                    f"{self.name}: one pull {way} does not show its scatter; give 2 or more, or none"
+                )
+
+    @property
+    def factor(self) -> float:
+        """Friction coefficient over deformation, 1/m."""
+        return self.stiffness / (self.mass * GRAVITY)
+
+    def coefficients(self, way: str) -> np.ndarray:
+        """Return μ of each pull "along" or "across"."""
+        return self.factor * np.asarray(getattr(self, way), dtype=float)
+
+    def data_set(self, role: Role) -> DataSet:
+        """Return what a fit says of these data."""
+        along, across = (np.asarray(getattr(self, way), dtype=float) for way in _WAYS)
+        used = fingerprint(along, across, np.array([self.stiffness, self.mass]))
+        return DataSet(self.name, self.sha256 or used, role, len(along) + len(across))
+
+
+def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> Estimate:
+    """Return μ_t and μ_n; a direction that was not pulled is not identifiable.
+
+    Args:
+        pulls: what was measured.
+        validation: pulls to hold the estimate against.
+
+    Raises:
+        InputError: pulls to validate with that are also fitted.
+    """
+    keep_apart(data_sets([pulls], validation))
+    shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
+    values = [pulls.coefficients(way) for way in _WAYS]
+    means = np.array([each.mean() if len(each) else np.nan for each in values])
+    own = np.array([each.var(ddof=1) / len(each) if len(each) else np.nan for each in values])
+    covariance = np.diag(own) + shared * np.outer(means, means)
+    errors = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(errors, errors)
+    found = [_parameter(k, values[k], means[k], own[k], errors[k]) for k in range(2)]
+    for k, each in enumerate(found):
+        if each.value is None:
+            correlation[k], correlation[:, k] = np.nan, np.nan
+        else:
+            correlation[k, k] = 1.0
+    scatter = [max(float(each.std(ddof=1)), 1e-12) if len(each) else math.nan for each in values]
+    residuals = tuple(
+        Residual(f"{data.name} {way}", "1", data.coefficients(way) - means[k], scatter[k], role)
+        for data, role in _with_roles(pulls, validation)
+        for k, way in enumerate(_WAYS)
+        if len(values[k]) and len(data.coefficients(way))
+    )
+    samples = sum(len(each) for each in values)
+    held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
+    return Estimate(tuple(found), correlation, residuals, (), samples, float(samples), 1.0, held)
+
+
+def _with_roles(pulls: Pulls, validation: Sequence[Pulls]) -> list[tuple[Pulls, Role]]:
+    return [(pulls, "fit"), *((each, "validation") for each in validation)]
+
+
+def _parameter(k: int, values: np.ndarray, mean: float, own: float, error: float) -> Parameter:
+    from scipy import stats
+
+    if len(values) < _LEAST_PULLS:
+        return Parameter(_NAMES[k], "1", "not identifiable", why=f"nothing was pulled {_WAYS[k]}")
+    if error >= KNOWN * mean:
+        why = f"the pulls {_WAYS[k]} scatter as much as they measure"
+        return Parameter(_NAMES[k], "1", "not identifiable", why=why)
+    # Welch-Satterthwaite: what all pulls share is taken as known from many measurements.
+    freedom = (len(values) - 1) * (error**2 / own) ** 2 if own > 0 else np.inf
+    reach = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+    verdict: Verdict = "identified" if error <= IDENTIFIED * mean else "weakly identified"
+    return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), max(mean - reach, 0.0), mean + reach)
+
+
+WAYS = ("along", "across")
+_SPRING, _MASS = "spring_n_per_m", "mass_kg"
+_SPRING_ERROR, _MASS_ERROR = "spring_error_n_per_m", "mass_error_kg"
+_KNOWN = {way: LENGTHS for way in WAYS} | {
+    name: {} for name in (_SPRING, _MASS, _SPRING_ERROR, _MASS_ERROR)
+}  # fmt: skip
+_LONGEST = 10.0  # m: no spring of a scale deforms that much
+_EXAMPLE = "along_mm,across_mm,spring_n_per_m,mass_kg"
+
+
+def is_pulls(path: str | os.PathLike[str]) -> bool:
+    """Say whether a file's first line names a column of pulls.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    names = (cell.strip().lower() for cell in "".join(read_source(path).head(1)).split(","))
+    return any(name == way or name.startswith((f"{way}_", f"{way} ")) for name in names for way in WAYS)
+
+
+def read_pulls(path: str | os.PathLike[str]) -> Pulls:
+    """Read a table of pulls.
+
+    Raises:
+        InputError: no such file, columns missing or of other units, cells that are no such number.
+    """
+    source = read_source(path)
+    columns, width, _ = read_columns(source, _KNOWN)
+    found = {each.name: each for each in columns}
+    for each in columns:
+        if each.number or each.which:
+            raise source.error(f"{each.text}: these columns have no numbers; {_EXAMPLE}", 1, each.place + 1)
+    if not any(way in found for way in WAYS):
+        raise source.error(f"neither 'along' nor 'across'; a table of pulls has {_EXAMPLE}", 1)
+    for name in (_SPRING, _MASS):
+        if name not in found:
+            raise source.error(f"no column '{name}'; a table of pulls has {_EXAMPLE}", 1)
+    order = sorted(columns, key=lambda each: each.place)
+    rows = read_rows(source, 1, [each.place for each in order], width)
+    place = {each.name: k for k, each in enumerate(order)}
+
+    def pulled(way: str) -> list[float]:
+        return _pulled(source, rows, found[way], place[way]) if way in found else []
+
+    def constant(name: str) -> float:
+        return _constant(source, rows, found[name], place[name]) if name in found else 0.0
+
+    return Pulls(
+        along=pulled("along"),
+        across=pulled("across"),
+        stiffness=constant(_SPRING),
+        mass=constant(_MASS),
+        stiffness_error=constant(_SPRING_ERROR),
+        mass_error=constant(_MASS_ERROR),
+        name=source.name,
+        sha256=source.sha256,
+    )
+
+
+def _pulled(source: Source, rows: Rows, column: Column, place: int) -> list[float]:
+    """Return the deformations in a column, m, without its blank cells."""
+    values = rows.values[:, place] * LENGTHS[column.unit or "m"]
+    wrong = np.flatnonzero((values < 0) | (values > _LONGEST))
+    if wrong.size:
+        row = int(wrong[0])
+        raise source.error(
+            f"{column.text}: {rows.values[row, place]:g} is not allowed; a deformation of 0 to "
+            f"{_LONGEST / LENGTHS[column.unit or 'm']:g} {column.unit or 'm'}",
+            rows.first_line + row,
+            column.place + 1,
+        )
+    return [float(each) for each in values if np.isfinite(each)]
+
+
+def _constant(source: Source, rows: Rows, column: Column, place: int) -> float:
+    """Return the one number that a column holds."""
+    values = rows.values[:, place]
+    given = np.flatnonzero(np.isfinite(values))
+    if not given.size:
+        raise source.error(f"{column.text}: no number in it", rows.first_line, column.place + 1)
+    first = float(values[given[0]])
+    other = given[values[given] != first]
+    if other.size:
+        row = int(other[0])
+        raise source.error(
+            f"{column.text}: {values[row]:g} here and {first:g} before; one file, one spring and one mass",
+            rows.first_line + row,
+            column.place + 1,
+        )
+    return first
+
+
+_COASTING_NAMES = ("friction.mu_t", "friction.mu_n")
+_MOST_TURN = 0.2  # rad: beyond it the body is no longer a point
+_LEAST_SAMPLES = 8
+_LEAST_SPEED = 0.02  # m/s
+_NOISE = 1e-3  # m
+_SEEN = 3.0  # times the noise: what it must go in a direction to have been thrown that way
+_COASTING_WAYS = ("along", "across")
+
+
+@dataclass(frozen=True)
+class Coasting:
+    """One throw.
+
+    Attributes:
+        name: of the data.
+        sha256: of them.
+        time: from the first sample used, shape (samples,), s.
+        place: centre of mass along and across the mean heading, from the first sample, (samples, 2), m.
+        velocity: a first guess of how it was thrown, along and across, m/s.
+        span: begin and end of what was used, s on the recording's clock.
+    """
+
+    name: str
+    sha256: str
+    time: np.ndarray
+    place: np.ndarray
+    velocity: tuple[float, float]
+    span: tuple[float, float]
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, name: str, *, start: float | None = None) -> Coasting:
+        """Return the throw that a trajectory shows.
+
+        Args:
+            trajectory: a recording, or a plant's.
+            name: what to call it.
+            start: from when on nobody touches the robot, s; None: from where it is fastest.
+
+        Raises:
+            InputError: too short, too slow, or the robot turns.
+        """
+        time, com = trajectory.time, trajectory.com
+        if len(time) < _LEAST_SAMPLES:
+            raise InputError(f"{name}: {len(time)} samples; {_LEAST_SAMPLES} or more are wanted")
+        speed = np.hypot(*moving_slope(time, com).T)
+        first = int(np.argmax(speed)) if start is None else int(np.searchsorted(time, start))
+        time, com = time[first:], com[first:]
+        if len(time) < _LEAST_SAMPLES:
+            raise InputError(
+                f"{name}: {len(time)} samples after the throw; {_LEAST_SAMPLES} or more are wanted"
+            )
+        if speed[first] < _LEAST_SPEED:
+            raise InputError(
+                f"{name}: it moves at {speed[first]:.2g} m/s at most; a throw of "
+                f"{_LEAST_SPEED:g} m/s or more is wanted"
+            )
+        heading = trajectory["heading"][first:]
+        if np.ptp(heading) > _MOST_TURN:
+            raise InputError(
+                f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts; {_MOST_TURN:g} rad at most: "
+                "throw it straight along or across"
+            )
+        c, s = np.cos(heading.mean()), np.sin(heading.mean())
+        place = (com - com[0]) @ np.array([[c, -s], [s, c]])
+        guess = moving_slope(time, place)[0]
+        return cls(
+            name, trajectory_hash(trajectory), time - time[0], place, (float(guess[0]), float(guess[1])),
+            (float(time[0]), float(time[-1])),
+        )  # fmt: skip
+
+    def data_set(self, role: Role) -> DataSet:
+        """Return what a fit says of these data."""
+        return DataSet(self.name, self.sha256, role, 2 * len(self.time), *self.span)
+
+
+def fit_coasting(
+    runs: Sequence[Coasting],
+    spec: RobotSpec,
+    *,
+    validation: Sequence[Coasting] = (),
+    law: str = "wheel",
+    wheel_inertia: bool = True,
+    noise: float = _NOISE,
+    watch: Watch | None = None,
+) -> Estimate:
+    """Return μ_t and μ_n from throws.
+
+    Args:
+        runs: throws; along them and across them, to know both.
+        spec: the robot, whose wheels and masses say how much the wheels' spinning adds.
+        validation: throws to hold the estimate against; of these only the throw itself is fitted.
+        law: "axis", "wheel" or "ellipse".
+        wheel_inertia: whether wheels have to stop spinning, as the robot's and the twin's; the analytical
+            plant's and skids have none.
+        noise: of a measured place, m.
+        watch: is told how far the search is, see `least_squares`.
+
+    Raises:
+        InputError: no run, an unknown law, or a run to validate with that is also fitted.
+    """
+    if law not in LAWS or law == "viscous":
+        raise InputError(f"friction law '{law}' is unknown here; allowed: axis, wheel, ellipse")
+    if not runs:
+        raise InputError("coasting runs are wanted; none was given")
+    keep_apart(data_sets(runs, validation))
+    share = spin_share(spec) if wheel_inertia else 0.0
+
+    def predicted(run: Coasting, k: int, values: Mapping[str, float]) -> np.ndarray:
+        thrown = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
+        way = slide(
+            thrown, run.time, law=law, mu_t=values["friction.mu_t"], mu_n=values["friction.mu_n"], share=share
+        )
+        return run.place - way
+
+    def residuals(values: Mapping[str, float]) -> list[Residual]:
+        return _residuals([predicted(run, k, values) for k, run in enumerate(runs)], runs, noise, "fit")
+
+    thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k, noise)]
+    found = least_squares(
+        residuals, [*unknowns(spec, _COASTING_NAMES), *thrown], held={"spin_share": share},
+        watch=watch,
+    )  # fmt: skip
+    if not validation or len(found.values) < len(_COASTING_NAMES):
+        return found
+    return _validated(found, validation, law, share, noise)
+
+
+def _throw(run: Coasting, k: int, noise: float) -> list[Unknown]:
+    """Return the velocities that can be seen of a throw, as unknowns."""
+    few = len(run.time) // 4
+    went = np.abs(run.place[-few:].mean(axis=0) - run.place[: max(1, few // 4)].mean(axis=0))
+    return [
+        Unknown(f"{way}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
+        for way, guess, far in zip(_COASTING_WAYS, run.velocity, went, strict=True) if far > _SEEN * noise
+    ]  # fmt: skip
+
+
+def _residuals(
+    differences: Sequence[np.ndarray], runs: Sequence[Coasting], noise: float, role: Role
+) -> list[Residual]:
+    """Return residuals by run and direction; where a run began is their mean, and taken out."""
+    return [
+        Residual(f"{run.name} {way}", "m", values[:, i] - values[:, i].mean(), noise, role)
+        for run, values in zip(runs, differences, strict=True)
+        for i, way in enumerate(_COASTING_WAYS)
+    ]
+
+
+def _validated(
+    found: Estimate, validation: Sequence[Coasting], law: str, share: float, noise: float
+) -> Estimate:
+    """Return the estimate with residuals of throws that it has not seen, each thrown as suits it best."""
+    mu_t, mu_n = (found.values[name] for name in _COASTING_NAMES)
+    added: list[Residual] = []
+    for run in validation:
+
+        def residuals(values: Mapping[str, float], run: Coasting = run) -> list[Residual]:
+            thrown = values.get("along_0", 0.0), values.get("across_0", 0.0)
+            way = slide(thrown, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
+            return _residuals([run.place - way], [run], noise, "fit")
+
+        thrown = _throw(run, 0, noise)
+        seen = least_squares(residuals, thrown).residuals if thrown else residuals({})
+        added += [replace(each, role="validation") for each in seen]
+    return replace(found, residuals=(*found.residuals, *added))

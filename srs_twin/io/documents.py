@@ -1,0 +1,348 @@
+"""YAML documents with positions: every value remembers its line and column, every problem names them.
+
+YAML 1.2 (core schema): ``yes`` is text, ``012`` is twelve. The file is parsed once, event by event, so that
+bounds hold before anything is built; anchors, aliases, tags, directives, merge keys and several documents
+are refused. (ruamel's round-trip loader fails with internal errors on some misplaced comments, and its
+safe loader keeps no positions.)
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML, events
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.reader import ReaderError
+from ruamel.yaml.representer import SafeRepresenter
+
+from srs_twin.errors import InputFileError
+from srs_twin.io.files import printable, read_text, shown
+
+Loc = tuple[str | int, ...]
+Position = tuple[int, int]
+
+MAX_DEPTH = 16
+MAX_NODES = 10_000
+
+_UNUSUAL = re.compile("[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]")
+
+_CORE: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
+    (re.compile(r"~|null|Null|NULL|"), lambda text: None),
+    (re.compile(r"true|True|TRUE"), lambda text: True),
+    (re.compile(r"false|False|FALSE"), lambda text: False),
+    # Python refuses to read integers of thousands of digits; as floats they become infinite and are refused.
+    (re.compile(r"[-+]?[0-9]{1,300}"), int),
+    (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
+    (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
+    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
+    (re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"), lambda text: float(text.replace(".", ""))),
+)  # fmt: skip
+
+
+@dataclass
+class Document:
+    """Plain data of one file, where each piece stands, and what is wrong with it.
+
+    Attributes:
+        name: the file as messages show it.
+        data: plain dicts, lists, text, numbers, true, false, None.
+        values: path of a value → line and column (from 1) where it begins; empty for data made in memory.
+        keys: path of a value → line and column of its key.
+        problems: position and message of everything found so far.
+        refused: positions at which the YAML itself was refused; what follows from that is not reported.
+    """
+
+    name: str
+    data: Any = None
+    values: dict[Loc, Position] = field(default_factory=dict)
+    keys: dict[Loc, Position] = field(default_factory=dict)
+    problems: list[tuple[Position, str]] = field(default_factory=list)
+    refused: set[Position] = field(default_factory=set)
+
+    def get(self, *loc: str | int) -> Any:
+        """Return the value at a path, or None where there is none."""
+        value = self.data
+        for part in loc:
+            value = child(value, part)
+        return value
+
+    def known(self, loc: Loc) -> Loc:
+        """Return the part of a path, from its beginning, that the data have."""
+        value = self.data
+        for i, part in enumerate(loc):
+            if not has_child(value, part):
+                return loc[:i]
+            value = child(value, part)
+        return loc
+
+    def visible(self, prefix: Loc, loc: Loc) -> Loc:
+        """Return a path as a person sees it in a file that leaves parts of it to another.
+
+        A robot's override is checked merged into its base: what is wrong with ``stiffness.value`` is there
+        wrong with ``stiffness``. What stands wholly in the base keeps its path.
+        """
+        known = self.known(prefix + loc)
+        return known if len(known) > len(prefix) + 1 or known == prefix + loc else prefix + loc
+
+    def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
+        """Note a problem with the value (or key) at a path; what is not in the file points to its parent."""
+        known = self.known(loc)
+        position = (self.keys if at_key and known == loc else self.values).get(known, (0, 0))
+        if position not in self.refused:
+            self.problems.append((position, f"{dotted(loc)}: {message}" if loc else message))
+
+    def finish(self, foreign: Iterable[str] = ()) -> None:
+        """Raise one error with all problems, in the order of the file.
+
+        Args:
+            foreign: messages about other files, put first.
+
+        Raises:
+            InputFileError: there is at least one problem.
+        """
+        lines = list(foreign)
+        # Of a value that may be one of several things, each of them says the same.
+        for (line, column), message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
+            lines.append(f"{self.name}:{line}:{column}: {message}" if line else f"{self.name}: {message}")
+        if lines:
+            raise InputFileError(lines)
+
+
+def load_yaml(path: Path) -> Document:
+    """Read and parse a YAML file; see `parse_yaml`.
+
+    Raises:
+        InputError: the file cannot be read.
+        InputFileError: it is no YAML at all.
+    """
+    return parse_yaml(read_text(path), shown(path))
+
+
+def parse_yaml(text: str, name: str) -> Document:
+    """Parse YAML text into a document, whose `problems` hold what is refused but does not stop the parser.
+
+    Args:
+        text: the file's text.
+        name: the file's name for messages.
+
+    Raises:
+        InputFileError: a syntax error, nesting or size beyond the bounds, a second document.
+    """
+    builder = _Builder(Document(name))
+    try:
+        for event in YAML(typ="safe", pure=True).parse(text):
+            builder.take(event)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        problem = ": ".join(filter(None, (error.context, error.problem)))
+        if "'\\t'" in problem:
+            problem += "; YAML is indented with spaces, not tabs"
+        builder.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")
+    except ReaderError as error:
+        before = text[: error.position]
+        line, column = before.count("\n") + 1, error.position - before.rfind("\n")
+        builder.fail((line, column), f"not YAML: unusable character U+{ord(text[error.position]):04X}")
+    except (YAMLError, ValueError, OverflowError) as error:
+        # ValueError and OverflowError: an escape such as "\\UFFFFFFFF" that is no character.
+        builder.fail(builder.last, f"not YAML: {error}")
+    return builder.document
+
+
+def dump_yaml(data: Any, *, compact: bool = False) -> str:
+    """Return plain data as YAML text that `parse_yaml` reads back as equal data.
+
+    Args:
+        data: dicts, lists, text, numbers, true, false, None.
+        compact: write lists and dicts that hold numbers alone in one line, as people do.
+    """
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Representer = _CompactRepresenter if compact else _Representer
+    yaml.default_flow_style = False
+    yaml.allow_unicode = True
+    yaml.width = 150 if compact else 110  # a row stays a row
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    stream = io.StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()
+
+
+def dotted(loc: Loc) -> str:
+    """Return a path as people read it: ``expect[1].metric``."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+    return text.removeprefix(".")
+
+
+def has_child(value: Any, part: str | int) -> bool:
+    """Say whether a dict has this key or a list this index."""
+    if isinstance(value, Mapping):
+        return part in value
+    return isinstance(value, list) and isinstance(part, int) and 0 <= part < len(value)
+
+
+def child(value: Any, part: str | int) -> Any:
+    """Return an entry of a dict or list, None where there is none."""
+    return value[part] if has_child(value, part) else None
+
+
+def _position(mark: Any) -> Position:
+    return mark.line + 1, mark.column + 1
+
+
+@dataclass
+class _Frame:
+    """A dict or list whose end has not been seen; in a dict a value follows once `key` is set."""
+
+    loc: Loc
+    value: dict[str, Any] | list[Any]
+    key: str | None = None
+
+
+class _Builder:
+    """Makes a document from ruamel's parse events, within bounds."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.last: Position = (1, 1)
+        self._frames: list[_Frame] = []
+        self._nodes = 0
+        self._documents = 0
+
+    def fail(self, position: Position, message: str) -> None:
+        """Stop with this problem and those found before."""
+        self.document.problems.append((position, message))
+        self.document.finish()
+
+    def take(self, event: Any) -> None:
+        """Take the next event."""
+        self.last = _position(event.start_mark)
+        if isinstance(event, events.DocumentStartEvent):
+            self._start_document(event)
+        elif isinstance(event, events.CollectionEndEvent):
+            self._frames.pop()
+        elif isinstance(event, events.NodeEvent):
+            self._node(event)
+
+    def _start_document(self, event: Any) -> None:
+        self._documents += 1
+        if self._documents > 1:
+            self.fail(self.last, "a second document begins here; one file holds one")
+        if event.version or event.tags:
+            self._refuse("YAML directives are not allowed; remove the line that begins with %")
+
+    def _node(self, event: Any) -> None:
+        self._nodes += 1
+        if self._nodes > MAX_NODES:
+            self.fail(self.last, f"more than {MAX_NODES} keys and values")
+        if isinstance(event, events.AliasEvent):
+            self._refuse(f"aliases (*{event.anchor}) are not allowed; write the value out")
+            self._put(None)
+            return
+        if event.anchor is not None:
+            self._refuse(f"anchors (&{event.anchor}) are not allowed; write each value out")
+        if event.tag is not None:
+            self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
+        if isinstance(event, events.ScalarEvent):
+            self._scalar(event)
+        else:
+            self._open({} if isinstance(event, events.MappingStartEvent) else [])
+
+    def _scalar(self, event: Any) -> None:
+        frame = self._frames[-1] if self._frames else None
+        plain = event.implicit[0]
+        if plain and not event.value and frame and frame.key is not None:
+            # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
+            self.last = self.document.keys[*frame.loc, frame.key]
+        is_key = frame is not None and isinstance(frame.value, dict) and frame.key is None
+        # A value may have several lines; anything else that a terminal would obey is no text.
+        text = printable(event.value, keep="" if is_key else "\n\t")
+        if text != event.value:
+            bad = event.value[len(os.path.commonprefix([text, event.value]))]
+            surrogate = "\ud800" <= bad <= "\udfff"
+            what = "half a surrogate pair" if surrogate else f"the control character {printable(bad)}"
+            self._refuse(f"{what} is no character of a text")
+        if frame is not None and is_key:
+            self._key(frame, text, plain)
+        else:
+            self._put(_plain(text) if plain else text)
+
+    def _key(self, frame: _Frame, key: str, plain: bool) -> None:
+        loc = (*frame.loc, key)
+        if key == "<<" and plain:
+            self._refuse("merge keys (<<) are not allowed; write the keys out")
+        elif key in frame.value:
+            line = self.document.keys[loc][0]
+            self._refuse(f"{dotted(loc)}: given twice; the first is in line {line}")
+        frame.key = key
+        self.document.keys[loc] = self.last
+
+    def _open(self, value: dict[str, Any] | list[Any]) -> None:
+        if len(self._frames) >= MAX_DEPTH:
+            self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
+        self._frames.append(_Frame(self._put(value), value))
+
+    def _put(self, value: Any) -> Loc:
+        """Store a value where it belongs and return its path."""
+        loc: Loc = ()
+        if not self._frames:
+            self.document.data = value
+        else:
+            frame = self._frames[-1]
+            if isinstance(frame.value, list):
+                loc = (*frame.loc, len(frame.value))
+                frame.value.append(value)
+            elif frame.key is None:
+                self.fail(self.last, "a key must be plain text")
+            else:
+                loc = (*frame.loc, frame.key)
+                frame.value[frame.key], frame.key = value, None
+        self.document.values[loc] = self.last
+        return loc
+
+    def _refuse(self, message: str) -> None:
+        self.document.problems.append((self.last, message))
+        self.document.refused.add(self.last)
+
+
+class _Representer(SafeRepresenter):
+    """Writes text with unusual characters in quotes, escaped: U+0085 would come back as a blank."""
+
+
+def _text(representer: SafeRepresenter, text: str) -> Any:
+    style = '"' if _UNUSUAL.search(text) else None
+    return representer.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Representer.add_representer(str, _text)
+
+
+class _CompactRepresenter(_Representer):
+    """Writes rows of numbers as rows."""
+
+
+def _row(representer: SafeRepresenter, values: list[Any]) -> Any:
+    row = bool(values) and all(isinstance(value, int | float) for value in values)
+    return representer.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=row)
+
+
+def _entry(representer: SafeRepresenter, entry: dict[str, Any]) -> Any:
+    row = bool(entry) and all(isinstance(value, int | float) for value in entry.values())
+    return representer.represent_mapping("tag:yaml.org,2002:map", entry, flow_style=row)
+
+
+_CompactRepresenter.add_representer(list, _row)
+_CompactRepresenter.add_representer(dict, _entry)
+
+
+def _plain(text: str) -> Any:
+    """Return what unquoted text means in YAML 1.2's core schema."""
+    for pattern, convert in _CORE:
+        if pattern.fullmatch(text):
+            return convert(text)
+    return text

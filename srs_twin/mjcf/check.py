@@ -1,0 +1,464 @@
+"""Check MJCF that may come from anybody: scanned first, then compiled in a child with limits.
+
+What an MJCF file would make MuJoCo do, read before MuJoCo does it.
+
+A hundred bytes of ``<replicate>`` keep MuJoCo's compiler busy for minutes, and its parser opens whatever
+path a file names. So the XML is read here first, element by element: no document types (entities), bounded
+depth, size and number of what it multiplies to, and paths that stay in the model's folder.
+
+Check MJCF that may come from anybody: in a child process, with limits on time and memory.
+
+A file of a hundred bytes can keep MuJoCo's compiler busy for minutes, and MuJoCo itself accepts paths that
+lead out of the model's folder, time steps of NaN and negative friction. What passes here opens in any
+MuJoCo program and stands a second of random control without a warning.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+from xml.parsers import expat
+
+import numpy as np
+
+from srs_twin.io.files import existing
+
+MAX_FILE_BYTES = 4 << 20
+MAX_ASSET_BYTES = 32 << 20
+MAX_DEPTH = 400
+MAX_ELEMENTS = 10_000
+MAX_BODIES = 1_000
+MAX_CELLS = 1 << 24
+"""Pixels of all textures and points of all height fields together."""
+
+_SIZE_LIMITS = {"memory": 1 << 30, "nstack": 1 << 27, "njmax": 1 << 20, "nconmax": 1 << 20, "nkey": 10_000}
+_OTHER_SIZE_LIMIT = 1_000
+_FOLDERS = ("assetdir", "meshdir", "texturedir")
+_UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40, "P": 1 << 50, "E": 1 << 60}
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+class _Refused(Exception):  # noqa: N818
+    """Nothing further is to be read."""
+
+
+@dataclass
+class _Count:
+    """What a file and all that it includes multiply to."""
+
+    elements: int = 0
+    bodies: int = 0
+    cells: int = 0
+    attached: int = 0
+
+
+@dataclass
+class _Scan:
+    """What holds for all files of one model.
+
+    Attributes:
+        root: the model's own file.
+        faults: found so far.
+        folders: in which assets may be looked up.
+        assets: where each path stands that is not itself MJCF, and the path.
+        models: what each attachable model multiplies to; None while it is being read.
+        seen: files that were included.
+        bytes: size of all files together.
+    """
+
+    root: Path
+    faults: list[str] = field(default_factory=list)
+    folders: set[str] = field(default_factory=lambda: {"."})
+    assets: list[tuple[str, str]] = field(default_factory=list)
+    models: dict[Path, _Count | None] = field(default_factory=dict)
+    seen: set[Path] = field(default_factory=set)
+    bytes: int = 0
+
+    @property
+    def folder(self) -> Path:
+        return self.root.parent
+
+
+def scan_mjcf(path: Path) -> list[str]:
+    """Return what is wrong with an MJCF file, and what it refers to, before anything is compiled.
+
+    Args:
+        path: the file, resolved; whatever it names has to lie in its folder.
+
+    Returns:
+        One line a fault, with the line of the file in which it stands.
+    """
+    scan = _Scan(path)
+    try:
+        _Reader(scan, path, _Count()).read()
+        _check_assets(scan)
+    except _Refused as fault:
+        scan.faults.append(str(fault))
+    return scan.faults
+
+
+class _Reader:
+    """Reads one file, element by element."""
+
+    def __init__(self, scan: _Scan, path: Path, count: _Count) -> None:
+        self._scan, self._path, self._count = scan, path, count
+        self._times = [1]
+        self._models: list[_Count] = []
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.StartDoctypeDeclHandler = self._doctype
+
+    def read(self) -> None:
+        """Take the whole file.
+
+        Raises:
+            _Refused: it is no XML, or beyond a bound.
+        """
+        try:
+            self._scan.bytes += self._path.stat().st_size
+            if self._scan.bytes > MAX_FILE_BYTES:
+                raise _Refused(f"over {MAX_FILE_BYTES >> 20} MB of XML")
+            self._parser.Parse(self._path.read_bytes(), True)
+        except expat.ExpatError as error:
+            self._refuse(f"not readable as XML ({expat.ErrorString(error.code)})", error.lineno)
+        except (OSError, LookupError, ValueError) as error:
+            # LookupError, ValueError: an encoding that does not exist, or has no place in XML.
+            self._refuse(f"not readable as XML ({error})")
+        self._count.elements += self._count.attached * sum(model.elements for model in self._models)
+        self._count.bodies += self._count.attached * sum(model.bodies for model in self._models)
+        self._check_count()
+
+    def _start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        times = self._times[-1]
+        if tag in ("replicate", "composite", "flexcomp"):
+            made = _product(attributes.get("count", "1"))
+            self._count.bodies += times * made if tag != "replicate" else 0
+            self._count.elements += times * made
+            times *= made if tag == "replicate" else 1
+        self._times.append(times)
+        self._count.elements += times
+        self._count.bodies += times if tag == "body" else 0
+        self._count.attached += times if tag == "attach" else 0
+        self._count.cells += _cells(attributes, "width", "height") + _cells(attributes, "nrow", "ncol")
+        self._check_count()
+        if len(self._times) > MAX_DEPTH:
+            self._refuse(f"nested more than {MAX_DEPTH} deep")
+        if tag == "size":
+            self._check_sizes(attributes)
+        for name, value in attributes.items():
+            if name in _FOLDERS:
+                self._check_path(tag, value)
+                self._scan.folders.add(value)
+            elif name.startswith("file"):
+                self._refer(tag, value)
+
+    def _end(self, tag: str) -> None:
+        self._times.pop()
+
+    def _doctype(self, *_: object) -> None:
+        self._refuse("a document type (<!DOCTYPE>) is not allowed; MJCF needs no entities")
+
+    def _check_count(self) -> None:
+        for what, number, most in (
+            ("elements", self._count.elements, MAX_ELEMENTS),
+            ("bodies", self._count.bodies, MAX_BODIES),
+            ("pixels of textures and points of height fields", self._count.cells, MAX_CELLS),
+        ):
+            if number > most:
+                self._refuse(f"more than {most} {what}, counting what is replicated")
+
+    def _check_sizes(self, attributes: Mapping[str, str]) -> None:
+        for name, value in attributes.items():
+            most = _SIZE_LIMITS.get(name, _OTHER_SIZE_LIMIT)
+            if _bytes(value) > most:
+                self._refuse(f"<size> asks for {name} {value}; at most {most} is allowed")
+
+    def _check_path(self, tag: str, given: str) -> Path | None:
+        """Return the file that is meant, or None after noting that it lies elsewhere."""
+        try:
+            target = (self._scan.folder / given).resolve()
+            inside = target.is_relative_to(self._scan.folder.resolve())
+        except (OSError, RuntimeError, ValueError) as error:
+            self._note(f"<{tag}> names {given!r}, which cannot be looked up ({error})")
+            return None
+        if not inside:
+            self._note(f"<{tag}> names '{given}', outside the model's folder")
+        return target if inside else None
+
+    def _refer(self, tag: str, given: str) -> None:
+        target = self._check_path(tag, given)
+        if target is None:
+            return
+        if tag not in ("include", "model"):
+            self._scan.assets.append((self._place(), given))
+        elif not _is_file(target):
+            self._refuse(f"<{tag}> names '{given}', which is not a file")
+        elif tag == "include" and target not in self._scan.seen:
+            self._scan.seen.add(target)
+            _Reader(self._scan, target, self._count).read()
+        elif tag == "model":
+            self._models.append(self._model(given, target))
+
+    def _model(self, given: str, target: Path) -> _Count:
+        """Return what an attachable model multiplies to, read once."""
+        models = self._scan.models
+        if target not in models and target != self._scan.root:
+            models[target] = None
+            count = _Count()
+            _Reader(self._scan, target, count).read()
+            models[target] = count
+        found = models.get(target)
+        if found is None:
+            self._refuse(f"<model> names '{given}', which is a part of itself")
+        return found
+
+    def _note(self, fault: str) -> None:
+        self._scan.faults.append(f"{self._place()}: {fault}")
+
+    def _refuse(self, fault: str, line: int | None = None) -> NoReturn:
+        raise _Refused(f"{self._place(line)}: {fault}")
+
+    def _place(self, line: int | None = None) -> str:
+        number = line or self._parser.CurrentLineNumber
+        here = self._path == self._scan.root
+        return f"line {number}" if here else f"{self._path.name}:{number}"
+
+
+def _check_assets(scan: _Scan) -> None:
+    """Refuse files that MuJoCo would open but are none, lie elsewhere, or are too large."""
+    total = 0
+    root = scan.folder.resolve()
+    for place, given in scan.assets:
+        for folder in sorted(scan.folders):
+            path = scan.folder / folder / given
+            try:
+                status = path.stat()
+            except (OSError, ValueError):
+                continue  # MuJoCo will say that it is missing
+            if not stat.S_ISREG(status.st_mode):
+                raise _Refused(f"{place}: '{given}' is not a file")
+            if not path.resolve().is_relative_to(root):
+                raise _Refused(f"{place}: '{given}' leads outside the model's folder")
+            total += status.st_size
+            if total > MAX_ASSET_BYTES:
+                raise _Refused(f"{place}: '{given}' brings the assets above {MAX_ASSET_BYTES >> 20} MB")
+            if _png_pixels(path) > MAX_CELLS:
+                raise _Refused(f"{place}: '{given}' is a picture of more than {MAX_CELLS} pixels")
+
+
+def _png_pixels(path: Path) -> int:
+    with path.open("rb") as stream:
+        head = stream.read(24)
+    return int.from_bytes(head[16:20]) * int.from_bytes(head[20:24]) if head.startswith(_PNG) else 0
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _numbers(text: str) -> list[float]:
+    """Return the finite numbers of a text; what is none, MuJoCo will say."""
+    found = []
+    for word in text.split():
+        try:
+            number = float(word)
+        except ValueError:
+            continue
+        found.append(number if math.isfinite(number) else 1e18)
+    return found
+
+
+def _product(text: str) -> int:
+    """Return what numbers such as '10 10 1' multiply to, at least 1 and not beyond all bounds."""
+    product = 1.0
+    for number in _numbers(text):
+        product = min(product * max(1.0, number), 1e18)
+    return int(product)
+
+
+def _cells(attributes: Mapping[str, str], rows: str, columns: str) -> int:
+    # What is missing is 0 to MuJoCo: nothing is made then.
+    if not {rows, columns} <= attributes.keys():
+        return 0
+    return _product(attributes[rows]) * _product(attributes[columns])
+
+
+def _bytes(text: str) -> float:
+    """Return a size such as '100', '-1' or '2G'."""
+    unit = _UNITS.get(text.strip()[-1:].upper(), 1)
+    return unit * max(_numbers(text.strip().rstrip("KMGTPEkmgtpe")), default=0.0)
+
+
+TIME_LIMIT_S = 30
+MEMORY_LIMIT_BYTES = 4 << 30
+CONTROL_S = 1.0
+TIMESTEPS_S = (1e-5, 0.1)
+MAX_ITERATIONS = 10_000
+_REDRAW_S = 0.02
+_PATIENCE_S = 0.5  # of random control, until it is judged how long it will take
+_ITERATIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations", "sdf_iterations")
+_NOT_NEGATIVE = ("geom_friction", "pair_friction", "dof_damping", "dof_frictionloss", "body_mass")
+
+
+@dataclass(frozen=True)
+class ModelReport:
+    """What a check found.
+
+    Attributes:
+        faults: one line each; empty where the model is fit for use.
+        sizes: what the compiled model has: bodies, joints, actuators, mass_kg, timestep_s.
+    """
+
+    faults: tuple[str, ...]
+    sizes: dict[str, float] = field(default_factory=dict)
+
+
+def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
+    """Compile a model in a child process and give it a second of random control.
+
+    Args:
+        path: the MJCF file.
+        time_limit_s: most that the child may take, s.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    remedy = "; give an MJCF file or the name of a shipped robot"
+    model = existing(path, suffix=".xml", remedy=remedy).resolve()
+    faults = scan_mjcf(model)
+    if faults:
+        return ModelReport(tuple(faults))
+    command = [sys.executable, "-m", "srs_twin.mjcf.check", str(model), str(time_limit_s)]
+    # No window system is needed, and threads of numpy's would count as memory.
+    env = {**os.environ, "MUJOCO_GL": "disabled", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as room:  # MuJoCo leaves its log file where it runs
+        try:
+            child = subprocess.run(
+                command, cwd=room, env=env, capture_output=True, text=True, timeout=time_limit_s
+            )
+        except subprocess.TimeoutExpired:
+            return ModelReport((f"did not finish within {time_limit_s} s",))
+    said = child.stderr.strip().splitlines()
+    return verdict(child.stdout, said[-1] if said else f"exit status {child.returncode}", time_limit_s)
+
+
+def verdict(found: str, ending: str, time_limit_s: int) -> ModelReport:
+    """Return what a child found, or that it broke.
+
+    Args:
+        found: what it wrote.
+        ending: its last words, or how it ended.
+        time_limit_s: most that it might take, s.
+    """
+    try:
+        report = json.loads(found)
+    except ValueError:
+        limits = f"{MEMORY_LIMIT_BYTES >> 30} GB, {time_limit_s} s"
+        return ModelReport((f"broke MuJoCo or a limit ({limits}): {ending}",))
+    return ModelReport(tuple(report["faults"]), report["sizes"])
+
+
+def _bad_numbers(model: Any) -> list[str]:
+    """Return a fault for each number that MuJoCo compiles but no body can have."""
+    faults = []
+    low, high = TIMESTEPS_S
+    if not low <= model.opt.timestep <= high:
+        faults.append(f"timestep {model.opt.timestep:g} s is not allowed; it must be {low:g} to {high:g} s")
+    for name in _ITERATIONS:
+        if getattr(model.opt, name) > MAX_ITERATIONS:
+            faults.append(f"{name} {getattr(model.opt, name)} are not allowed; at most {MAX_ITERATIONS}")
+    for name in _NOT_NEGATIVE:
+        values = getattr(model, name)
+        if (values < 0).any():
+            faults.append(f"{name}{_first(values < 0)} has a negative value")
+    for name in dir(model):
+        value = None if name.startswith("_") else getattr(model, name)
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not np.isfinite(value).all():
+            faults.append(f"{name}{_first(~np.isfinite(value))} has a value that is not finite")
+    return faults
+
+
+def _first(wrong: np.ndarray) -> str:
+    """Return the row of the first True, as it is indexed."""
+    return f"[{np.argwhere(np.atleast_1d(wrong))[0][0]}]"
+
+
+def _shake(model: Any, time_limit_s: float, control_s: float) -> list[str]:
+    """Simulate some seconds under random control; return what MuJoCo warned of."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    rng = np.random.default_rng(0)
+    low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
+    redraw = max(1, round(_REDRAW_S / model.opt.timestep))
+    steps = max(1, round(control_s / model.opt.timestep))
+    begun = time.monotonic()
+    for step in range(steps):
+        if step % redraw == 0:
+            data.ctrl[:] = rng.uniform(low, high)
+        mujoco.mj_step(model, data)
+        spent = time.monotonic() - begun
+        if spent > _PATIENCE_S and spent / (step + 1) * steps > time_limit_s:
+            ahead = spent / (step + 1) * steps
+            return [f"{control_s:g} s of random control would take {ahead:.0f} s; at most {time_limit_s} s"]
+    faults = [
+        f"{control_s:g} s of random control raised the warning {name.removeprefix('mjWARN_')}"
+        for name, kind in mujoco.mjtWarning.__members__.items()
+        if name.startswith("mjWARN_") and data.warning[kind].number
+    ]
+    if not np.isfinite(data.qpos).all():
+        faults.append(f"{control_s:g} s of random control ended in a state that is not finite")
+    return faults
+
+
+def examine(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict[str, Any]:
+    """Compile a model and shake it, in this process; return faults and sizes, as in `ModelReport`.
+
+    Args:
+        path: the MJCF file.
+        time_limit_s: a model that would take longer to shake is a fault, s.
+        control_s: simulated time under random control, s.
+    """
+    import mujoco
+
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, MemoryError) as error:
+        return {"faults": [f"does not compile: {' '.join(str(error).split())}"], "sizes": {}}
+    faults = _bad_numbers(model) or _shake(model, time_limit_s, control_s)
+    sizes = {
+        "bodies": model.nbody - 1,
+        "joints": model.njnt,
+        "actuators": model.nu,
+        "mass_kg": float(model.body_mass.sum()),
+        "timestep_s": model.opt.timestep,
+    }
+    return {"faults": faults, "sizes": sizes}
+
+
+def _child(path: str, time_limit_s: str) -> None:
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT_BYTES, MEMORY_LIMIT_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time_limit_s), int(time_limit_s)))
+    json.dump(examine(Path(path), int(time_limit_s)), sys.stdout)
+
+
+if __name__ == "__main__":
+    _child(*sys.argv[1:])

@@ -1,0 +1,180 @@
+"""What a snake stands on: two wheels or two skids a connector, their contacts with the floor, their preload.
+
+Either way a connector touches the floor in two points at ± half the track, straight below its own frame.
+
+- ``rolling``: hinge wheels. They touch the floor as spheres, isotropic with μ_n; the axle's `frictionloss`
+  is μ_t × load × radius.
+- ``skid``: runners, fixed to the connector, that slide with μ_t along it and μ_n across. Only between a
+  plane and a capsule does MuJoCo turn the contact's frame with the geom, to the capsule's axis. A capsule
+  that lies flat touches with both ends; these rise ahead like the tip of a ski and touch with the lower one.
+
+Contacts are explicit pairs, which name the floor, so they belong to the scene and not to the robot.
+
+Preload: MuJoCo's contact is convex, which lifts off the floor what slides on it; left alone, a snake's
+wheels are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``,
+which take no control, push every connector down with κ times its static load, and the pairs' coefficients
+are those of the robot over 1 + κ: the friction of the static load, as in the analytical models, from a
+contact that stays closed. Floor forces less the preload are the true loads, at rest within 2 %.
+docs/models.md says what it costs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from srs_twin.mjcf.classes import ROOT, foot_radius
+from srs_twin.mjcf.numerics import Numerics
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+
+_NET_FORCE = 3  # contact sensor: sum over the contacts found
+_SIDES = {"left": 1, "right": -1}
+_RISE = 0.6  # slope of a runner ahead of the point where it touches: no pitch of a connector comes near
+_DIP = 1e-6  # m, of a runner in the floor at first: else rounding decides which of them the first step finds
+_TOUCHING = 5e-5  # m, of all feet in the floor, where their softness is looked at
+_PRESSED = {"rolling": "axle", "skid": "sole"}  # what the sites that the preload presses on are called
+
+
+def treads(spec: RobotSpec) -> list[str]:
+    """Return the names of the geoms that touch the floor: head first, left before right."""
+    return [f"tread_{side}_{i}" for i in range(1, spec.geometry.connectors + 1) for side in _SIDES]
+
+
+def preload_force(spec: RobotSpec, numerics: Numerics) -> np.ndarray:
+    """Return the force that presses each wheel down besides its load, head first, shape (N, 2), N."""
+    return np.repeat(numerics.preload * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+
+
+def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
+    """Return the attributes of a pair of floor and wheel or skid; friction along first, then across."""
+    mu_t, mu_n = spec.friction.mu_t, spec.friction.mu_n
+    across = mu_n / (1 + numerics.preload)
+    along = across if numerics.wheels == "rolling" else mu_t / (1 + numerics.preload)
+    return {
+        "condim": 3,
+        "friction": [along, across, 0.005, 0.0001, 0.0001],
+        "solref": [numerics.contact_time, 1],
+        "solreffriction": [numerics.slip_time, 1],
+    }
+
+
+def fixed_inertia(spec: RobotSpec, numerics: Numerics) -> tuple[float, np.ndarray]:
+    """Return the mass (kg) and the moments of inertia (3,) (kg·m²) that a connector's skids add to its own.
+
+    They have the mass of the wheels whose place they take. Wheels are bodies of their own: 0. On a bench
+    nothing rolls: wheels are fixed there as well.
+    """
+    if numerics.wheels == "rolling" and numerics.base == "free":
+        return 0.0, np.zeros(3)
+    across = 2 * spec.mass.wheel * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
+    return 2 * spec.mass.wheel, np.array([across, spec.mass.wheel * spec.geometry.wheel_radius**2, across])
+
+
+def add_wheels(mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
+    """Put connector i on its two wheels or skids."""
+    for side, sign in _SIDES.items():
+        if numerics.wheels == "rolling":
+            _add_wheel(mj, body, spec, i, side, sign, numerics.wheel_spin)
+        else:
+            reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
+            z = foot_radius(spec, numerics) - spec.geometry.com_height - _DIP
+            body.add_geom(
+                mj.find_default("tread"), name=f"tread_{side}_{i}",
+                fromto=[0, y, z, reach, y, z + _RISE * reach],
+            )  # fmt: skip
+
+
+def _add_wheel(
+    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, side: str, sign: int, scale: float
+) -> None:
+    g, mass = spec.geometry, spec.mass.connectors[i - 1]
+    spin = spec.mass.wheel * g.wheel_radius**2 / 2
+    inertia = [spin / 2, scale * spin, spin / 2]
+    wheel = body.add_body(
+        name=f"wheel_{side}_{i}", pos=[0, sign * g.half_track, g.wheel_radius - g.com_height],
+        mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=inertia, explicitinertial=True,
+    )  # fmt: skip
+    wheel.add_joint(
+        mj.find_default("axle"), name=f"axle_{side}_{i}",
+        frictionloss=spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius,
+    )  # fmt: skip
+    wheel.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}")
+    wheel.add_geom(mj.find_default("rim"), name=f"rim_{side}_{i}")
+
+
+def add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+    """Press every connector down with a constant force along the world's z.
+
+    It acts at the height of the centre about which a tilted foot rolls on the floor, so that it neither
+    rights a connector nor tips it over.
+    """
+    mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
+    height = foot_radius(spec, numerics) - spec.geometry.com_height
+    for i, force in enumerate(preload_force(spec, numerics).sum(axis=1), start=1):
+        site = f"{_PRESSED[numerics.wheels]}_{i}"
+        mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=site, pos=[0, 0, height])
+        actuator = mj.add_actuator(
+            mj.find_default("press"), name=f"press_{i}", target=site,
+            trntype=mujoco.mjtTrn.mjTRN_SITE, refsite="origin",
+        )  # fmt: skip
+        actuator.biasprm[0] = -force
+
+
+def add_feet(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Mark the points of each connector where it touches the floor."""
+    for i in range(1, spec.geometry.connectors + 1):
+        for side, sign in _SIDES.items():
+            place = [0, sign * spec.geometry.half_track, -spec.geometry.com_height]
+            mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{side}_{i}", pos=place)
+
+
+def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+    """Add the pairs of all wheels or skids with the floor, and sensors of what happens there.
+
+    Sensors: the floor's force on each (world frame, N), the velocity of the point of the connector above it
+    (world, m/s).
+    """
+    name = "wheel_on_floor" if numerics.wheels == "rolling" else "skid_on_floor"
+    default = mj.add_default(name, mj.default)
+    for attribute, value in contact(spec, numerics).items():
+        setattr(default.pair, attribute, value)
+    pairs = [mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread) for tread in treads(spec)]
+    for pair, slower in zip(pairs, _slower(mj, spec), strict=True):
+        pair.solref = [round(numerics.contact_time * slower, 7), 1]
+    for tread in treads(spec):
+        add_force_sensor(mj, f"floor_force_{tread}", mujoco.mjtObj.mjOBJ_GEOM, "floor", on=tread)
+    for tread in treads(spec):
+        foot = tread.replace("tread", "foot")
+        mj.add_sensor(
+            name=f"velocity_{foot}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+            objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot,
+        )  # fmt: skip
+
+
+def add_force_sensor(mj: mujoco.MjSpec, name: str, kind: mujoco.mjtObj, of: str, *, on: str) -> None:
+    """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N."""
+    mj.add_sensor(
+        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of,
+        reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=on,
+        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
+    )  # fmt: skip
+
+
+def _slower(mj: mujoco.MjSpec, spec: RobotSpec) -> np.ndarray:
+    """Return by how much slower each normal contact must be for all to sink in alike, 1 for the fastest.
+
+    MuJoCo softens a contact by a regularisation R that it takes from the tree of bodies: 1.25 times as much
+    at gen 2's root as at its ends. What sinks deeper hands part of its load to its neighbours.
+    """
+    model = mj.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[2] -= _TOUCHING
+    mujoco.mj_forward(model, data)
+    softness = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
+    depth = np.array([softness[model.geom(tread).id] for tread in treads(spec)])
+    depth *= np.repeat(spec.mass.array(), len(_SIDES))
+    slower: np.ndarray = np.sqrt(depth.max() / depth)
+    return slower

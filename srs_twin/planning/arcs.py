@@ -1,0 +1,272 @@
+r"""Arcs: motion primitives, the floor that one sweeps, and whether anything is in it; exact.
+
+Swept region of one arc, and whether anything is in it: exact, in closed form, compiled.
+
+Path coordinates about the middle of an arc of curvature κ: of a point u ahead and w to the left of the
+middle,
+
+.. math::
+    n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
+    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw)
+
+are the distance to the left of the arc and the place along it; both hold their accuracy down to κ = 0. The
+region of a centre of mass that goes from -h to h along the arc is the annular sector |s| ≤ h, -r ≤ n ≤ l
+(Fig. 52 and 58). The distance of a point from it is that in n where |s| ≤ h, else that from the nearer end, a
+straight line of length l + r across the path. A circle is free of the region if the distance of its centre is
+its radius or more.
+
+A side of a polygon is cut where it crosses n = l, n = -r (quadratics) and s = ±h (lines); it is free if none
+of its parts has its middle in the region. Whether a polygon contains the whole region is not asked: a plan's
+regions hang together from a start that lies outside, so the first to enter would cross a side.
+
+`MARGIN` is what everything is asked to be farther away than it must, which covers rounding.
+
+Motion primitives: the arcs that a node's children are reached by, and the floor that one arc sweeps.
+
+Section 5.2.1: N turns α from -α_max to α_max, each held for one step of length v Δt. With θ' = θ + α and
+r = vΔt/α (Eq. 33 with its signs put right, E7),
+
+.. math:: x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.errors import InputError
+from srs_twin.world import Pose
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+
+MARGIN = 1e-7
+"""Conservative by this much, m; rounding stays below 1e-11 m in worlds of a kilometre."""
+
+_STRAIGHT = 1e-9
+
+
+@compiled
+def along(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
+    """Return the pose after a length (m) along an arc: Eq. 33 corrected (E7), by chord and half turn."""
+    half = curvature * length / 2
+    chord = length * (np.sin(half) / half if abs(half) > _STRAIGHT else 1.0)
+    return x + chord * np.cos(heading + half), y + chord * np.sin(heading + half), heading + 2 * half
+
+
+@compiled
+def blocked(x, y, heading, curvature, length, ahead, behind, left, right, circles, sides, bounds):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Say whether the region of an arc touches an obstacle or leaves the bounds.
+
+    Args:
+        x, y, heading: where the centre of mass begins, m and rad.
+        curvature, length: of its arc, 1/m and m.
+        ahead, behind: of the centre of mass along the arc, m.
+        left, right: edges, m.
+        circles: x, y, radius of each, m, shape (n, 3).
+        sides: x, y of both ends of each side of the polygons, m, shape (n, 4).
+        bounds: lowest x, highest x, lowest y, highest y, m; infinite where there are none.
+    """
+    h = (length + ahead + behind) / 2
+    x, y, heading = along(x, y, heading, curvature, (length + ahead - behind) / 2)
+    c, s = np.cos(heading), np.sin(heading)
+    left, right = left + MARGIN, right + MARGIN
+    reach = h + max(left, right)
+    if x - reach < bounds[0] or x + reach > bounds[1] or y - reach < bounds[2] or y + reach > bounds[3]:
+        if _outside(x, y, heading, curvature, h, left, right, bounds):
+            return True
+    end_u, end_w, end = along(0.0, 0.0, 0.0, curvature, h)
+    ec, es = np.cos(end), np.sin(end)
+    for k in range(circles.shape[0]):
+        dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + MARGIN
+        if dx * dx + dy * dy < (reach + radius) * (reach + radius):
+            # The region is its own mirror image across its middle, so u may be taken to be ahead.
+            u, w = abs(c * dx + s * dy), c * dy - s * dx
+            if _distance(u, w, curvature, h, left, right, end_u, end_w, ec, es) < radius:
+                return True
+    for k in range(sides.shape[0]):
+        ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
+        if _from_origin(ax, ay, bx, by) < reach:
+            au, aw, bu, bw = c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx
+            if _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):
+                return True
+    return False
+
+
+@compiled
+def place(u, w, curvature):  # type: ignore[no-untyped-def]
+    """Return n and s of a point."""
+    ku, kw = curvature * u, 1 - curvature * w
+    n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
+    return n, np.arctan2(ku, kw) / curvature if abs(curvature) > _STRAIGHT else u
+
+
+@compiled
+def _distance(u, w, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
+    """Return the distance of a point (u not negative) from the region, 0 inside."""
+    n, s = place(u, w, curvature)
+    if abs(s) <= h:
+        return max(n - left, -right - n, 0.0)
+    beyond = ec * (u - end_u) + es * (w - end_w)
+    across = ec * (w - end_w) - es * (u - end_u)
+    aside = max(across - left, -right - across, 0.0)
+    return np.sqrt(beyond * beyond + aside * aside)
+
+
+@compiled
+def _from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """Return the distance of a line segment from the origin."""
+    dx, dy = bx - ax, by - ay
+    t = min(1.0, max(0.0, -(ax * dx + ay * dy) / max(dx * dx + dy * dy, 1e-300)))
+    px, py = ax + t * dx, ay + t * dy
+    return np.sqrt(px * px + py * py)
+
+
+@compiled
+def _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
+    """Say whether a line segment has a part in the region."""
+    du, dw = bu - au, bw - aw
+    cuts = np.empty(8)
+    cuts[0], cuts[1] = 0.0, 1.0
+    cuts[2] = _ratio(ec * (end_u - au) + es * (end_w - aw), ec * du + es * dw)
+    cuts[3] = _ratio(-ec * (end_u + au) - es * (end_w - aw), ec * du - es * dw)
+    # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
+    a = curvature * (du * du + dw * dw)
+    b = curvature * (au * du + aw * dw) - dw
+    c = curvature * (au * au + aw * aw) - 2 * aw
+    cuts[4], cuts[5] = _roots(a, b, c + 2 * left - curvature * left * left)
+    cuts[6], cuts[7] = _roots(a, b, c - 2 * right - curvature * right * right)
+    cuts.sort()
+    for k in range(7):
+        t = (cuts[k] + cuts[k + 1]) / 2
+        n, s = place(au + t * du, aw + t * dw, curvature)
+        if abs(s) <= h and -right <= n <= left:
+            return True
+    return False
+
+
+@compiled
+def _ratio(over, under):  # type: ignore[no-untyped-def]
+    """Return a fraction as a place on a segment, 0 where it has none there."""
+    t = over / under if under != 0 else 0.0
+    return t if 0 < t < 1 else 0.0
+
+
+@compiled
+def _roots(a, b, c):  # type: ignore[no-untyped-def]
+    """Return the roots of a t² + 2 b t + c between 0 and 1, 0 in place of others; a may vanish."""
+    square = b * b - a * c
+    if square < 0:
+        return 0.0, 0.0
+    q = -(b + np.sqrt(square)) if b >= 0 else -(b - np.sqrt(square))
+    return _ratio(q, a), _ratio(c, q)
+
+
+@compiled
+def _outside(x, y, heading, curvature, h, left, right, bounds):  # type: ignore[no-untyped-def]
+    """Say whether the region leaves the bounds: by a corner, or where an edge runs along an axis."""
+    for k in range(6):
+        s = h if k == 0 else -h
+        if k >= 2:
+            turn = (k - 2) * np.pi / 2 - heading
+            s = (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / curvature if curvature != 0 else 2 * h + 1
+        if abs(s) <= h:
+            px, py, there = along(x, y, heading, curvature, s)
+            for n in (left, -right):
+                ex, ey = px - n * np.sin(there), py + n * np.cos(there)
+                if ex < bounds[0] or ex > bounds[1] or ey < bounds[2] or ey > bounds[3]:
+                    return True
+    return False
+
+
+@dataclass(frozen=True)
+class Primitives:
+    """Arcs of one length.
+
+    Attributes:
+        count: N, odd, so that the middle one is straight; 3 or more.
+        turn: α_max, rad; below π.
+        length: of each, v Δt, m.
+    """
+
+    count: int
+    turn: float
+    length: float
+
+    def __post_init__(self) -> None:
+        if self.count < 3 or self.count % 2 == 0:
+            raise InputError(
+                f"{self.count} primitives: the number must be odd, 3 or more (the middle one is straight)"
+            )
+        if not (0 < self.turn < math.pi and 0 < self.length < math.inf):
+            raise InputError(
+                f"primitives of {self.length:g} m that turn by {self.turn:g} rad: lengths are above 0, "
+                "turns above 0 and below pi"
+            )
+
+    @cached_property
+    def curvatures(self) -> np.ndarray:
+        """From the tightest right turn to the tightest left turn, 1/m, shape (count,)."""
+        return np.linspace(-self.turn, self.turn, self.count) / self.length
+
+    def children(self, pose: Pose) -> list[Pose]:
+        """Return where each arc ends, in the order of `curvatures`."""
+        ends = (along(pose.x, pose.y, pose.heading, float(k), self.length) for k in self.curvatures)
+        return [Pose(float(x), float(y), float(heading)) for x, y, heading in ends]
+
+
+def swept_polygon(
+    start: Pose, curvature: float, length: float, *,
+    left: float, right: float, ahead: float = 0.0, behind: float = 0.0, excess: float = 1e-3,
+) -> Polygon:  # fmt: skip
+    """Return a polygon that contains what one arc sweeps, and nothing farther from it than the excess.
+
+    The outer arc is replaced by a polygon about it, the inner one by its chords; turns below a full one.
+
+    Args:
+        start: of the centre of mass.
+        curvature: 1/m.
+        length: m.
+        left: edge, m.
+        right: edge, m.
+        ahead: of the centre of mass along the arc, m.
+        behind: of the centre of mass along the arc, m.
+        excess: largest distance between the polygon and the region, m.
+
+    Raises:
+        InputError: an edge reaches the centre of the turn, or the turn is a full one.
+    """
+    from shapely import Polygon
+
+    whole = length + ahead + behind
+    if max(curvature * left, -curvature * right) >= 1 or abs(curvature) * whole >= 2 * math.pi:
+        raise InputError(
+            f"an arc of {whole:g} m and curvature {curvature:g} 1/m with edges {left:g} and {right:g} m "
+            "has no simple outline"
+        )
+    outer = abs(1 / curvature) + (right if curvature > 0 else left) if curvature else 0.0
+    # A polygon about a circle stands off by R (1/cos(φ/2) - 1), its chords by R (1 - cos(φ/2)).
+    most = 4 * math.atan(math.sqrt(excess / (2 * outer + excess)))
+    # An arc so flat that its radius is no number is a line.
+    pieces = max(1, math.ceil(abs(curvature) * whole / most)) if most > 0 else 1
+    half = abs(curvature) * whole / pieces / 2
+    stretch = 2 * math.sin(half / 2) ** 2 / math.cos(half)
+    edges: list[list[tuple[float, float]]] = [[], []]
+    for side, edge, convex in ((0, left, curvature < 0), (1, -right, curvature > 0)):
+        radius = 1 - curvature * edge
+        # Corners of the outer polygon lie between its points of contact; chords have theirs on the arc.
+        places = (np.arange(pieces) + 0.5) / pieces if convex else np.arange(pieces + 1) / pieces
+        places = np.concatenate([[0.0], places, [1.0]]) if convex else places
+        for k, place in enumerate(places):
+            x, y, heading = along(start.x, start.y, start.heading, curvature, place * whole - behind)
+            n = edge
+            if convex and 0 < k < len(places) - 1:
+                n -= radius * stretch / curvature
+            edges[side].append((x - n * math.sin(heading), y + n * math.cos(heading)))
+    return Polygon(edges[0] + edges[1][::-1])

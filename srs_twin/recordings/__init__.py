@@ -1,0 +1,1 @@
+"""What a lab recorded, as trajectories: readers, markers to body, logs, one clock."""

@@ -1,0 +1,197 @@
+"""Frames in order, outliers taken out of tracks, short gaps filled.
+
+Frames in order: rows sorted, duplicates dropped, missing ones put in as empty.
+
+Outliers taken out of tracks, and short gaps filled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.errors import InputError, one_of
+
+LEAST_FRAMES = 12
+"""One more than the moving line takes."""
+
+_GRID = 0.2  # of a frame's time: times this near to whole frames lie on a grid
+_MOST_MISSING = 10  # times as many frames as there are rows
+_LONGEST = 1e7  # s
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames that follow each other.
+
+    Attributes:
+        time: ascending, shape (frames,), s.
+        rows: which row of the file each is, −1 for one that was missing, shape (frames,).
+        period: time from frame to frame, their median, s.
+        corrections: what was done, in words.
+    """
+
+    time: np.ndarray
+    rows: np.ndarray
+    period: float
+    corrections: tuple[str, ...]
+
+
+def in_order(name: str, time: np.ndarray) -> Frames:
+    """Bring rows into the order of their times.
+
+    Args:
+        name: of the file.
+        time: one a row, finite, shape (rows,), s.
+
+    Raises:
+        InputError: too few frames, or times that no recording has.
+    """
+    if np.abs(time).max() > _LONGEST:
+        raise InputError(f"{name}: times up to {np.abs(time).max():.3g} s; is the unit right?")
+    said = []
+    order = np.argsort(time, kind="stable")
+    moved = int((np.diff(time) < 0).sum())
+    if moved:
+        said.append(f"rows were not in the order of time ({moved} steps back): sorted")
+    ordered = time[order]
+    step = np.diff(ordered)
+    period = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    kept = np.concatenate([[True], step > 1e-3 * period])
+    if not kept.all():
+        said.append(f"{int((~kept).sum())} rows repeat the time of another: the first of each kept")
+    rows, ordered = order[kept], ordered[kept]
+    if len(rows) < LEAST_FRAMES:
+        raise InputError(f"{name}: {len(rows)} frames; a recording has {LEAST_FRAMES} or more")
+    return _on_grid(name, ordered, rows, period, said)
+
+
+def _on_grid(name: str, time: np.ndarray, rows: np.ndarray, period: float, said: list[str]) -> Frames:
+    steps = np.diff(time)
+    whole = np.rint(steps / period)
+    if np.abs(steps - whole * period).max() > _GRID * period:
+        if np.abs(steps / period - 1).max() > _GRID:
+            said.append("frames are not evenly spaced in time: left as they are")
+        return Frames(time, rows, period, tuple(said))
+    index = np.concatenate([[0.0], np.cumsum(whole)])
+    count = int(index[-1]) + 1
+    if count > _MOST_MISSING * len(rows):
+        worst = int(np.argmax(steps))
+        raise InputError(
+            f"{name}: from {time[worst]:g} s to {time[worst + 1]:g} s nothing was recorded, and little "
+            "elsewhere "
+            f"({len(rows)} frames of {count}); cut the recording"
+        )
+    if count == len(rows):
+        return Frames(time, rows, period, tuple(said))
+    said.append(f"{count - len(rows)} frames missing in the file: put in as frames in which nothing was seen")
+    places = index.astype(int)
+    full_rows = np.full(count, -1)
+    full_rows[places] = rows
+    return Frames(np.interp(np.arange(count), places, time), full_rows, period, tuple(said))
+
+
+def taken(values: np.ndarray, frames: Frames) -> np.ndarray:
+    """Return a value for every frame, NaN where it was missing."""
+    picked = values[frames.rows]
+    picked[frames.rows < 0] = np.nan
+    return np.asarray(picked)
+
+
+WAYS = ("spline", "linear")
+_TIMES = 8.0  # times as far from where its neighbours have it as most samples: no place of a marker
+_NORMAL = 1.4826  # standard deviation over median absolute deviation of a normal distribution
+
+
+def outliers(points: np.ndarray, least: float) -> np.ndarray:
+    """Say which samples jump out of their track and back.
+
+    Args:
+        points: shape (frames, tracks, 2), m.
+        least: no smaller jump is one, m.
+
+    Returns:
+        Shape (frames, tracks).
+    """
+    jump = np.nan_to_num(_jumps(points))
+    usual = np.array([np.median(each[each > 0]) if (each > 0).any() else 0.0 for each in jump.T])
+    limit = np.maximum(least, _TIMES * _NORMAL * usual)
+    # To its neighbours, whose own neighbour it is, an outlier gives two thirds and a sixth of its jump.
+    peak = jump.copy()
+    for shift in (1, 2):
+        np.maximum(peak[shift:], jump[:-shift], out=peak[shift:])
+        np.maximum(peak[:-shift], jump[shift:], out=peak[:-shift])
+    return np.asarray((jump > limit) & (jump >= peak))
+
+
+def _jumps(points: np.ndarray) -> np.ndarray:
+    """Return how far samples lie from the cubic through two neighbours on each side, (frames, tracks), m.
+
+    Where one of the four was not seen, half of how far they lie from the middle between two.
+    """
+    jump = np.full(points.shape[:2], np.nan)
+    jump[1:-1] = np.linalg.norm(points[1:-1] - (points[2:] + points[:-2]) / 2, axis=-1) / 2
+    cubic = (4 * (points[3:-1] + points[1:-3]) - points[4:] - points[:-4]) / 6
+    fine = np.linalg.norm(points[2:-2] - cubic, axis=-1)
+    jump[2:-2] = np.where(np.isnan(fine), jump[2:-2], fine)
+    return jump
+
+
+def runs(missing: np.ndarray) -> np.ndarray:
+    """Return begin and end (exclusive) of each stretch of True, shape (stretches, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
+def longest_whole(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
+    """Return the longest stretch in which every track begins and ends seen and no gap is longer than allowed.
+
+    Args:
+        time: shape (frames,), s.
+        points: shape (frames, tracks, 2), m.
+        longest: longest gap, from the last sample before it to the first after it, s.
+    """
+    allowed = np.ones(len(time), dtype=bool)
+    seen = ~np.isnan(points[..., 0])
+    for column in seen.T:
+        for begin, end in runs(~column):
+            inner = begin > 0 and end < len(time)
+            if not inner or time[end] - time[begin - 1] > longest + 1e-9:
+                allowed[begin:end] = False
+    whole = seen.all(axis=1)
+    best = slice(0, 0)
+    for begin, end in runs(allowed):
+        full = np.flatnonzero(whole[begin:end])
+        if full.size and full[-1] - full[0] + 1 > best.stop - best.start:
+            best = slice(int(begin + full[0]), int(begin + full[-1]) + 1)
+    return best
+
+
+def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
+    """Return tracks with their gaps filled; the first and the last frame have to be seen.
+
+    Args:
+        time: shape (frames,), s.
+        points: shape (frames, tracks, 2), m.
+        way: "spline" (cubic, twice continuously differentiable) or "linear".
+
+    Raises:
+        InputError: another way.
+    """
+    one_of("fill", way, WAYS)
+    whole = points.copy()
+    for track in range(points.shape[1]):
+        missing = np.isnan(points[:, track, 0])
+        if not missing.any():
+            continue
+        seen = ~missing
+        known = points[seen, track]
+        if way == "spline" and seen.sum() > 3:
+            from scipy.interpolate import CubicSpline
+
+            whole[missing, track] = CubicSpline(time[seen], known)(time[missing])
+        else:
+            for axis in range(2):
+                whole[missing, track, axis] = np.interp(time[missing], time[seen], known[:, axis])
+    return whole

@@ -1,0 +1,211 @@
+"""Synthetic takes: a trajectory as a motion capture system would have exported it.
+
+For trying out what reads recordings, and for worked examples: what was true is known.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.errors import one_of
+from srs_twin.io.files import atomic_write
+from srs_twin.recordings.floor import MAPS
+from srs_twin.recordings.layout import LAYOUTS
+from srs_twin.recordings.tables import LENGTHS, MOTIVE_LENGTHS
+from srs_twin.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Take:
+    """How a motion is captured and exported.
+
+    Attributes:
+        layout: "single", "head" or "pair".
+        apart: distance of a pair's markers, and of the head's second one from its first, m.
+        across: a pair lies across the body, not along it.
+        height: of the markers over the floor, m.
+        noise: standard deviation of each coordinate, m.
+        rate_hz: frames a second; None: the samples of the trajectory.
+        swaps: how often two columns change places for good.
+        shuffled: the order of the columns means nothing, it is another one on every frame.
+        lost: share of the positions that are lost in short gaps.
+        gap_frames: mean length of these gaps, frames.
+        occluded: (marker from 0, from s, to s), when a marker was hidden.
+        spikes: how many positions are far off.
+        fragments: a marker that was lost comes back in a column of its own, as Motive does it.
+        labeled: columns are named after connectors; otherwise they are unlabeled and in any order.
+        unit: of length, one of `LENGTHS`.
+        up: axis that points up, one of `floor.MAPS`.
+        digits: after the point.
+        seed: of all that is random.
+    """
+
+    layout: str = "single"
+    apart: float = 0.02
+    across: bool = False
+    height: float = 0.03
+    noise: float = 2e-4
+    rate_hz: float | None = None
+    swaps: int = 0
+    shuffled: bool = False
+    lost: float = 0.0
+    gap_frames: float = 4.0
+    occluded: Sequence[tuple[int, float, float]] = ()
+    spikes: int = 0
+    fragments: bool = False
+    labeled: bool = False
+    unit: str = "mm"
+    up: str = "y"
+    digits: int = 6
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (
+            ("layout", self.layout, LAYOUTS[1:]),
+            ("unit", self.unit, tuple(LENGTHS)),
+            ("up", self.up, tuple(MAPS)),
+        ):
+            one_of(name, value, allowed)
+
+
+def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
+    """Return where the markers of a layout are, without noise, shape (samples, markers, 2), m."""
+    position, theta = trajectory.position, trajectory.stack("theta")
+    along = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    if take.layout == "single":
+        return position
+    if take.layout == "head":
+        return np.concatenate([position[:, :1] + take.apart * along[:, :1], position], axis=1)
+    if take.across:
+        along = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    pairs = np.stack([position + take.apart / 2 * along, position - take.apart / 2 * along], axis=2)
+    return pairs.reshape(len(position), -1, 2)
+
+
+def motive_csv(trajectory: Trajectory, take: Take) -> str:
+    """Return a Motive CSV export, format 1.21, of a motion.
+
+    Raises:
+        InputError: the take asks for what is not known.
+    """
+    random = np.random.default_rng(take.seed)
+    time, plane = _captured(trajectory, take)
+    seen = plane + take.noise * random.standard_normal(plane.shape)
+    for _ in range(take.spikes):
+        seen[random.integers(len(seen)), random.integers(seen.shape[1])] += random.uniform(-0.2, 0.2, 2)
+    hidden = _hidden(time, seen.shape[1], take, random)
+    seen[hidden] = np.nan
+    height = take.height + take.noise * random.standard_normal(seen.shape[:2])
+    columns, names = _columns(np.concatenate([seen, height[..., None]], axis=-1), hidden, take, random)
+    return _text(time, columns, names, take)
+
+
+def write_motive(trajectory: Trajectory, take: Take, path: str | os.PathLike[str]) -> None:
+    """Write `motive_csv` to a file, whole or not at all.
+
+    Raises:
+        InputError: as `motive_csv`, or the place cannot be written.
+    """
+    text = motive_csv(trajectory, take)
+    with atomic_write(path) as part:
+        part.write_text(text, encoding="utf-8", newline="")
+
+
+def _captured(trajectory: Trajectory, take: Take) -> tuple[np.ndarray, np.ndarray]:
+    """Return frame times from 0 on, and markers at them."""
+    time, plane = trajectory.time - trajectory.time[0], markers(trajectory, take)
+    if take.rate_hz is None:
+        return time, plane
+    from scipy.interpolate import CubicSpline
+
+    frames = np.arange(int(time[-1] * take.rate_hz + 1e-9) + 1) / take.rate_hz
+    return frames, CubicSpline(time, plane)(frames)
+
+
+def _hidden(time: np.ndarray, count: int, take: Take, random: np.random.Generator) -> np.ndarray:
+    """Return when each marker was not seen, shape (frames, markers)."""
+    hidden = np.zeros((len(time), count), dtype=bool)
+    wanted = take.lost * hidden.size
+    while hidden.sum() < wanted:
+        start, marker = random.integers(1, len(time)), random.integers(count)
+        hidden[start : start + random.geometric(1 / take.gap_frames), marker] = True
+    for which, begin, end in take.occluded:
+        hidden[(time >= begin) & (time < end), which] = True
+    return hidden
+
+
+def _columns(
+    points: np.ndarray, hidden: np.ndarray, take: Take, random: np.random.Generator
+) -> tuple[np.ndarray, list[str]]:
+    """Return markers in the columns of the file, and their names."""
+    frames, count = points.shape[:2]
+    if take.labeled:
+        return points, _labels(take.layout, count)
+    if take.fragments:
+        points = _fragmented(points, hidden)
+        count = points.shape[1]
+        return points, [f"Unlabeled {1000 + k}" for k in range(count)]
+    order = random.permutation(count)
+    place = np.broadcast_to(order, (frames, count)).copy()
+    swaps: list[int] = sorted(random.integers(1, frames, take.swaps).tolist())
+    for swap in swaps:
+        a, b = random.choice(count, 2, replace=False)
+        place[swap:, [a, b]] = place[swap:, [b, a]]
+    if take.shuffled:
+        place = random.permuted(place, axis=1)
+    return np.take_along_axis(points, place[..., None], axis=1), [
+        f"Unlabeled {1000 + k}" for k in range(count)
+    ]
+
+
+def _labels(layout: str, count: int) -> list[str]:
+    if layout == "pair":
+        return [f"snake:{k // 2 + 1}{'ab'[k % 2]}" for k in range(count)]
+    if layout == "head":
+        return ["snake:ahead", *(f"snake:{k}" for k in range(1, count))]
+    return [f"snake:{k}" for k in range(1, count + 1)]
+
+
+def _fragmented(points: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Return a column for each appearance of a marker, in the order in which they appear."""
+    pieces = []
+    for marker in range(points.shape[1]):
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], hidden[:, marker], [True]]).astype(np.int8)))
+        pieces += [(int(begin), int(end), marker) for begin, end in edges.reshape(-1, 2)]
+    columns = np.full((len(points), len(pieces), 3), np.nan)
+    for k, (begin, end, marker) in enumerate(sorted(pieces)):
+        columns[begin:end, k] = points[begin:end, marker]
+    return columns
+
+
+def _text(time: np.ndarray, columns: np.ndarray, names: list[str], take: Take) -> str:
+    count = columns.shape[1]
+    filed = np.empty_like(columns)
+    for k, (axis, sign) in enumerate(MAPS[take.up]):
+        filed[..., axis] = sign * columns[..., k] / LENGTHS[take.unit]
+    unseen = np.isnan(filed).any(axis=-1)
+    cells = np.char.mod(f"%.{take.digits}f", filed)
+    cells[unseen] = ""
+    word = next(word for word, unit in MOTIVE_LENGTHS.items() if unit == take.unit).capitalize()
+    rate = 1 / float(np.median(np.diff(time)))
+    header = [
+        f"Format Version,1.21,Take Name,synthetic {take.seed},Capture Frame Rate,{rate:.6f},Export Frame "
+        "Rate,"
+        f"{rate:.6f},Capture Start Time,,Total Frames in Take,{len(time)},Total Exported Frames,{len(time)},"
+        f"Rotation Type,Quaternion,Length Units,{word},Coordinate Space,Global",
+        "",
+        ",Type" + ",Marker" * (3 * count),
+        ",Name," + ",".join(name for name in names for _ in range(3)),
+        ",ID," + ",".join(f"{4096 + k:X}" for k in range(count) for _ in range(3)),
+        "," + ",Position" * (3 * count),
+        "Frame,Time (Seconds)" + ",X,Y,Z" * count,
+    ]
+    rows = [
+        f"{k},{t:.6f}," + ",".join(row)
+        for k, (t, row) in enumerate(zip(time, cells.reshape(len(time), -1).tolist(), strict=True))
+    ]
+    return "\r\n".join([*header, *rows, ""])

@@ -1,0 +1,139 @@
+r"""Columns of a captured motion, with the names a plant's trajectory has.
+
+Velocity as the slope of a moving line (Section 3.4.1).
+
+It is the least-squares line through a sample and n before and after it, n = 5 in the text,
+
+$$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
+
+It does not lag. Of an oscillation with angular frequency ω it keeps
+
+$$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}, $$
+
+at 120 Hz 97 % of 2 Hz; at the text's 15 frames a second nothing of it, and 82 % of 0.6 Hz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from srs_twin.recordings.body import Body
+from srs_twin.recordings.summary import BendSummary, LogSummary
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
+
+HALF_WIDTH = 5
+"""n, frames before and after."""
+
+
+def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH) -> np.ndarray:
+    """Return the rate of change of signals.
+
+    Args:
+        time: ascending, shape (frames,), s.
+        values: finite, shape (frames, …).
+        half_width: n. Near the ends the line goes through the samples there are.
+
+    Returns:
+        Shape of `values`, per second.
+    """
+    n, frames = half_width, len(time)
+    flat = np.asarray(values, dtype=float).reshape(frames, -1)
+    # Sums over windows, about the time and the value in their middle: large times cost no digits.
+    sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
+    for shift in range(-n, n + 1):
+        here = slice(max(0, -shift), frames - max(0, shift))
+        there = slice(max(0, shift), frames + min(0, shift))
+        t = (time[there] - time[here])[:, None]
+        y = flat[there] - flat[here]
+        sums[here] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
+    count, t, tt = sums[:, :1], sums[:, 1:2], sums[:, 2:3]
+    y, ty = np.split(sums[:, 3:], 2, axis=1)
+    slope: np.ndarray = (ty - t * y / count) / (tt - t * t / count)
+    return slope.reshape(np.shape(values))
+
+
+MEASURED = "measured"
+"""Stands for the plant in the metadata."""
+
+
+def trajectory_of(
+    body: Body,
+    missing: np.ndarray,
+    time: np.ndarray,
+    spec: RobotSpec,
+    summary: LogSummary,
+    gait_frequency_hz: float | None,
+) -> Trajectory:
+    """Return a body over time as a trajectory.
+
+    Args:
+        body: the connectors.
+        missing: where markers were filled in, shape (frames, markers).
+        time: shape (frames,), s.
+        spec: the robot; the masses of its connectors give the centre of mass.
+        summary: goes into the metadata.
+        gait_frequency_hz: as well.
+    """
+    share = spec.mass.array() / spec.mass.total
+    com = np.einsum("i,fij->fj", share, body.position)
+    heading = body.theta.mean(axis=1)
+    rates = moving_slope(time, np.column_stack([com, heading, body.bend]))
+    filled = np.stack([missing[:, list(group)].any(axis=1) for group in body.members], axis=1)
+    columns = {
+        "time": time, "com_x": com[:, 0], "com_y": com[:, 1], "heading": heading,
+        **numbered("x", body.position[..., 0]), **numbered("y", body.position[..., 1]),
+        **numbered("theta", body.theta), **numbered("bend", body.bend),
+        "com_velocity_x": rates[:, 0], "com_velocity_y": rates[:, 1], "yaw_rate": rates[:, 2],
+        **numbered("bend_rate", rates[:, 3:]), **numbered("filled", filled.astype(float)),
+        "residual": np.sqrt((body.residual**2).mean(axis=1)),
+    }  # fmt: skip
+    units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
+    units |= {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
+    source = {
+        "kind": summary.kind, "layout": summary.layout, "up": summary.up,
+        "samples_filled": summary.samples_filled, "samples_rejected": summary.samples_rejected,
+    }  # fmt: skip
+    return Trajectory(columns, units, metadata=metadata(spec, summary, gait_frequency_hz, source))
+
+
+def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of a (frames, n) array as name_1…name_n."""
+    return {f"{name}_{i}": np.ascontiguousarray(column) for i, column in enumerate(values.T, start=1)}
+
+
+def metadata(
+    spec: RobotSpec,
+    summary: LogSummary | BendSummary,
+    gait_frequency_hz: float | None,
+    source: Mapping[str, object],
+) -> dict[str, object]:
+    """Return what a measured trajectory says of itself.
+
+    Args:
+        spec: the robot.
+        summary: of what was read.
+        gait_frequency_hz: None where it is not known.
+        source: what is to be said of the file besides its name, hash and corrections.
+    """
+    geometry = spec.geometry
+    return {
+        "plant": MEASURED,
+        "robot": spec.name,
+        "record_hz": summary.rate_hz,
+        "duration_s": summary.end - summary.start,
+        "body_length_m": geometry.body_length,
+        "segment_length_m": geometry.segment_length,
+        "rigid_gap_m": geometry.rigid_gap,
+        "mass_kg": spec.mass.total,
+        "gait_frequency_hz": gait_frequency_hz,
+        "velocity_half_width": HALF_WIDTH,
+        "source": {
+            "file": summary.source.replace("\\", "/").rpartition("/")[2],
+            "sha256": summary.sha256,
+            **source,
+            "corrections": list(summary.corrections),
+        },
+    }

@@ -1,0 +1,328 @@
+"""Verdicts: what came out of a row in a column, met or missed, and whether that is what was committed.
+
+What came of a row in a column: its number from the runs, and the verdict by the row's rule.
+
+Baseline: the verdicts that are committed; a later run must come to the same.
+
+judge(): every row in every column: what came out, met or missed, and why as far as known.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.io.files import atomic_write, data_root, shown
+from srs_twin.provenance import versions
+from srs_twin.reproduction.claims import Cause, Claim, Measure, Setting
+from srs_twin.reproduction.runs import Order, Orders, Progress, Store
+from srs_twin.reproduction.traces import TRACES
+
+MET, EXPLAINED, MISSED = "met", "explained", "missed"
+VERDICTS = (MET, EXPLAINED, MISSED)
+
+_NOTHING = 1e-12
+"""Numbers below are none to divide by."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a row in one column.
+
+    Attributes:
+        verdict: "met"; "missed"; "explained", which is missed with a cause that is shown, and not met.
+        values: of the measures, in the row's unit; NaN where there is none.
+        value: what is held against the published one; NaN of an ordering, and where there is none.
+        error: (value − published)/|published|; NaN where there is no such number.
+        why: the cause, or why there is no value; empty where nothing is known.
+    """
+
+    verdict: str
+    values: tuple[float, ...]
+    value: float
+    error: float
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A row and what came of it.
+
+    Attributes:
+        claim: the row.
+        outcomes: column → what came of it there.
+    """
+
+    claim: Claim
+    outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+
+
+class Bench:
+    """Reads numbers out of the runs that are there, and holds them against rows."""
+
+    def __init__(self, store: Store, orders: Orders) -> None:
+        self._store, self._orders = store, orders
+
+    def outcome(self, claim: Claim, column: str, changes: Mapping[str, Setting] | None = None) -> Outcome:
+        """Return what came of a row in a column.
+
+        Args:
+            claim: the row.
+            column: "analytical", "twin" or "alone".
+            changes: fields of the scenarios that are otherwise.
+        """
+        values = tuple(self._number(measure, column, changes) for measure in claim.measures)
+        if any(math.isnan(value) for value in values):
+            return Outcome(MISSED, values, math.nan, math.nan, self._reason(claim, changes))
+        if claim.rule == "ordering":
+            met = all(a > b for a, b in zip(values, values[1:], strict=False))
+            return Outcome(MET if met else MISSED, values, math.nan, math.nan)
+        value = combined(claim.combine, values)
+        assert claim.value is not None, "checked by the file's model"
+        error = (value - claim.value) / abs(claim.value) if claim.value else math.nan
+        met = claim.low <= value <= claim.high
+        return Outcome(MET if met else MISSED, values, value, error)
+
+    def _number(self, measure: Measure, column: str, changes: Mapping[str, Setting] | None) -> float:
+        owner = measure.plant or column
+        orders = self._orders.of(measure, changes)
+        values = np.array([self._of(order, owner, measure.metric) for order in orders])
+        if measure.size:
+            values = np.abs(values)
+        if not len(values) or (measure.take is None and len(values) > 1):
+            return math.nan
+        return float(taken(measure.take, values))
+
+    def _of(self, order: Order, owner: str, metric: str) -> float:
+        row = self._store.row(order.key)
+        if row is None:
+            return math.nan
+        kind, _, name = metric.partition(".")
+        if kind == "trace":
+            trajectory = self._store.trajectory(order.key, owner)
+            found = None if trajectory is None else TRACES[name](trajectory)
+        else:
+            found = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
+        return math.nan if found is None else float(found)
+
+    def _reason(self, claim: Claim, changes: Mapping[str, Setting] | None) -> str:
+        """Say why there is no number."""
+        orders = [order for measure in claim.measures for order in self._orders.of(measure, changes)]
+        failed = [self._store.failure(order.key) for order in orders]
+        said = next((reason for reason in failed if reason), "")
+        return f"no value: {said}" if said else "no value: there is no such number in the run"
+
+
+def combined(how: str, values: tuple[float, ...]) -> float:
+    """Return one number of one measure or two; NaN where it would divide by nothing.
+
+    Args:
+        how: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or "unevenness" |a + b|/|a|.
+        values: of the measures.
+    """
+    a, b = values[0], values[-1]
+    if how == "difference":
+        return a - b
+    if how == "unevenness":
+        return abs(a + b) / abs(a) if abs(a) > _NOTHING else math.nan
+    if how in ("ratio", "excess"):
+        ratio = a / b if abs(b) > _NOTHING else math.nan
+        return ratio - 1 if how == "excess" else ratio
+    return a
+
+
+def taken(how: str | None, values: np.ndarray) -> float:
+    """Return what is taken of the values of several runs; NaN as soon as one of them has none."""
+    if how == "most":
+        return float(values.max())
+    if how == "least":
+        return float(values.min())
+    if how == "spread":
+        return float(np.ptp(values) / abs(values.mean())) if abs(values.mean()) > _NOTHING else math.nan
+    return float(values.mean())
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What came of each row when the baseline was written.
+
+    Attributes:
+        outcomes: row → column → outcome.
+        versions: package → version that it was written with.
+    """
+
+    outcomes: Mapping[str, Mapping[str, Outcome]]
+    versions: Mapping[str, str]
+
+    def changes(self, rows: Sequence[Judged]) -> list[str]:
+        """Return a line for each verdict that is not the one it was; a row that is new has no change.
+
+        A better verdict is a change as well: a tolerance may have been widened.
+
+        Args:
+            rows: judged now.
+        """
+        found = []
+        for row in rows:
+            for column, outcome in row.outcomes.items():
+                before = self.outcomes.get(row.claim.id, {}).get(column)
+                if before is not None and outcome.verdict != before.verdict:
+                    found.append(f"{row.claim.id}, {column}: {outcome.verdict}, was {before.verdict}")
+        return found
+
+
+def baseline_file() -> Path:
+    """Return the path of the shipped baseline."""
+    return data_root() / "calibration/published/baseline.json"
+
+
+def load_baseline(path: Path | None = None) -> Baseline:
+    """Load a baseline, the shipped one by default.
+
+    Raises:
+        InputError: it is not there, or none of ours.
+    """
+    place = path or baseline_file()
+    try:
+        given = json.loads(place.read_text("utf-8"))
+        outcomes = {
+            name: {column: _outcome(each) for column, each in columns.items()}
+            for name, columns in given["rows"].items()
+        }
+        return Baseline(outcomes, dict(given["versions"]))
+    except OSError as error:
+        raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{shown(place)}: not a baseline; --write-baseline writes one") from error
+
+
+def write_baseline(rows: Sequence[Judged], path: Path | None = None) -> Path:
+    """Write the outcomes of rows as the baseline, whole or not at all; return where.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    place = path or baseline_file()
+    document = {"versions": versions(), "rows": outcomes_document(rows, digits=4)}
+    with atomic_write(place) as part:
+        part.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return place
+
+
+def outcomes_document(rows: Sequence[Judged], *, digits: int | None = None) -> dict[str, Any]:
+    """Return outcomes as JSON values: row → column → verdict, values, value, error, why.
+
+    Args:
+        rows: judged.
+        digits: significant ones that are kept; None: all.
+    """
+
+    def number(value: float) -> float | None:
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else float(f"{value:.{digits}g}")
+
+    return {
+        row.claim.id: {
+            column: {
+                "verdict": each.verdict,
+                "values": [number(value) for value in each.values],
+                "value": number(each.value),
+                "error": number(each.error),
+                "why": each.why,
+            }
+            for column, each in row.outcomes.items()
+        }
+        for row in rows
+    }
+
+
+def _outcome(given: Mapping[str, Any]) -> Outcome:
+    def number(value: float | None) -> float:
+        return math.nan if value is None else float(value)
+
+    verdict = given["verdict"] if given["verdict"] in VERDICTS else MISSED
+    values = tuple(map(number, given["values"]))
+    return Outcome(verdict, values, number(given["value"]), number(given["error"]), str(given["why"]))
+
+
+Planned = Callable[[int], None]
+
+
+def judge(
+    claims: Sequence[Claim],
+    store: Store,
+    orders: Orders,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    planned: Planned | None = None,
+) -> tuple[Judged, ...]:
+    """Run what rows need and is not there yet, and judge them; then run what may explain those missed.
+
+    Args:
+        claims: the rows.
+        store: what was run before, and where new runs are kept.
+        orders: makes the orders, with whatever is altered in them.
+        workers: how many processes; default one a processor.
+        progress: called with every run that is finished.
+        planned: called with the number of runs that are due, before each round.
+
+    Raises:
+        InputError: a scenario or sweep cannot be used, or results cannot be kept.
+    """
+
+    def run(wanted: Sequence[Order]) -> None:
+        # What stands under a key may have been replaced by an order that also keeps its trajectories.
+        keys = dict.fromkeys(order.key for order in wanted)
+        due = store.missing(orders.made[key] for key in keys)
+        if planned is not None and due:
+            planned(len(due))
+        store.run(due, workers=workers, progress=progress)
+
+    bench = Bench(store, orders)
+    run([order for claim in claims for measure in claim.measures for order in orders.of(measure)])
+    rows = [Judged(each, {name: bench.outcome(each, name) for name in each.columns}) for each in claims]
+    run(
+        [
+            order
+            for row in rows
+            for cause in _to_be_shown(row)
+            for measure in row.claim.measures
+            for order in orders.of(measure, cause.changes)
+        ]
+    )
+    return tuple(
+        replace(row, outcomes={k: _explained(bench, row.claim, k, each) for k, each in row.outcomes.items()})
+        for row in rows
+    )
+
+
+def _to_be_shown(row: Judged) -> list[Cause]:
+    """Return the causes that runs must show, of the columns that are missed."""
+    missed = {name for name, outcome in row.outcomes.items() if outcome.verdict != MET}
+    return [cause for cause in row.claim.causes if cause.switch is not None and missed & set(cause.columns)]
+
+
+def _explained(bench: Bench, claim: Claim, column: str, outcome: Outcome) -> Outcome:
+    """Return a missed outcome with the first cause that is shown, or with what was thought to be one."""
+    causes = [cause for cause in claim.causes if column in cause.columns]
+    if outcome.verdict == MET or not causes:
+        return outcome
+    for cause in causes:
+        if cause.docs is not None:
+            return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
+        if cause.switch is None:
+            return replace(outcome, why=f"supposed: {cause.says}")
+        switched = bench.outcome(claim, column, cause.changes)
+        if switched.verdict == MET:
+            return replace(outcome, verdict=EXPLAINED, why=f"{cause.switch}: {cause.says}; met without it")
+    tried = ", ".join(f"{cause.switch}" for cause in causes)
+    return replace(outcome, why=outcome.why or f"not met either with {tried} switched")

@@ -1,0 +1,476 @@
+"""Robot files: every number with its unit, status and source; robots by name, path or override.
+
+What a robot file says of its modules: numbers of each, and spreads from which the rest is drawn.
+
+A spread is a standard deviation. Each quantity is drawn from a stream of its own, so that one spread more
+does not change what the others give; numbers beyond three standard deviations are taken at three. What is
+drawn comes on top of what is listed: factors multiply, biases add.
+
+Robot files: one snake, every number with its unit, status and source; converted to a RobotSpec in SI.
+
+The unit stands in the key and again in the record, and the two are checked against each other, so that a
+number copied from a table with another unit is refused. The published robots are in calibration/robots.
+
+Robots by name, by path, or as a scenario changes them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, get_args
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag
+
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.io.documents import Document, Loc, load_yaml
+from srs_twin.io.files import find
+from srs_twin.io.validation import Strict, validate
+from srs_twin.robot.sourced import Record, between, restated
+from srs_twin.robot.spec import (
+    WHEEL_SHARE,
+    Actuator,
+    Bending,
+    Chamber,
+    Friction,
+    Geometry,
+    Mass,
+    Modules,
+    RobotSpec,
+    Supply,
+)
+
+Factor = Annotated[float, between(0.1, 10.0)]
+Both = Annotated[list[Factor], Field(min_length=2, max_length=2)]
+Chambers = Record[Annotated[list[Both], Field(min_length=1, max_length=63)], Literal["1"]]
+Segments = Record[Annotated[list[Factor], Field(min_length=1, max_length=63)], Literal["1"]]
+Bends = Record[
+    Annotated[list[Annotated[float, between(-1.0, 1.0)]], Field(min_length=1, max_length=63)], Literal["rad"]
+]
+Share = Record[Annotated[float, between(0.0, 0.3)], Literal["1"]]
+Spread = Record[Annotated[float, between(0.0, 0.5)], Literal["rad"]]
+
+_MOST = 3.0
+
+# Quantity → its spread. Their order is that of the streams: new ones go to the end.
+_SPREADS = {
+    "gain": "gain_spread",
+    "tau_fill": "tau_spread",
+    "tau_vent": "tau_spread",
+    "bias": "bias_spread_rad",
+    "sensor_gain": "sensor_gain_spread",
+    "sensor_bias": "sensor_bias_spread_rad",
+}
+
+
+_PER_CHAMBER = "0.1 to 10 for the + and the - chamber of each segment"
+_PER_SEGMENT = "0.1 to 10 for each segment"
+_BENDS = "rad, -1 to 1 for each segment"
+
+
+def _listed(text: str, numbers: str) -> Any:
+    return Field(None, description=f"{text}, {numbers}, head first.")
+
+
+def _drawn(of: str, range_text: str) -> Any:
+    return Field(None, description=f"Standard deviation of {of}, {range_text}.")
+
+
+class ModulesFile(Strict):
+    """How each module departs from the nominal one."""
+
+    gain: Chambers | None = _listed("Bend over pressure, times the nominal", _PER_CHAMBER)
+    tau_fill: Chambers | None = _listed("tau_fill, times the nominal", _PER_CHAMBER)
+    tau_vent: Chambers | None = _listed("tau_vent, times the nominal", _PER_CHAMBER)
+    bias_rad: Bends | None = _listed("Bend without pressure", _BENDS)
+    sensor_gain: Segments | None = _listed("Sensed over actual bend", _PER_SEGMENT)
+    sensor_bias_rad: Bends | None = _listed("What is sensed of a straight segment", _BENDS)
+    gain_spread: Share | None = _drawn("the chambers' gains", "0 to 0.3")
+    tau_spread: Share | None = _drawn("the chambers' tau_fill and tau_vent", "0 to 0.3")
+    bias_spread_rad: Spread | None = _drawn("the bends without pressure", "rad, 0 to 0.5")
+    sensor_gain_spread: Share | None = _drawn("the sensors' gains", "0 to 0.3")
+    sensor_bias_spread_rad: Spread | None = _drawn("the sensors' biases", "rad, 0 to 0.5")
+    seed: Annotated[int, between(0, 2**32 - 1)] | None = Field(
+        None, description="Of what is drawn, 0 to 4294967295 (default: the scenario's seed)."
+    )
+
+    def draw(self, segments: int, seed: int) -> Modules:
+        """Return the modules.
+
+        Args:
+            segments: how many.
+            seed: where the file names none.
+        """
+        seed = seed if self.seed is None else self.seed
+        arrays = {}
+        for stream, (name, spread_name) in enumerate(_SPREADS.items()):
+            chambers, bends = name in ("gain", "tau_fill", "tau_vent"), name.endswith("bias")
+            shape = (segments, 2) if chambers else (segments,)
+            listed, spread = getattr(self, f"{name}_rad" if bends else name), getattr(self, spread_name)
+            base = np.full(shape, 0.0 if bends else 1.0) if listed is None else np.array(listed.value)
+            normal = np.random.default_rng([seed, stream]).standard_normal(shape)
+            drawn = (spread.value if spread else 0.0) * np.clip(normal, -_MOST, _MOST)
+            arrays[name] = base + drawn if bends else base * (1.0 + drawn)
+        return Modules.of(**arrays)
+
+    def contradictions(self, segments: int) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of lists that do not fit the number of segments."""
+        for name in type(self).model_fields:
+            record = getattr(self, name)
+            if (
+                isinstance(record, Record)
+                and isinstance(record.value, list)
+                and len(record.value) != segments
+            ):
+                yield (
+                    ("modules", name, "value"),
+                    f"{len(record.value)} entries for {segments} segments; give {segments}, head first",
+                )
+
+
+PA_PER_KPA = 1000.0
+M3_PER_ML = 1e-6
+
+
+Seconds = Annotated[float, between(1e-6, 100.0)]
+Pressure = Annotated[float, between(0.1, 2000.0)]
+Stiffness = Record[Annotated[float, between(1e-4, 1e6)], Literal["N*m/rad"]]
+Length = Record[Annotated[float, between(1e-4, 1.0)], Literal["m"]]
+Kilograms = Annotated[float, between(1e-4, 100.0)]
+
+
+def _one_or_many(value: Any) -> str:
+    return "each" if isinstance(value, list) else "all"
+
+
+Masses = Annotated[
+    Annotated[Kilograms, Tag("all")]
+    | Annotated[Annotated[list[Kilograms], Field(min_length=2, max_length=64)], Tag("each")],
+    Discriminator(_one_or_many),
+]
+
+
+class GeometryFile(Strict):
+    """Lengths of the body."""
+
+    connectors: Record[Annotated[int, between(2, 64)], Literal["1"]] = Field(
+        description="Number of connectors N (the text's links), 2 to 64; one more than segments."
+    )
+    segment_length_m: Record[Annotated[float, between(1e-3, 1.0)], Literal["m"]] = Field(
+        description="Length of the part of a segment that bends, m, 0.001 to 1."
+    )
+    rigid_gap_m: Record[Annotated[float, between(0.0, 1.0)], Literal["m"]] = Field(
+        description="Length of the part of a segment that stays straight, half of it at each end, m, 0 to 1."
+    )
+    half_track_m: Length = Field(description="Distance of a wheel from the centre line, m, 0.0001 to 1.")
+    wheel_radius_m: Length = Field(description="Radius of a wheel, m, 0.0001 to 1.")
+    com_height_m: Length = Field(description="Height of the centre of mass over the floor, m, 0.0001 to 1.")
+    width_m: Length = Field(description="Width of the soft body, m, 0.0001 to 1; no effect on the motion.")
+
+
+class MassFile(Strict):
+    """Masses."""
+
+    connectors_kg: Record[Masses, Literal["kg"]] = Field(
+        description="Mass at a connector with its wheels and its share of the body, kg, 0.0001 to 100: "
+        "one number for all, or a list, head first."
+    )
+    wheel_kg: Record[Annotated[float, between(1e-6, 100.0)], Literal["kg"]] = Field(
+        description="Mass of one wheel, part of its connector's, kg, 0.000001 to 100."
+    )
+
+
+class FrictionFile(Strict):
+    """Coulomb coefficients of the wheels on the floor."""
+
+    mu_t: Record[Annotated[float, between(0.0, 10.0)], Literal["1"]] = Field(
+        description="Along the heading (drag of a rolling wheel), 0 to 10."
+    )
+    mu_n: Record[Annotated[float, between(0.0, 10.0)], Literal["1"]] = Field(
+        description="Across the heading (a wheel that slides sideways), 0 to 10."
+    )
+
+
+class BendingFile(Strict):
+    """Compliance of one segment."""
+
+    stiffness_nm_per_rad: Stiffness = Field(description="Stiffness of bending, N*m/rad, 0.0001 to 1e6.")
+    damping_time_s: Record[Seconds, Literal["s"]] = Field(
+        description="Damping over stiffness, s, 1e-6 to 100; the actuator's tau_mode makes a free module "
+        "obey Eq. 14 exactly."
+    )
+    pitch_stiffness_nm_per_rad: Stiffness = Field(
+        description="Stiffness against bending out of the floor plane, N*m/rad, 0.0001 to 1e6."
+    )
+    roll_stiffness_nm_per_rad: Stiffness = Field(
+        description="Stiffness against twisting, N*m/rad, 0.0001 to 1e6."
+    )
+    out_of_plane_damping_time_s: Record[Seconds, Literal["s"]] = Field(
+        description="Damping over stiffness of pitch and roll, s, 1e-6 to 100."
+    )
+
+
+class ActuatorFile(Strict):
+    """Pneumatic response of one module; its gain is bend_rad over at_pressure_kpa."""
+
+    tau_fill_s: Record[Seconds, Literal["s"]] = Field(description="tau_1 of filling, s, 1e-6 to 100.")
+    tau_vent_s: Record[Seconds, Literal["s"]] = Field(description="tau_1 of venting, s, 1e-6 to 100.")
+    tau_mode_s: Record[Seconds, Literal["s"]] = Field(
+        description="tau_2, the valve and the fast mechanical mode, s, 1e-6 to 100."
+    )
+    bend_rad: Record[Annotated[float, between(1e-3, 6.3)], Literal["rad"]] = Field(
+        description="Bend of a free module at rest under at_pressure_kpa, rad, 0.001 to 6.3."
+    )
+    at_pressure_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="Pressure in one chamber that gives bend_rad, kPa, 0.1 to 2000."
+    )
+    bend_limit_rad: Record[Annotated[float, between(0.1, 6.3)], Literal["rad"]] | None = Field(
+        None,
+        description="Bend that no pressure exceeds, rad, 0.1 to 6.3; the law flattens towards it "
+        "(default: none, linear throughout).",
+    )
+
+
+class ChamberFile(Strict):
+    """Air space of one chamber."""
+
+    dead_volume_ml: Record[Annotated[float, between(0.1, 10_000.0)], Literal["ml"]] = Field(
+        description="Volume of a straight segment's chamber with its tube, ml, 0.1 to 10000."
+    )
+    air_volume_ml: Record[Annotated[float, between(0.1, 10_000.0)], Literal["ml"]] = Field(
+        description="Volume by which a chamber grows up to a bend of 90 degrees, ml, 0.1 to 10000."
+    )
+
+
+class SupplyFile(Strict):
+    """Gauge pressures."""
+
+    nominal_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="What a scenario gets that names no pressure, kPa, 0.1 to 2000."
+    )
+    continuous_limit_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="Most that a chamber may hold, kPa, 0.1 to 2000."
+    )
+    pulsed_limit_kpa: Record[Pressure, Literal["kPa"]] = Field(
+        description="Most that may be supplied while chambers alternate (a gait, PWM), kPa, 0.1 to 2000."
+    )
+
+
+class GaitFile(Strict):
+    """What the robot's gaits have in common."""
+
+    phase_step_rad: Record[Annotated[float, between(-6.3, 6.3)], Literal["rad"]] = Field(
+        description="Lag of a segment's gait behind the one before it, rad, -6.3 to 6.3 (E18)."
+    )
+
+
+class RobotFile(Strict):
+    """A robot file."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40, description="Short name.")
+    title: str = Field(min_length=1, max_length=200, description="One line for people.")
+    geometry: GeometryFile
+    mass: MassFile
+    friction: FrictionFile
+    bending: BendingFile
+    actuator: ActuatorFile
+    chamber: ChamberFile
+    supply: SupplyFile
+    gait: GaitFile
+    modules: ModulesFile | None = Field(
+        None, description="How each module departs from the nominal one (default: not at all)."
+    )
+
+    def records(self) -> dict[str, Record[Any, Any]]:
+        """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
+        sections = {name: getattr(self, name) for name in type(self).model_fields}
+        return {
+            f"{name}.{key}": getattr(section, key)
+            for name, section in sections.items() if isinstance(section, Strict)
+            for key in type(section).model_fields if isinstance(getattr(section, key), Record)
+        }  # fmt: skip
+
+    def spec(self, seed: int = 0) -> RobotSpec:
+        """Return the robot in SI.
+
+        Args:
+            seed: of what its modules leave to chance, where they name none themselves.
+        """
+        geometry, bending, actuator, supply = self.geometry, self.bending, self.actuator, self.supply
+        return RobotSpec(
+            name=self.name,
+            title=self.title,
+            geometry=Geometry(
+                connectors=geometry.connectors.value,
+                segment_length=geometry.segment_length_m.value,
+                rigid_gap=geometry.rigid_gap_m.value,
+                half_track=geometry.half_track_m.value,
+                wheel_radius=geometry.wheel_radius_m.value,
+                com_height=geometry.com_height_m.value,
+                width=geometry.width_m.value,
+            ),
+            mass=Mass(connectors=tuple(self.masses()), wheel=self.mass.wheel_kg.value),
+            friction=Friction(mu_t=self.friction.mu_t.value, mu_n=self.friction.mu_n.value),
+            bending=Bending(
+                stiffness=bending.stiffness_nm_per_rad.value,
+                damping_time=bending.damping_time_s.value,
+                pitch_stiffness=bending.pitch_stiffness_nm_per_rad.value,
+                roll_stiffness=bending.roll_stiffness_nm_per_rad.value,
+                out_of_plane_damping_time=bending.out_of_plane_damping_time_s.value,
+            ),
+            actuator=Actuator(
+                tau_fill=actuator.tau_fill_s.value,
+                tau_vent=actuator.tau_vent_s.value,
+                tau_mode=actuator.tau_mode_s.value,
+                gain=actuator.bend_rad.value / (actuator.at_pressure_kpa.value * PA_PER_KPA),
+                bend_limit=actuator.bend_limit_rad.value if actuator.bend_limit_rad else math.inf,
+            ),
+            chamber=Chamber(
+                dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
+                displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
+            ),
+            supply=Supply(
+                nominal=supply.nominal_kpa.value * PA_PER_KPA,
+                continuous_limit=supply.continuous_limit_kpa.value * PA_PER_KPA,
+                pulsed_limit=supply.pulsed_limit_kpa.value * PA_PER_KPA,
+                limit_source=supply.pulsed_limit_kpa.source,
+            ),
+            phase_step=self.gait.phase_step_rad.value,
+            variation=self.modules.draw(geometry.connectors.value - 1, seed) if self.modules else None,
+        )
+
+    def masses(self) -> list[float]:
+        """Return the mass of each connector as written, kg, head first."""
+        value = self.mass.connectors_kg.value
+        return list(value) if isinstance(value, list) else [value] * self.geometry.connectors.value
+
+    def contradictions(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of what does not fit together."""
+        connectors, masses = self.geometry.connectors.value, self.masses()
+        if len(masses) != connectors:
+            yield (
+                ("mass", "connectors_kg", "value"),
+                f"{len(masses)} masses for {connectors} connectors; give {connectors}, or one number for all",
+            )
+        if 2 * (wheel := self.mass.wheel_kg.value) > WHEEL_SHARE * min(masses):
+            yield (
+                ("mass", "wheel_kg", "value"),
+                f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
+                f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
+            )
+        if self.modules is not None:
+            yield from self.modules.contradictions(connectors - 1)
+        nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
+        if nominal > limit:
+            yield (
+                ("supply", "nominal_kpa", "value"),
+                f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
+            )
+
+
+def units_of(section: str) -> dict[str, str]:
+    """Return the units of a section's records by key; nothing for what is no section."""
+    field = RobotFile.model_fields.get(section)
+    model = _among(field.annotation, Strict) if field else None
+    if model is None:
+        return {}
+    records = {key: _among(given.annotation, Record) for key, given in model.model_fields.items()}
+    return {
+        key: get_args(record.model_fields["unit"].annotation)[0]
+        for key, record in records.items() if record is not None
+    }  # fmt: skip
+
+
+def _among(annotation: Any, model: type[Strict]) -> type[Strict] | None:
+    """Return the first class of that kind in an annotation such as ``Record[…] | None``."""
+    classes = [each for each in (annotation, *get_args(annotation)) if isinstance(each, type)]
+    return next((each for each in classes if issubclass(each, model)), None)
+
+
+def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
+    """Load and check a robot file.
+
+    Raises:
+        InputError: not found or not readable.
+        InputFileError: everything that is wrong with it.
+    """
+    document = load_yaml(find("robot", name_or_path))
+    file = check_robot(document, document.data)
+    document.finish()
+    assert file is not None, "a robot without a problem was checked"
+    return file
+
+
+def check_robot(document: Document, data: Any, *, prefix: Loc = ()) -> RobotFile | None:
+    """Return plain data as a robot, or None after reporting all that is wrong with it to the document."""
+    file = validate(RobotFile, document, data, prefix=prefix)
+    if file is None:
+        return None
+    contradictions = list(file.contradictions())
+    for loc, message in contradictions:
+        document.report(document.visible(prefix, loc), message)
+    return None if contradictions else file
+
+
+def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile | None:
+    """Return the robot that a scenario names, overrides or writes out; None after reporting problems.
+
+    Args:
+        document: the scenario.
+        given: a name, a path, a mapping with `base`, or a whole robot.
+        prefix: path of `given` in the document.
+
+    Raises:
+        InputFileError: the robot's own file is wrong (its lines name that file).
+    """
+    base = given.get("base") if isinstance(given, Mapping) else given
+    if isinstance(given, Mapping) and "base" not in given:
+        return check_robot(document, given, prefix=prefix)
+    where = (*prefix, "base") if isinstance(given, Mapping) else prefix
+    if not isinstance(base, str):
+        document.report(where, "must be a robot's name, a path, or a block of keys with base")
+        return None
+    try:
+        file = load_robot_file(base)
+    except InputFileError:
+        raise
+    except InputError as error:
+        document.report(where, str(error))
+        return None
+    if not isinstance(given, Mapping):
+        return file
+    merged = _override(file.model_dump(), given, f"set in {document.name} over {base}")
+    return check_robot(document, merged, prefix=prefix)
+
+
+def _override(base: Mapping[str, Any], override: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Return the base with plain numbers put into its records and whole records replaced."""
+    merged = dict(base)
+    if any(isinstance(value, Mapping) for value in override.values()) and "title" not in override:
+        merged["title"] = f"{base['title']}, modified"
+    for name, value in override.items():
+        if name == "base":
+            continue
+        section = base.get(name)
+        if section is None and name in base and isinstance(value, Mapping):
+            section = {}
+        if not (isinstance(section, Mapping) and isinstance(value, Mapping)):
+            merged[name] = value
+            continue
+        units = units_of(name)
+        merged[name] = dict(section)
+        for key, entry in value.items():
+            plain = key in units and not isinstance(entry, Mapping)
+            merged[name][key] = restated(section.get(key), entry, units[key], source) if plain else entry
+    return merged
+
+
+def robot_sources(name_or_path: str | os.PathLike[str]) -> dict[str, Record[Any, Any]]:
+    """Return every number of a robot with unit, status and source, by path.
+
+    Raises:
+        InputError, InputFileError: as `load_robot_file`.
+    """
+    return load_robot_file(name_or_path).records()

@@ -1,0 +1,137 @@
+"""Report of a fit: its table, its residuals as plots, and the data it was made from, in one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srs_twin.viewing.html.page import Markup, element, folded, page, picture, table
+from srs_twin.viewing.plots.style import finish, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from srs_twin.identification.estimate import Estimate, Residual
+    from srs_twin.identification.fit_file import FitFile
+
+
+_MOST_PANELS = 10
+_FEW = 3  # samples: fewer are bars, not lines
+_COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
+_READING = (
+    "Residuals are measured less predicted. The band is twice the noise that the fit expects of a signal. "
+    "Residuals that wander slowly, or that repeat themselves with the gait, are what the model lacks: "
+    "intervals grow by them, but a bias that they cause is not in the intervals.",
+    "The fit has not seen the data of the validation. Where their residuals are much larger than those of "
+    "the fit, what was found does not carry over to other runs.",
+)
+
+
+def fit_report(fit: FitFile, estimate: Estimate) -> str:
+    """Return the page of a fit; it needs nothing from outside itself.
+
+    Args:
+        fit: what was written.
+        estimate: with the residuals of all its data.
+    """
+    quality = fit.quality
+    validated = "" if quality.validation_rms is None else f", of the validation {quality.validation_rms:.3g}"
+    return page(
+        fit.title,
+        element("h1", fit.title),
+        element("p", f"fit {fit.name}, {fit.method}, of robot {fit.robot}", cls="sub"),
+        element("h2", "Parameters"),
+        _parameters(fit),
+        element(
+            "p",
+            f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the "
+            f"noise that is expected); {quality.samples} samples worth {quality.independent_samples:.4g}.",
+        ),
+        element("h2", "Residuals"),
+        *_pictures(estimate.residuals),
+        element("h2", "How to read this"),
+        *(element("p", sentence) for sentence in _READING),
+        element("h2", "Where it is from"),
+        element("p", fit.command),
+        _data(fit),
+        *_more(fit),
+    )
+
+
+def residual_plot(residuals: Sequence[Residual]) -> Figure:
+    """Return a panel a signal: measured less predicted, over the samples, with the noise as a band.
+
+    Args:
+        residuals: of one or more signals, ten at most are shown.
+    """
+    shown = residuals[:_MOST_PANELS]
+    figure, rows = panels(0.95 + 0.95 * len(shown), len(shown))
+    for axes, each in zip(rows, shown, strict=True):
+        _panel(axes, each)
+    first = shown[0]
+    some = "" if len(residuals) <= len(shown) else f", {len(shown)} of {len(residuals)} signals"
+    rows[0].set_title(f"{first.role}: {_data_of(first)}{some}", fontsize=10, loc="left")
+    rows[-1].set_xlabel("sample")
+    return figure
+
+
+def _panel(axes: Axes, residual: Residual) -> None:
+    values, color = residual.values, _COLORS[residual.role]
+    axes.axhspan(-2 * residual.scale, 2 * residual.scale, color="0.9", linewidth=0)
+    if len(values) <= _FEW:
+        axes.bar(np.arange(len(values)), values, width=0.4, color=color)
+    else:
+        axes.plot(values, color=color, linewidth=0.8)
+    axes.axhline(0.0, color="0.4", linewidth=0.6)
+    unit = "" if residual.unit == "1" else f"\n({residual.unit})"
+    finish(axes, f"{residual.name.rpartition(' ')[2]}{unit}")
+
+
+def _pictures(residuals: Sequence[Residual]) -> Iterator[Markup]:
+    """Yield a plot for each set of data, those of the fit first."""
+    ordered = sorted((each for each in residuals if len(each.values)), key=lambda each: each.role)
+    for (role, name), group in groupby(ordered, key=lambda each: (each.role, _data_of(each))):
+        kept = " (the fit has not seen them)" if role == "validation" else ""
+        yield picture(residual_plot(list(group)), f"Residuals of {name}{kept}.")
+
+
+def _data_of(residual: Residual) -> str:
+    """Return the name of the data of a signal."""
+    return residual.name.rpartition(" ")[0] or residual.name
+
+
+def _parameters(fit: FitFile) -> Markup:
+    rows = []
+    for each in fit.parameters:
+        numbers = ["–", ""]
+        if each.value is not None and each.low is not None and each.high is not None:
+            numbers = [f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}"]
+        rows.append([each.name, *numbers, each.unit, each.verdict, each.why])
+    headings = ["parameter", "value", "95 % interval", "unit", "verdict", "why"]
+    return table(headings, rows, numbers=[1, 2])
+
+
+def _data(fit: FitFile) -> Markup:
+    rows = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
+    return table(["used for", "data", "samples", "SHA-256"], rows, numbers=[2])
+
+
+def _more(fit: FitFile) -> Iterator[Markup]:
+    known = [each.name for each in fit.parameters if each.value is not None]
+    if len(known) > 1:
+        rows = [
+            [name, *(f"{value:+.2f}" for value in row)]
+            for name, row in zip(known, fit.correlation, strict=True)
+        ]
+        yield folded("Correlations", table(["", *known], rows, numbers=range(1, len(known) + 1)))
+    if fit.cancels:
+        rows = [[", ".join(f"{share:+.2f} {name}" for name, share in row.items())] for row in fit.cancels]
+        yield folded("Directions in which nothing changes", table(["share and parameter"], rows))
+    if fit.held:
+        rows = [[name, f"{value:.6g}"] for name, value in fit.held.items()]
+        yield folded("Taken as known", table(["what", "value"], rows, numbers=[1]))
+    yield folded("Versions", table(["package", "version"], list(fit.versions.items())))

@@ -1,0 +1,177 @@
+"""Stage: a finished run of the twin, set up again in MuJoCo and looked at sample by sample."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from srs_twin.comparison.following import following, segments_of
+from srs_twin.errors import InputError
+from srs_twin.scenario import Scenario
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.mujoco.canvas import Canvas
+from srs_twin.viewing.plots.signals import pressure_difference
+from srs_twin.viewing.plots.style import STYLES, pressure_colors
+
+Rgba = tuple[float, float, float, float]
+
+_TRAIL: Rgba = (*(byte / 255 for byte in STYLES["twin"].rgb), 1.0)  # type: ignore[assignment]
+PLAN_RGBA: Rgba = (0.15, 0.15, 0.15, 1.0)
+GOAL_RGBA: Rgba = (0.69, 0.19, 0.19, 1.0)
+_MOST_PIECES = 400
+_OBSTACLE_ALPHA = 0.35
+_LINE = 0.001  # thickness of lines on the floor and half of their width, m
+_CORNERS = 48
+
+
+class Stage:
+    """The scene of a run: robot and world as they were built, at the positions that the run recorded.
+
+    Segments have the colour of their pressure difference; the centre of mass leaves a trail, and what the
+    snake was to follow lies on the floor.
+
+    Attributes:
+        run: the twin's trajectory.
+        model: of MuJoCo, the stage's own.
+        data: where everything is now.
+        bench: whether the head is clamped, in the air.
+    """
+
+    def __init__(self, scenario: Scenario, run: Trajectory) -> None:
+        """Build the scene.
+
+        Args:
+            scenario: what was run.
+            run: what the twin did, with its ``qpos`` columns.
+
+        Raises:
+            InputError: no samples, no ``qpos`` columns, or not of this robot.
+        """
+        if not run.has("qpos") or not len(run):
+            raise InputError("no positions of the twin were recorded (columns qpos_1…): nothing to draw")
+        self.run, self.bench = run, scenario.bench
+        plant: Any = scenario.build_plant("twin")
+        self.model = plant.physics.model.ptr
+        self.data = mujoco.MjData(self.model)
+        self._qpos = run.stack("qpos")
+        if self._qpos.shape[1] != self.model.nq:
+            raise InputError(
+                f"the trajectory has {self._qpos.shape[1]} columns qpos_1…, the scenario's twin "
+                f"{self.model.nq}: they do not belong together; run the scenario again"
+            )
+        _light(self.model)
+        _see_through(self.model)
+        self._skins = _skins(self.model, scenario.robot.segments)
+        self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
+        every = max(1, -(-len(run) // _MOST_PIECES))
+        self._marks = np.arange(0, len(run), every)
+        self._fixed = _on_the_floor(run)
+
+    @property
+    def duration(self) -> float:
+        """Length of the run, s."""
+        return float(self.run.time[-1] - self.run.time[0])
+
+    @property
+    def planned(self) -> bool:
+        """Whether there was a plan to follow."""
+        return bool(self._fixed)
+
+    def row_at(self, time: float) -> int:
+        """Return the sample that is nearest to a time, s."""
+        return int(np.abs(self.run.time - time).argmin())
+
+    def show(self, row: int) -> None:
+        """Put everything where it was at a sample."""
+        self.data.qpos[:] = self._qpos[row]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        for geoms, color in zip(self._skins, self._colors[row], strict=True):
+            self.model.geom_rgba[geoms] = color
+
+    def picture(self, canvas: Canvas, camera: mujoco.MjvCamera, row: int) -> np.ndarray:
+        """Return a picture of a sample, shape (height, width, 3), bytes."""
+        self.show(row)
+        return canvas.draw(self.data, camera, lambda scene: self.add_lines(scene, row))
+
+    def add_lines(self, scene: mujoco.MjvScene, row: int, half: float = _LINE) -> None:
+        """Draw the trail up to a sample, and what the snake was to follow, in lines of half a width in m."""
+        if not self.bench:
+            seen = np.append(self._marks[self._marks < row], row)
+            add_line(scene, self.run.com[seen], _TRAIL, half, level=2)
+        for points, color in self._fixed:
+            add_line(scene, points, color, half)
+
+
+def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: Rgba, half: float, level: int = 1) -> None:
+    """Add a line on the floor to a scene, as far as there is room.
+
+    It is made of flat boxes: capsules would take longer to draw than everything else. Each lies a little
+    higher than the one before: MuJoCo lights faces at the same depth twice.
+
+    Args:
+        scene: of a picture that is being made.
+        points: (n, 2), m.
+        color: red, green, blue, opacity, 0 to 1.
+        half: of its width, m.
+        level: lines of a higher one lie on those of a lower one.
+    """
+    box, rgba = mujoco.mjtGeom.mjGEOM_BOX, np.array(color, dtype=np.float32)
+    heights = _LINE * np.linspace(level, level + 1, len(points))
+    for begin, end, height in zip(points, points[1:], heights, strict=False):
+        if scene.ngeom == scene.maxgeom:
+            return
+        (x, y), length = end - begin, math.hypot(*(end - begin))
+        c, s = (x / length, y / length) if length else (1.0, 0.0)
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom], box, [length / 2 + half, half, _LINE / 2], [*(begin + end) / 2, height],
+            [c, -s, 0, s, c, 0, 0, 0, 1], rgba,
+        )  # fmt: skip
+        scene.ngeom += 1
+
+
+def _light(model: mujoco.MjModel) -> None:
+    """Let no more light fall on anything than white reflects: a colour here stands for a pressure."""
+    model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.2] * 3
+    model.light_diffuse[:], model.light_specular[:] = 0.45, 0.0
+    model.mat_reflectance[:] = 0.0
+
+
+def _see_through(model: mujoco.MjModel) -> None:
+    """Let the camera see a snake behind an obstacle."""
+    for geom in range(model.ngeom):
+        if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
+            model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
+
+
+def _skins(model: mujoco.MjModel, segments: int) -> Sequence[list[int]]:
+    """Return the geoms that are drawn as the skin of each segment."""
+    found: list[list[int]] = [[] for _ in range(segments)]
+    for geom in range(model.ngeom):
+        if match := re.fullmatch(r"skin_(\d+)_\d+", model.geom(geom).name):
+            found[int(match[1]) - 1].append(geom)
+    return found
+
+
+def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, Rgba]]:
+    """Return the path of the first plan and the edge of the goal as lines, none where nothing was planned."""
+    about = following(run)
+    if about is None:
+        return []
+    lines = [(_along(segment), PLAN_RGBA) for segment in segments_of(about["plans"][0])]
+    goal, angle = about["goal"], np.linspace(0, 2 * np.pi, _CORNERS + 1)
+    ring = np.column_stack(
+        [goal["x"] + goal["radius"] * np.cos(angle), goal["y"] + goal["radius"] * np.sin(angle)]
+    )
+    return [*lines, (ring, GOAL_RGBA)]
+
+
+def _along(segment: Any) -> np.ndarray:
+    poses: Iterable[Any] = (segment.pose(s) for s in np.linspace(0, segment.length, 12))
+    return np.array([(pose.x, pose.y) for pose in poses])

@@ -1,0 +1,1 @@
+"""Finished runs as Rerun recordings, and the viewer that shows them."""

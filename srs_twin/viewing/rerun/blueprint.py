@@ -1,0 +1,225 @@
+"""How a recording opens: the scene on the left, bends, pressures and speed beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from srs_twin.viewing.plots.signals import Kind
+
+TIMELINE = "sim_time"
+_PERIODS_SHOWN = 4
+
+Rows = list[rrb.Container | rrb.View]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the views depend on.
+
+    Attributes:
+        plants: names under `world/`; the eye follows the twin, else the first.
+        segments: number of modules.
+        start: where the followed snake starts, (2,), m.
+        heading: in which direction it starts, rad.
+        body_length: m.
+        period: of the gait, s; plots show a few of them around the cursor. None: they show the whole run.
+        compared: whether there are differences of the plants to plot.
+        kind: of the experiment; the plots that matter for it are shown.
+        events: whether there is anything in the text log.
+        root: entity above all of them, where several runs are in one recording.
+        measured: of what there are differences from a measured robot: shape, path, bend.
+    """
+
+    plants: Sequence[str]
+    segments: int
+    start: np.ndarray
+    heading: float
+    body_length: float
+    period: float | None
+    compared: bool
+    kind: Kind = "gait"
+    events: bool = False
+    root: str = ""
+    measured: Sequence[str] = ()
+
+    @property
+    def world(self) -> str:
+        """The entity of everything on the floor."""
+        return f"{self.root}/world" if self.root else "world"
+
+    @property
+    def followed(self) -> str:
+        """The plant that the eye follows."""
+        return "twin" if "twin" in self.plants else self.plants[0]
+
+
+def run_blueprint(layout: Layout) -> rrb.Blueprint:
+    """Return the layout of one run: the scene, and beside it the plots that matter for such an experiment."""
+    rows = _ROWS[layout.kind](layout)
+    shares = [3] * (len(rows) - 1) + [2]
+    if layout.events:
+        rows, shares = [*rows, _events()], [*shares, 2]
+    return _opened(
+        rrb.Horizontal(scene_view(layout), rrb.Vertical(*rows, row_shares=shares), column_shares=[3, 2])
+    )
+
+
+def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
+    """Return the layout of several runs: each one's scene above its speed, three in a row at most.
+
+    Args:
+        layouts: name of a run → its layout, with its root.
+    """
+    columns = []
+    for name, layout in layouts.items():
+        body = rrb.Tabs(
+            _plot(f"{layout.root}/body/speed", "CoM speed, forward (m/s)"),
+            _plot(f"{layout.root}/body/heading", "Heading (rad)"),
+            _plot(f"{layout.root}/module/1/bend", "Bend of module 1 (rad)"),
+        )
+        columns.append(rrb.Vertical(scene_view(layout, name=name), body, row_shares=[3, 1]))
+    return _opened(rrb.Grid(*columns, grid_columns=min(3, len(columns))))
+
+
+def _opened(shown: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        shown,
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _modules(layout: Layout) -> range:
+    return range(1, layout.segments + 1)
+
+
+def _bends(layout: Layout) -> rrb.Grid | rrb.Tabs:
+    """Return the bends: up to four modules stand side by side, more of them in tabs."""
+    return _side_by_side(
+        [_gait_plot(layout, j, "bend", f"Bend of module {j} (rad)") for j in _modules(layout)]
+    )
+
+
+def _body(layout: Layout) -> rrb.Tabs:
+    views = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
+    if layout.compared:
+        views.append(_plot("comparison", "Difference of the plants (mm)"))
+    views += _measured(layout)
+    return rrb.Tabs(*views)
+
+
+def _measured(layout: Layout) -> list[rrb.TimeSeriesView]:
+    """Return how far the plants are from the measured robot: on a bench there may be bends alone."""
+    distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
+    views = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
+    if "bend" in layout.measured:
+        views.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
+    return views
+
+
+def _gait_rows(layout: Layout) -> Rows:
+    pressures = [
+        _gait_plot(layout, j, "pressure", f"p+ minus p- of module {j} (kPa)") for j in _modules(layout)
+    ]
+    return [_bends(layout), _side_by_side(pressures), _body(layout)]
+
+
+def _bench_rows(layout: Layout) -> Rows:
+    """Return bend, reading and reference of each module above its valves and pressures."""
+    rows: list[list[rrb.TimeSeriesView]] = [[], [], []]
+    for j in _modules(layout):
+        both = [f"module/{j}/{signal}/**" for signal in ("bend", "sensed")]
+        rows[0].append(
+            _plot(
+                "/", f"Bend of module {j}, reference and readings (rad)", contents=[f"+ /{e}" for e in both]
+            )
+        )
+        rows[1].append(_plot(f"module/{j}/valve", f"Valves of module {j} (1: to the left)"))
+        rows[2].append(_plot(f"module/{j}/pressure", f"p+ minus p- of module {j} (kPa)"))
+    shown: Rows = [_side_by_side(row) for row in rows]
+    return [*shown, rrb.Tabs(*reversed(_measured(layout)))] if layout.measured else shown
+
+
+def _learning_rows(layout: Layout) -> Rows:
+    duties = [_plot(f"module/{j}/duty", f"Duties of module {j}", legend=j == 1) for j in _modules(layout)]
+    return [_bends(layout), _side_by_side(duties), _body(layout)]
+
+
+def _following_rows(layout: Layout) -> Rows:
+    return [
+        _plot("follow/cross_track", "Distance from the path, left positive (mm)"),
+        _plot("follow/offset", "Offset commanded"),
+        rrb.Tabs(*_body(layout).contents, _bends(layout)),
+    ]
+
+
+_ROWS: Mapping[Kind, Callable[[Layout], Rows]] = {
+    "gait": _gait_rows, "bench": _bench_rows, "learning": _learning_rows, "following": _following_rows,
+}  # fmt: skip
+
+
+def _events() -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(
+        timeline_columns=[TIMELINE], text_log_columns=["loglevel", "entitypath", "body"]
+    )
+    return rrb.TextLogView(origin="events", name="Events", columns=columns)
+
+
+def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
+    """Return the 3-D view: the eye goes along on the snake's right; trails reach back from the cursor."""
+    name = name or ("Both plants on the floor" if len(layout.plants) > 1 else "On the floor")
+    right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])
+    eye = layout.start + 1.25 * layout.body_length * right
+    so_far = rrb.VisibleTimeRanges(
+        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    return rrb.Spatial3DView(
+        origin=layout.world,
+        name=name,
+        background=rrb.Background(color=[245, 246, 248]),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=1.0, color=[150, 155, 165, 110]),
+        eye_controls=rrb.EyeControls3D(
+            position=[*eye, 1.2 * layout.body_length],
+            look_target=[*layout.start, 0.0],
+            eye_up=[0.0, 0.0, 1.0],
+            tracking_entity=f"{layout.world}/{layout.followed}/com",
+        ),
+        overrides={f"{layout.world}/{plant}/trail": so_far for plant in layout.plants},
+    )
+
+
+def _gait_plot(layout: Layout, module: int, signal: str, name: str) -> rrb.TimeSeriesView:
+    origin = f"module/{module}/{signal}"
+    if layout.period is None:
+        return _plot(origin, name, legend=False)
+    half = rr.TimeInt(seconds=_PERIODS_SHOWN / 2 * layout.period)
+    back = rr.TimeInt(seconds=-_PERIODS_SHOWN / 2 * layout.period)
+    shown = rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.cursor_relative(back), end=rrb.TimeRangeBoundary.cursor_relative(half)
+    )
+    axis = rrb.TimeAxis(view_range=shown)
+    return _plot(origin, name, legend=False, axis_x=axis)
+
+
+def _plot(
+    origin: str,
+    name: str,
+    *,
+    legend: bool = True,
+    axis_x: rrb.TimeAxis | None = None,
+    contents: Sequence[str] | str = "$origin/**",
+) -> rrb.TimeSeriesView:
+    corner = rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=legend)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=axis_x, contents=contents)
+
+
+def _side_by_side(views: Sequence[rrb.TimeSeriesView]) -> rrb.Grid | rrb.Tabs:
+    if len(views) > 4:
+        return rrb.Tabs(*views)
+    return rrb.Grid(*views, grid_columns=min(2, len(views)))

@@ -1,0 +1,417 @@
+"""Write finished runs as Rerun recordings, whole columns at once; nothing is logged while they simulate.
+
+What happened in a run, as a text log of a recording: a controller's events, and touching obstacles.
+
+Signals of each module in a recording besides bend and pressure: valves, readings, duties.
+
+Write a finished run as a Rerun recording, whole columns at once; nothing is logged while it simulates.
+
+Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
+`world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`,
+`module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`, `follow/{cross_track, offset}/<plant>`,
+`events/<plant>` (text), `body/{speed, heading}/<plant>`, `comparison/{shape, path}`,
+`measured/{shape, path, bend}/<plant>`.
+The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
+as the views' names say.
+
+Several recordings in one, beneath their names, with a blueprint that shows them side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+from rerun.blueprint import Blueprint
+
+from srs_twin.comparison.following import touches
+from srs_twin.errors import InputError
+from srs_twin.io.files import atomic_write
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.trajectory import Event, Trajectory
+from srs_twin.viewing.plots.signals import (
+    check_drawable,
+    forward_speed,
+    gait_period,
+    kind_of,
+    period_speed,
+    pressure_difference,
+)
+from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, REFERENCE, Style, style_of
+from srs_twin.viewing.rerun.blueprint import TIMELINE, Layout, run_blueprint, side_by_side_blueprint
+from srs_twin.viewing.rerun.scene import (
+    Entities,
+    line_height,
+    send_contacts,
+    send_obstacles,
+    send_plan,
+    send_snake,
+)
+from srs_twin.viewing.rerun.viewer import verify_recording
+from srs_twin.world import World
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk
+
+    from srs_twin.comparison.compare import Comparison, MeasuredDifference
+
+
+_WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
+
+
+def events_of(run: Trajectory) -> list[Event]:
+    """Return a run's events and its contacts with obstacles, in order of time."""
+    return sorted([*run.events, *_contacts(run), *_end(run)], key=lambda event: event.time)
+
+
+def send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+    """Log a run's events as `events/<plant>`; nothing where there are none."""
+    events = events_of(run)
+    if not events:
+        return
+    columns = rr.TextLog.columns(
+        text=[f"{event.kind}: {event.text}" for event in events],
+        level=["WARN" if event.kind in _WARNINGS else "INFO" for event in events],
+        color=[style.rgb] * len(events),
+    )
+    times = np.array([event.time for event in events])
+    log.send_columns(f"events/{plant}", [rr.TimeColumn(TIMELINE, duration=times)], columns)
+
+
+def _contacts(run: Trajectory) -> Iterator[Event]:
+    for touch in touches(run):
+        # One that a single sample saw is shorter than what lies between samples.
+        lasted = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
+        text = f"connector {touch.connector}, at most {touch.force:.2g} N{lasted}"
+        yield Event(touch.begin, "contact", text)
+
+
+def _end(run: Trajectory) -> Iterator[Event]:
+    by = run.metadata.get("ended_by")
+    if by is not None:
+        yield Event(float(run.time[-1]), "ended", f"the run, by its {by}")
+
+
+_READING_WIDTH = 0.6
+_SIDES = (("plus", PLUS_RGB), ("minus", MINUS_RGB))
+
+
+def send_modules(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+    """Log `module/<j>/valve/<plant>`, and `sensed` and `duty` where they say more than bend and valve.
+
+    The state of a module's valves is 1 where they drive towards positive bends, −1 towards negative ones, 0
+    where both do the same.
+    """
+    if run.has("valve_plus"):
+        state = (run.stack("valve_plus") - run.stack("valve_minus")) / 2
+        for j, values in enumerate(state.T, start=1):
+            line = rr.SeriesLines(
+                colors=[style.rgb], names=[style.label], widths=[style.width], interpolation_mode="StepAfter"
+            )
+            _send(log, f"module/{j}/valve/{plant}", run.time, values, line, changes=True)
+    if run.has("sensed") and not np.array_equal(run.stack("sensed"), run.stack("bend")):
+        for j, values in enumerate(run.stack("sensed").T, start=1):
+            line = rr.SeriesLines(
+                colors=[style.rgb], names=[f"{style.label}, sensed"], widths=[_READING_WIDTH]
+            )
+            _send(log, f"module/{j}/sensed/{plant}", run.time, values, line)
+    for side, rgb in _SIDES:
+        if run.has(f"duty_{side}"):
+            for j, values in enumerate(run.stack(f"duty_{side}").T, start=1):
+                line = rr.SeriesLines(
+                    colors=[rgb], names=[f"{style.label}, {side}"], widths=[style.width],
+                    interpolation_mode="StepAfter",
+                )  # fmt: skip
+                _send(log, f"module/{j}/duty/{plant}/{side}", run.time, values, line, changes=True)
+
+
+def _send(
+    log: rr.RecordingStream,
+    path: str,
+    time: np.ndarray,
+    values: np.ndarray,
+    line: rr.SeriesLines,
+    *,
+    changes: bool = False,
+) -> None:
+    """Log a signal; of one in steps only the samples at which it changes, and the last."""
+    if changes:
+        kept = np.append(np.flatnonzero(np.append(True, values[1:] != values[:-1])), len(values) - 1)
+        # What a sample says has held since the one before.
+        since = np.append(np.maximum(kept[:-1] - 1, 0), kept[-1])
+        time, values = time[since], values[kept]
+    log.log(path, line, static=True)
+    scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float))
+    log.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], scalars)
+
+
+APPLICATION = "srs_twin"
+SCENE_HZ = 50.0
+"""Shapes are kept at most this often; plots keep every sample."""
+
+# The viewer may be dark or light: black would not be seen in one of them.
+_REFERENCE = replace(REFERENCE, color="#8a8a8a")
+# Signal of a follower, its entity, and shown over SI.
+_FOLLOWED = (("cross_track", "cross_track", 1e3), ("offset_commanded", "offset", 1.0))
+
+
+def write_recording(
+    path: str | Path,
+    *,
+    spec: RobotSpec,
+    trajectories: Mapping[str, Trajectory],
+    comparison: Comparison | None = None,
+    title: str = "",
+    world: World | None = None,
+    measured: Mapping[str, MeasuredDifference] | None = None,
+) -> None:
+    """Write `recording.rrd`: both snakes on the floor, and their signals side by side in plots.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        spec: the robot that ran.
+        trajectories: plant → what it did. With a twin, the other plants are ghosts.
+        comparison: gives the plots of shape and path difference.
+        title: the recording's name in the viewer.
+        world: whose obstacles stand on the floor; None: there are none.
+        measured: plant → how far it is from the measured robot; gives plots of it.
+
+    Raises:
+        InputError: there is no trajectory, or one of them is empty.
+    """
+    check_drawable(trajectories)
+    recorded = _recorded(spec, trajectories, comparison, title, world or World(), measured or {})
+    Path(path).write_bytes(recorded)
+    # A stream that nobody refers to any more keeps its threads and what went through it until it is told.
+    rr.bindings.flush_and_cleanup_orphaned_recordings()
+
+
+def _recorded(
+    spec: RobotSpec,
+    trajectories: Mapping[str, Trajectory],
+    comparison: Comparison | None,
+    title: str,
+    world: World,
+    measured: Mapping[str, MeasuredDifference],
+) -> bytes:
+    log = rr.RecordingStream(APPLICATION)
+    low, high = _extent(trajectories, spec)
+    residuals = {plant: _residuals(difference) for plant, difference in measured.items()}
+    told = list(dict.fromkeys(name for each in residuals.values() for name in each))
+    layout = _layout(trajectories, spec, comparison is not None, told)
+    # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
+    recording = log.memory_recording()
+    send_blueprint(log, run_blueprint(layout))
+    log.set_log_time_enabled(False)
+    log.set_log_tick_enabled(False)
+    log.send_recording_name(title or spec.title)
+    _send_floor(log, low, high)
+    send_obstacles(log, world)
+    for index, (plant, run) in enumerate(trajectories.items()):
+        style = style_of(plant, index)
+        ghost = plant != "twin" and "twin" in trajectories
+        scene = thinned(run, SCENE_HZ)
+        entities = Entities(log, f"world/{plant}", scene.time)
+        send_snake(entities, scene, spec.geometry, style, ghost=ghost)
+        send_contacts(log, f"world/{plant}/contact", run, line_height(spec.geometry))
+        _send_signals(log, plant, run, style)
+        send_modules(log, plant, run, style)
+        send_events(log, plant, run, style)
+    send_plan(log, trajectories)
+    if comparison is not None:
+        for index, (name, error) in enumerate(
+            (("shape", comparison.shape_error), ("path", comparison.path_error))
+        ):
+            _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
+    for index, (plant, errors) in enumerate(residuals.items()):
+        for name, error in errors.items():
+            path, style = f"measured/{name}/{plant}", style_of(plant, index)
+            _send_series(log, path, measured[plant].comparison.time, error, style)
+    content: bytes = recording.drain_as_bytes()
+    log.disconnect()
+    return content
+
+
+def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
+    """Return what was measured of shape and path (mm) and bends (RMS over segments, rad), shape (T,) each."""
+    signals = difference.signals()
+    errors = {name: 1e3 * signals[f"{name}_m"] for name in ("shape", "path") if f"{name}_m" in signals}
+    return errors | {"bend": difference.bend_rms}
+
+
+def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
+    """Send a blueprint as `log.send_blueprint` does, but end the stream that carries it.
+
+    Rerun 0.41 forgets to: every recording of a process would leave two threads and two megabytes.
+    """
+    carrier = rr.RecordingStream._from_native(
+        rr.bindings.new_blueprint(
+            application_id=APPLICATION, make_default=False, make_thread_default=False, default_enabled=True
+        )
+    )
+    carrier.set_time("blueprint", sequence=0)
+    blueprint._log_to_stream(carrier)
+    content = carrier.memory_recording()
+    # Active, not only default: a viewer that has shown another robot before must not keep its layout.
+    rr.bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
+    carrier.disconnect()
+
+
+def thinned(trajectory: Trajectory, rate_hz: float) -> Trajectory:
+    """Return every n-th sample, so that at most `rate_hz` remain."""
+    steps = np.diff(trajectory.time[:2])
+    every = max(1, round(1 / (rate_hz * steps[0]))) if len(steps) and steps[0] > 0 else 1
+    columns = {name: column[::every] for name, column in trajectory.columns.items()}
+    return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
+
+
+def _layout(
+    trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: Sequence[str]
+) -> Layout:
+    followed = trajectories.get("twin") or next(iter(trajectories.values()))
+    return Layout(
+        plants=list(trajectories),
+        segments=spec.segments,
+        start=followed.com[0],
+        heading=float(followed["heading"][0]),
+        body_length=spec.geometry.body_length,
+        period=gait_period(followed),
+        compared=compared,
+        measured=measured,
+        kind=kind_of(trajectories),
+        events=any(map(events_of, trajectories.values())),
+    )
+
+
+def _extent(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([run.position.reshape(-1, 2) for run in trajectories.values()])
+    margin = spec.geometry.half_track + spec.geometry.pitch
+    return np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
+
+
+def _send_floor(log: rr.RecordingStream, low: np.ndarray, high: np.ndarray) -> None:
+    margin = 0.25 * float(np.hypot(*(high - low)))
+    (x0, y0), (x1, y1) = low - margin, high + margin
+    corners = [[x0, y0, -0.001], [x1, y0, -0.001], [x1, y1, -0.001], [x0, y1, -0.001]]
+    floor = rr.Mesh3D(
+        vertex_positions=corners, triangle_indices=[[0, 1, 2], [0, 2, 3]], albedo_factor=[228, 230, 233]
+    )
+    log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log.log("world/floor", floor, static=True)
+
+
+def _send_signals(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+    bends, pressures = run.stack("bend"), pressure_difference(run)
+    for j in range(bends.shape[1]):
+        _send_series(log, f"module/{j + 1}/bend/{plant}", run.time, bends[:, j], style)
+        if np.isfinite(pressures).any():
+            _send_series(log, f"module/{j + 1}/pressure/{plant}", run.time, 1e-3 * pressures[:, j], style)
+    if run.has("reference_1"):
+        for j, asked in enumerate(run.stack("reference").T, start=1):
+            _send_series(log, f"module/{j}/bend/reference", run.time, asked, _REFERENCE)
+    for name, entity, factor in _FOLLOWED:
+        if run.has(name):
+            _send_series(log, f"follow/{entity}/{plant}", run.time, factor * run[name], style)
+    _send_series(log, f"body/heading/{plant}", run.time, run["heading"], style)
+    period = gait_period(run)
+    time, speed = (run.time, forward_speed(run)) if period is None else period_speed(run, period)
+    _send_series(log, f"body/speed/{plant}", time, speed, style)
+
+
+def _send_series(
+    log: rr.RecordingStream, path: str, time: np.ndarray, values: np.ndarray, style: Style
+) -> None:
+    line = rr.SeriesLines(colors=[style.rgb], names=[style.label], widths=[style.width])
+    log.log(path, line, static=True)
+    scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float))
+    log.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], scalars)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One of the recordings.
+
+    Attributes:
+        name: what it is called.
+        chunks: all that it holds.
+    """
+
+    name: str
+    chunks: tuple[Chunk, ...]
+
+    @property
+    def root(self) -> str:
+        """The entity that everything of it lies beneath."""
+        return rr.escape_entity_path_part(self.name)
+
+    @property
+    def snakes(self) -> list[str]:
+        """Names under world/ of what has a centre of mass."""
+        paths = (chunk.entity_path.split("/") for chunk in self.chunks)
+        return list(dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"]))
+
+    def first(self, entity: str, component: str) -> np.ndarray:
+        """Return the first row of a component with points, shape (n, 3)."""
+        for chunk in self.chunks:
+            if chunk.entity_path == entity and not chunk.is_static:
+                batch = chunk.to_record_batch()
+                if component in batch.schema.names:
+                    points = batch.column(component)[0].values.flatten()
+                    return np.asarray(points.to_numpy(zero_copy_only=False)).reshape(-1, 3)
+        raise InputError(f"{self.name}: not a recording of srs-twin (it has no {component} at {entity})")
+
+    def layout(self) -> Layout:
+        """Return where the eye is to be."""
+        snakes = self.snakes
+        if not snakes:
+            raise InputError(f"{self.name}: not a recording of srs-twin (no snake is in it)")
+        followed = "twin" if "twin" in snakes else snakes[0]
+        connectors = self.first(f"/world/{followed}/connectors", "Boxes3D:centers")[:, :2]
+        along = connectors[0] - connectors[-1]
+        return Layout(
+            plants=snakes,
+            segments=len(connectors) - 1,
+            start=self.first(f"/world/{followed}/com", "Points3D:positions")[0, :2],
+            heading=float(np.arctan2(along[1], along[0])),
+            body_length=float(np.hypot(*along)),
+            period=None,
+            compared=False,
+            root=self.root,
+        )
+
+
+def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None:
+    """Write one recording of several: each on a floor of its own, above its speed and heading.
+
+    Args:
+        path: file to write.
+        recordings: name → file of `write_recording`; names differ.
+
+    Raises:
+        InputError: one of them is none, or the file cannot be written.
+    """
+    from rerun.chunk import RrdReader
+
+    parts = []
+    for name, recording in recordings.items():
+        verify_recording(recording)
+        reader = RrdReader(recording)
+        (stored, *_) = reader.recordings()
+        # Properties tell of the recording as a whole.
+        chunks = (c for c in reader.stream(store=stored).to_chunks() if not c.entity_path.startswith("/__"))
+        parts.append(_Part(name, tuple(chunks)))
+    log = rr.RecordingStream(APPLICATION)
+    memory = log.memory_recording()
+    send_blueprint(log, side_by_side_blueprint({part.name: part.layout() for part in parts}))
+    log.send_recording_name(" | ".join(recordings))
+    for part in parts:
+        log.send_chunks([chunk.with_entity_path(f"/{part.root}{chunk.entity_path}") for chunk in part.chunks])
+    content: bytes = memory.drain_as_bytes()
+    log.disconnect()
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)
+    rr.bindings.flush_and_cleanup_orphaned_recordings()
