@@ -34,7 +34,7 @@ from srs_twin.provenance import arithmetic
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden.json"
-EXAMPLES = HERE.parent / "calibration" / "examples" / "my_snake"
+EXAMPLES = Path("calibration/examples/my_snake")
 SWEEP = "fig31_coarse"
 PLANS = 50
 _WALL = ("wall_s", "realtime_factor", "versions")
@@ -62,7 +62,7 @@ def sweep(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
     """Yield the digest of a sweep's table without its keys, which cover the program's sources."""
     _run("sweep", SWEEP, "--out", str(folder / "sweep"), "--quiet")
     rows = pq.read_table(folder / "sweep" / "results.parquet").to_pylist()
-    yield SWEEP, _digest(sorted(json.dumps(_without(row, ("key",)), sort_keys=True) for row in rows))
+    yield SWEEP, _digest(sorted(json.dumps(_without(row, ("key", *_WALL)), sort_keys=True) for row in rows))
 
 
 def reproduction(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
@@ -77,7 +77,9 @@ def fits(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
     """Yield the digest of what each kind of fit wrote."""
     for kind, words in FITS.items():
         given = [str(EXAMPLES / words.split()[0]), *shlex.split(words.format(EXAMPLES))[1:]]
-        _run("calibrate", kind, *given, "--name", kind, "--out", str(folder / f"{kind}.yaml"), cwd=folder)
+        _run(
+            "calibrate", kind, *given, "--name", kind, "--out", str(folder / f"{kind}.yaml"), cwd=HERE.parent
+        )
         yield kind, _digest(_without(YAML(typ="safe").load(folder / f"{kind}.yaml"), ("command", *_WALL)))
 
 
@@ -145,9 +147,9 @@ def _run(*words: str, cwd: Path | None = None) -> None:
 
 
 def _without(value: Any, keys: tuple[str, ...]) -> Any:
-    """Return a JSON value without some keys, at any depth."""
+    """Return a JSON value without some keys, at any depth, behind the name of a plant too."""
     if isinstance(value, dict):
-        return {key: _without(each, keys) for key, each in value.items() if key not in keys}
+        return {k: _without(each, keys) for k, each in value.items() if k.rpartition(".")[2] not in keys}
     if isinstance(value, list):
         return [_without(each, keys) for each in value]
     return value

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -147,3 +149,12 @@ def test_no_import_cycles():
 
     for module in edges:
         visit(module, ())
+
+
+def test_the_picture_of_the_rooms_is_what_the_imports_draw(root, tmp_path):
+    program = root / "docs" / "rooms.py"
+    code = f"import runpy, pathlib; d = runpy.run_path({str(program)!r}); "
+    code += f"d['draw'](d['rooms_of'](d['PACKAGE']), pathlib.Path({str(tmp_path / 'rooms.svg')!r}))"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    drawn, kept = tmp_path / "rooms.svg", root / "docs" / "images" / "rooms.svg"
+    assert drawn.read_text() == kept.read_text(), "`uv run python docs/rooms.py` draws it anew"

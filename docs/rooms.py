@@ -1,0 +1,89 @@
+"""Draws the rooms of the package from its imports: who stands on whom.
+
+    uv run python docs/rooms.py
+
+A room stands above all that it imports, inside functions too. Lines that follow from others are left out.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+from matplotlib import pyplot as plt
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "srs_twin"
+IMAGE = ROOT / "docs" / "images" / "rooms.svg"
+
+Rooms = dict[str, set[str]]
+
+
+def rooms_of(package: Path) -> Rooms:
+    """Return for each room of a package the other rooms that it imports."""
+    found: Rooms = {}
+    for path in sorted(package.rglob("*.py")):
+        room = path.relative_to(package).with_suffix("").parts[0]
+        if room == "__init__":
+            continue
+        uses = found.setdefault(room, set())
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(f"{package.name}."):
+                uses.add(str(node.module).split(".")[1])
+    return {room: (uses & found.keys()) - {room} for room, uses in found.items()}
+
+
+def levels(rooms: Rooms) -> dict[str, int]:
+    """Return on which floor each room stands: one above the highest that it imports."""
+    found: dict[str, int] = {}
+
+    def level(room: str) -> int:
+        if room not in found:
+            found[room] = 1 + max(map(level, rooms[room]), default=-1)
+        return found[room]
+
+    for room in rooms:
+        level(room)
+    return found
+
+
+def reduced(rooms: Rooms) -> Rooms:
+    """Return imports without those that another import brings along."""
+
+    def below(room: str) -> set[str]:
+        return rooms[room].union(*map(below, rooms[room]))
+
+    return {room: uses - set().union(*map(below, uses)) for room, uses in rooms.items()}
+
+
+def draw(rooms: Rooms, path: Path) -> None:
+    """Write the picture: a box a room, what stands on nothing at the bottom."""
+    floor = levels(rooms)
+    rows = [sorted(room for room in rooms if floor[room] == k) for k in range(max(floor.values()) + 1)]
+    place = {room: (i - (len(row) - 1) / 2, k) for k, row in enumerate(rows) for i, room in enumerate(row)}
+    plt.rcParams |= {"svg.hashsalt": "rooms", "svg.fonttype": "none", "font.size": 9}
+    figure, axes = plt.subplots(figsize=(9.0, 0.62 * len(rows) + 0.6))
+    for room, uses in reduced(rooms).items():
+        for other in sorted(uses):
+            (x, y), (to_x, to_y) = place[room], place[other]
+            axes.plot((x, to_x), (y - 0.2, to_y + 0.2), color="0.75", linewidth=0.9, zorder=1)
+    for room, (x, y) in place.items():
+        box = {"boxstyle": "round,pad=0.35", "facecolor": "#eaf1f8", "edgecolor": "#4a6d8c", "linewidth": 0.8}
+        axes.text(x, y, room, ha="center", va="center", bbox=box, zorder=2)
+    axes.set(xlim=(-2.6, 2.6), ylim=(-0.6, len(rows) - 0.4))
+    axes.axis("off")
+    figure.tight_layout(pad=0.2)
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
+def main() -> None:
+    """Draw the rooms of srs_twin."""
+    draw(rooms_of(PACKAGE), IMAGE)
+
+
+if __name__ == "__main__":
+    main()
