@@ -222,3 +222,10 @@ def test_what_is_known_to_be_missed_names_the_section_that_shows_why():
         named = re.search(r"\((docs/[\w-]+\.md)#([\w-]+)\)$", reason)
         assert named, reason
         assert named[2] in BY_PATH[ROOT / named[1]].anchors, reason
+
+
+def test_every_source_that_a_page_names_exists():
+    sources = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py") if ".venv" not in path.parts]
+    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these make files of their own
+    named = {(page.name, name) for page in pages for name in re.findall(r"`([\w/]+\.py)`", page.prose)}
+    assert {each for each in named if not any(source.endswith(f"/{each[1]}") for source in sources)} == set()
