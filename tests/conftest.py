@@ -1,4 +1,4 @@
-"""What many tests share: the command line as a person starts it."""
+"""What many tests share: the command line as a person starts it, runs of the shipped scenarios."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 
 ROOT = Path(__file__).parents[1]
@@ -20,6 +21,10 @@ ROOT = Path(__file__).parents[1]
 # Wall-clock deadlines of single examples fail on a busy machine and say nothing about the code.
 settings.register_profile("srs_twin", deadline=None, print_blob=True)
 settings.load_profile("srs_twin")
+
+# Tests start hundreds of commands: each would compile the package anew where Python keeps no bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -46,6 +51,28 @@ def srs_twin() -> Command:
         )
 
     return start
+
+
+@pytest.fixture(scope="session")
+def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return the run folder of a shipped scenario, which one worker simulates for all; not to be changed."""
+    from srs_twin import load_scenario
+    from srs_twin.experiment import run_scenario
+
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    (shared / "shipped").mkdir(exist_ok=True)
+
+    def run(name: str) -> Path:
+        folder = shared / "shipped" / name
+        with FileLock(folder.with_suffix(".lock")):
+            if not (folder / "metrics.json").is_file():
+                run_scenario(load_scenario(name), folder)
+                for path in folder.iterdir():
+                    path.chmod(0o444)
+        return folder
+
+    return run
 
 
 def exists(process: int) -> bool:

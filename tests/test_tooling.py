@@ -1,0 +1,85 @@
+"""Makefile, hooks, .ci scripts, hosted workflows: what they call exists, and every test is run somewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import tomllib
+
+import pytest
+from conftest import ROOT
+from ruamel.yaml import YAML
+
+pytestmark = pytest.mark.fast
+
+MAKEFILE = (ROOT / "Makefile").read_text("utf-8")
+RUN, NIGHTLY = ((ROOT / ".ci" / name).read_text("utf-8") for name in ("run", "nightly"))
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+
+
+def yaml(name):
+    return YAML(typ="safe", pure=True).load(ROOT / name)
+
+
+def recipes():
+    """Target of the Makefile → its command lines."""
+    found = re.findall(r"^(\w+):.*\n((?:\t.*\n)+)", MAKEFILE, re.M)
+    return {target: [line.strip() for line in lines.splitlines()] for target, lines in found}
+
+
+def hooks():
+    return [hook["entry"] for repo in yaml(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
+
+
+def scripts():
+    steps = [line for text in (RUN, NIGHTLY) for line in re.findall(r"^step \w+ (.*)$", text, re.M)]
+    return [re.sub(r"^timeout \w+ ", "", step) for step in steps]
+
+
+def called():
+    """Every command line that begins with `uv run`."""
+    lines = [*(line for each in recipes().values() for line in each), *hooks(), *scripts()]
+    return sorted({line for line in lines if line.startswith("uv run ")})
+
+
+@pytest.mark.parametrize("line", called())
+def test_what_is_called_exists(line):
+    words = shlex.split(line)[2:]
+    if words[0] == "python":
+        script = ROOT / words[1]
+        known = set(re.findall(r'"(--\w+)"', script.read_text("utf-8")))
+        assert {word for word in words[2:] if word.startswith("--")} <= known
+    else:
+        assert words[0] in ("mypy", "pytest", "ruff", "sphinx-build")
+
+
+def test_targets_of_the_makefile():
+    assert recipes().keys() >= {"test", "fast", "check", "docs", "golden"}
+    assert set(re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.M)[1].split()) == recipes().keys()
+    assert recipes()["test"] == ["uv run pytest"]
+    assert recipes()["check"] == ["uv run ruff check", "uv run ruff format --check", "uv run mypy"]
+    assert set(hooks()) == set(recipes()["check"])
+
+
+def test_tests_that_are_left_out_by_default_are_run_by_ci():
+    assert "not slow" in PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"]
+    assert ["uv run pytest", "uv run pytest -m slow"] == [line for line in scripts() if "pytest" in line]
+
+
+def test_every_study_of_the_night_is_bounded():
+    studies = re.findall(r"^step \w+ (.*)$", NIGHTLY, re.M)
+    assert len(studies) >= 3
+    assert all(re.match(r"timeout \d+[mh] uv run python benchmarks/", study) for study in studies)
+
+
+def test_the_workflow_calls_the_scripts():
+    workflow = yaml(".github/workflows/ci.yml")
+    assert workflow["permissions"] == {"contents": "read"}
+    jobs = workflow["jobs"].values()
+    run = {step["run"]: job["if"] for job in jobs for step in job["steps"] if "run" in step}
+    assert run == {
+        ".ci/run": "github.event_name != 'schedule'",
+        ".ci/nightly": "github.event_name == 'schedule'",
+    }
+    assert all(os.access(ROOT / script, os.X_OK) for script in run)
