@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from grid import table
 from scipy.interpolate import CubicSpline
+from synthetic_takes import Take, write_motive
 from timing import ROUNDS
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.identification import Recording, read_motion
-from srs_twin.recordings.synthetic import Take, write_motive
 
 RATE = 120.0
 SPEC = load_robot("gen2")

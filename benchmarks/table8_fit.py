@@ -23,17 +23,17 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
+from offset_runs import fit_offsets, offset_runs, predicted
+from published_tables import PublishedRun, published_runs
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
 from srs_twin.identification.fitted_robot import fitted
 from srs_twin.identification.footprint import PLANTS, Drive
-from srs_twin.identification.offset_runs import fit_offsets, offset_runs, predicted
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.files import atomic_write, data_root
 from srs_twin.provenance import versions
-from srs_twin.robot.published import PublishedRun, published_runs
 
 FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
 FITTED = (0.0, 0.3, -0.3)

@@ -16,8 +16,10 @@ from srs_twin.control.replay import Replay
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics import Schedule
-from srs_twin.recordings.synthetic import Take, write_motive
 from srs_twin.robot.spec import GRAVITY, RobotSpec
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from synthetic_takes import Take, write_motive  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "calibration/examples/my_snake"
 SUPPLY = 48.3e3  # Pa

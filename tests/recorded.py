@@ -6,10 +6,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.identification import Recording, read_motion
-from srs_twin.recordings.synthetic import Take, write_motive
 
 SPEC = load_robot("gen2")
 RATE = 100.0

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import RATE, SPEC, motion, recorded, valve_csv
 from scipy import stats
+from synthetic_takes import Take
 
 from srs_twin import AnalyticalSnake, Controller, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
@@ -27,7 +28,6 @@ from srs_twin.identification.fit_file import fingerprint
 from srs_twin.identification.unknowns import names_of_fields, unknowns, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.recordings.logs import ValveLog
-from srs_twin.recordings.synthetic import Take
 from srs_twin.robot.spec import RobotSpec
 
 MODULE = load_robot("gen4_module")

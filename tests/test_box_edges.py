@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from box_edges import WIDTH, BoxEdges, fit_width
 from hypothesis import given
 from hypothesis import strategies as st
+from published_tables import published_runs
 from table8_fit import place
 from table8_width import edges, edges_table, fit
 
@@ -16,9 +18,7 @@ from srs_twin import AnalyticalSnake, load_robot, load_scenario, rollout
 from srs_twin.comparison.centre_line import body_sides
 from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
-from srs_twin.identification.box_edges import WIDTH, BoxEdges, fit_width
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.robot.published import published_runs
 
 SPEC = load_robot("gen4")
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from recorded import SPEC, motion, recorded, valve_csv
+from synthetic_takes import Take
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 from srs_twin.cli import main
@@ -24,7 +25,6 @@ from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.friction import is_pulls, read_pulls
 from srs_twin.identification.takes import gait_run, logs_of, repeats, start_pose, starts_at_rest
 from srs_twin.pneumatics import Schedule
-from srs_twin.recordings.synthetic import Take
 from srs_twin.robot.spec import GRAVITY
 
 EXAMPLE = ROOT / "calibration/examples/my_snake"

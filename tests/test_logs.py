@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
 from snakes import chain
+from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
 from srs_twin.recordings.floor import MAPS
-from srs_twin.recordings.synthetic import Take, motive_csv, write_motive
 
 LAYOUTS = ("single", "head", "pair")
 

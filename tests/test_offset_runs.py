@@ -6,7 +6,10 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import offset_runs as module
 import pytest
+from offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
+from published_tables import published_runs
 from table8_fit import (
     FITTED,
     LENGTH,
@@ -22,16 +25,13 @@ from table8_fit import (
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
-from srs_twin.identification import offset_runs as module
 from srs_twin.identification.fit_file import fit_file
 from srs_twin.identification.fitted_robot import robot_override
 from srs_twin.identification.footprint import Drive
-from srs_twin.identification.offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.robot.file import resolve_robot
-from srs_twin.robot.published import published_runs
 
 TRUTH = {"geometry.segment_length_m": 0.11, "friction.mu_t": 0.08, "modules.sensor_bias_rad": -0.02}
 OFFSETS = (0.0, 0.3, -0.3)

@@ -7,15 +7,15 @@ import math
 import re
 from pathlib import Path
 
+import published_tables
 import pytest
+from published_tables import TABLES, ParameterTable, RunTable, load_table, published_runs
 
-import srs_twin.robot.published
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
 from srs_twin.planning.footprint import load_footprint_file
 from srs_twin.robot.file import load_robot_file, robot_sources
-from srs_twin.robot.published import TABLES, ParameterTable, RunTable, load_table, published_runs
 from srs_twin.robot.spec import load_robot
 
 
@@ -203,5 +203,5 @@ def test_an_unknown_table_names_the_nearest():
 
 
 def test_the_example_in_the_docstring():
-    outcome = doctest.testmod(srs_twin.robot.published)
+    outcome = doctest.testmod(published_tables)
     assert outcome.attempted and not outcome.failed

@@ -9,6 +9,7 @@ import pytest
 from conftest import ROOT
 from recorded import SPEC
 from ruamel.yaml import YAML
+from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, load_scenario, rollout
 from srs_twin.cli import main
@@ -18,7 +19,6 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
-from srs_twin.recordings.synthetic import Take, write_motive
 from srs_twin.scenario import parse_scenario
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.sweep.task import run_point

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, TwinSnake, load_robot, rollout
 from srs_twin.comparison.compare import MeasuredDifference
@@ -18,7 +19,6 @@ from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.logs import on_bench
 from srs_twin.recordings.recording import read_motion
-from srs_twin.recordings.synthetic import Take, write_motive
 from srs_twin.scenario import parse_scenario
 
 MODULE = load_robot("gen4_module")

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import SPEC, motion, recorded, valve_csv
+from synthetic_takes import Take
 
 from srs_twin import InputError
 from srs_twin.identification import join, read_valves
 from srs_twin.recordings.clock import estimate_offset
-from srs_twin.recordings.synthetic import Take
 
 HEAD = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
 PSI = HEAD.replace("valve", "pressure").replace(",", "_psi,").replace("time_psi", "time_ms") + "_psi"

@@ -4,7 +4,7 @@ A table is of one of five kinds: symbols and what they mean, parameters with val
 robot, generations. Numbers stand in the unit that their key names, and beside them what is printed. Errata
 are those of calibration/README.md.
 
->>> from srs_twin.robot.published import published_runs
+>>> from published_tables import published_runs
 >>> [run.radius_m for run in published_runs() if abs(run.offset) == 0.2]
 [1.2532, 0.8445]
 """

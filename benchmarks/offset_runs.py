@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from published_tables import PublishedRun
 
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, knowledge
@@ -24,7 +25,6 @@ from srs_twin.identification.footprint import Drive, steady_path
 from srs_twin.identification.least_squares import Manner, least_squares
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.identification.unknowns import Unknown, unknowns, with_values
-from srs_twin.robot.published import PublishedRun
 from srs_twin.rollout import run_many
 
 PERIODS = 5
