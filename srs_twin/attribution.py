@@ -35,7 +35,8 @@ from srs_twin.mjcf.numerics import PRELOAD, Numerics
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
-from srs_twin.scenario.scenario import AnalyticalSettings, Scenario, TwinSettings
+from srs_twin.scenario.plants import AnalyticalFile, TwinFile
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 
@@ -132,9 +133,8 @@ class Ladder:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        analytical, twin = scenario.plants.get("analytical"), scenario.plants.get("twin")
-        self._model = analytical if isinstance(analytical, AnalyticalSettings) else AnalyticalSettings()
-        self._twin = twin if isinstance(twin, TwinSettings) else TwinSettings()
+        self._model = scenario.file.plants.analytical or AnalyticalFile()
+        self._twin = scenario.file.plants.twin or TwinFile()
         every = self._all_switches()
         differing = [switch for switch, differs in every if differs]
         self.first = [switch for switch in differing if switch.name == FROZEN]
@@ -178,9 +178,9 @@ class Ladder:
             "axle_time": numerics.axle_time / 2,
             "preload": 2 * numerics.preload,
         }
-        step, hinges = self._twin.timestep, self._twin.hinges_per_segment
+        step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
         arcs = {"constant_curvature": True}
-        model = {"timestep": self._model.timestep / 4, "slip_speed": self._model.slip_speed / 4}
+        model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
         spin = Refinement(
             "wheel inertia", "wheels' inertia about their axles", "twin", {"wheel_spin": 0.25}, 4 / 3
         )
@@ -285,7 +285,7 @@ def explain(
         gap = gap_between(model, twin)
     except ValueError as error:
         raise InputError(f"{scenario.name}: {error}; three or more periods of a gait are needed") from error
-    if scenario.gap_factor:
+    if scenario.file.comparison.gap_factor:
         raise InputError(
             f"{scenario.name}: comparison.gap_factor scales a speed and leaves nothing to explain it by; "
             "take it out, rigid gaps are a switch of their own"

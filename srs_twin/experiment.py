@@ -31,7 +31,6 @@ from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Attribution
-    from srs_twin.scenario import Outcome, Scenario
 
 
 PLANTS = ("analytical", "twin")
@@ -55,7 +54,6 @@ class RunResult:
         folder: where the files are.
         trajectories: plant → trajectory, up to the divergence where there was one.
         metrics: what stands in metrics.json; empty where a plant diverged.
-        outcomes: the scenario's expectations, checked; empty where a plant diverged.
         diverged: what stopped a plant, its message naming the file that keeps its trajectory.
         unexplained: what stopped one of the runs that were to say why the plants differ.
     """
@@ -64,7 +62,6 @@ class RunResult:
     folder: Path
     trajectories: Mapping[str, Trajectory]
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    outcomes: tuple[Outcome, ...] = ()
     diverged: tuple[DivergedError, ...] = ()
     unexplained: tuple[DivergedError, ...] = ()
 
@@ -187,8 +184,7 @@ class PreparedRun:
             metrics["residuals"] = {k: difference.document() for k, difference in differences.items()}
         if attribution is not None:
             metrics["attribution"] = attribution.document()
-        outcomes = tuple(expectation.check(metrics) for expectation in scenario.expect)
-        metrics["expectations"] = [asdict(outcome) for outcome in outcomes]
+        metrics["expectations"] = [each.check(metrics) for each in scenario.expect]
         metrics["versions"] = versions()
         drawn = dict(trajectories)
         if scenario.measured is not None:
@@ -202,7 +198,7 @@ class PreparedRun:
             title=scenario.title, world=scenario.world, measured=differences,
         )  # fmt: skip
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
-        return RunResult(scenario.name, self.folder, trajectories, metrics, outcomes)
+        return RunResult(scenario.name, self.folder, trajectories, metrics)
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -216,7 +212,7 @@ def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
 
 def _compare(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> Comparison:
     analytical, twin = (trajectories[plant] for plant in PLANTS)
-    return compare(analytical, twin, gap_factor=scenario.gap_factor)
+    return compare(analytical, twin, gap_factor=scenario.file.comparison.gap_factor)
 
 
 class _Watcher:

@@ -59,8 +59,8 @@ def marked(*numbers):
 MET = {**METRICS, "expectations": METRICS["expectations"][:1]}
 GIVEN = {"met": MET, "missed": METRICS, "known": marked(1), "holds": marked(0, 1)}
 EXPECTED = (
-    Expectation("com_speed_m_s", "twin", 0.1819, 0.2461, 0.214, "Table 10"),
-    Expectation("com_speed_rel", "comparison", -0.12, 0.12),
+    Expectation(metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"),
+    Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.12),
 )
 
 

@@ -15,7 +15,7 @@ from srs_twin.errors import InputFileError
 from srs_twin.experiment import prepare
 from srs_twin.planning.fields import fig54_world
 from srs_twin.scenario import parse_scenario
-from srs_twin.scenario.following import FollowSettings
+from srs_twin.scenario.controllers import FollowFile
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.sweep.task import run_point
 from srs_twin.viewing.plots.plan_view import following_plot
@@ -174,7 +174,7 @@ def test_the_twin_feels_what_it_runs_into_on_purpose(tmp_path):
 
 def test_defaults_stand_in_the_file_and_gait_and_follower_are_those():
     scenario = parse_scenario(data())
-    assert isinstance(scenario.controller, FollowSettings)
+    assert isinstance(scenario.controller, FollowFile)
     controller = scenario.build_controller()
     assert isinstance(controller, Follower) and controller.frequency == 2.0
     document = scenario.document["controller"]
@@ -212,7 +212,7 @@ def test_a_field_is_drawn_by_the_seed():
 
 def test_a_footprint_is_reduced_for_planning_and_whole_for_steering():
     file = data()["planner"] | {"turn_share": 0.5, "margin_m": 0.02}
-    planner = parse_scenario(data(planner=file)).controller.planner
+    planner = parse_scenario(data(planner=file)).planner
     assert planner.footprint.tightest == pytest.approx((5.23599, 5.23599))
     assert planner.problem.footprint.tightest == pytest.approx((2.617995, 2.617995))
     assert planner.problem.footprint.at(0.0).left == pytest.approx(0.045)
@@ -226,7 +226,7 @@ def test_a_footprint_is_reduced_for_planning_and_whole_for_steering():
 
 def test_a_run_up_goes_straight_first_and_must_be_free():
     planner = {"kind": "best_first", "footprint": "gen2_section52", "run_up_m": 0.25}
-    first = parse_scenario(data(planner=planner)).controller.planner.plan().segments[0]
+    first = parse_scenario(data(planner=planner)).planner.plan().segments[0]
     assert first.curvature == 0 and first.length == pytest.approx(0.25)
     world = {"goal": {"x_m": 0.6, "y_m": 0.3}, "obstacles": [{"x_m": 0.3, "y_m": 0, "radius_m": 0.06}]}
     with pytest.raises(InputError, match=r"straight beginning of 0\.25 m touches .*; run_up_m sets it"):

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -40,9 +39,9 @@ expect:
   - {metric: path_length_m, plant: analytical, above: 100, source: "<&> nobody"}
 """
 EXPECT = (
-    Expectation("com_speed_m_s", "twin", 0.18, 0.25, 0.214, "Table 10"),
-    Expectation("com_speed_rel", "comparison", -0.12, 0.12),
-    Expectation("com_speed_rel", "comparison", -0.5, float("inf")),
+    Expectation(metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"),
+    Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.12),
+    Expectation(metric="com_speed_rel", of="comparison", above=-0.5),
 )
 METRICS = {"plants": {"twin": {"com_speed_m_s": 0.2}}, "comparison": {"com_speed_rel": -0.2}}
 
@@ -134,7 +133,7 @@ def test_every_kind_of_end(tmp_path):
 
 
 def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
-    known = tuple(replace(each, known="never <measured>") for each in EXPECT)
+    known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
     scenario = SimpleNamespace(name="ran", expect=(*EXPECT, *known))
     ended = Ended(RunResult("ran", Path("runs/ran"), {}, METRICS), (), 1.5)
     for fails, of_known in (

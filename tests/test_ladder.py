@@ -263,7 +263,7 @@ def refusal(**changes) -> list[str]:
 
 def test_scenario_asks_for_the_gap_factor(tmp_path):
     scenario = parse_scenario(SCENARIO | {"plants": {"analytical": {"gaps": False}, "twin": {}}})
-    assert scenario.gap_factor
+    assert scenario.file.comparison.gap_factor
     result = run_scenario(scenario, tmp_path / "run")
     found = result.metrics["comparison"]
     assert found["gap_factor"] == pytest.approx(55 / 37)
@@ -273,7 +273,7 @@ def test_scenario_asks_for_the_gap_factor(tmp_path):
 
 
 def test_scenario_without_it_compares_as_it_is():
-    assert not load_scenario("gen2_straight").gap_factor
+    assert not load_scenario("gen2_straight").file.comparison.gap_factor
 
 
 def test_scenario_refuses_the_gap_factor_where_it_has_no_meaning():

@@ -99,8 +99,8 @@ def test_the_shipped_pairs_differ_in_nothing_but_the_learning():
         learning, without = load_scenario(f"ilc_{name}"), load_scenario(f"ilc_{name}_without")
         assert learning.robot == without.robot and learning.duration == without.duration
         assert learning.controller.offset == without.controller.offset
-        assert learning.controller.frequency == without.controller.frequency
-        assert learning.supply_pa == without.supply_pa and learning.pneumatics == without.pneumatics
+        assert learning.controller.frequency_hz == without.controller.frequency_hz
+        assert learning.supply_pa == without.supply_pa and learning.file.pneumatics == without.file.pneumatics
 
 
 class Silent(Sensor):

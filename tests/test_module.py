@@ -81,8 +81,8 @@ def test_gains_given_and_gains_found():
             "kind": "direct_smc", "d_per_s": 3.0, "epsilon_rad_per_s": 0.5, "cutoff_hz": 7.0,
             "reference": {"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 2.0},
         }
-    ).controller  # fmt: skip
-    assert (given.slope, given.epsilon, given.cutoff_hz) == (3.0, 0.5, 7.0)
+    ).build_controller()  # fmt: skip
+    assert (given._slope, given._dead, given._cutoff) == (3.0, 0.5, 7.0)
     assert given.reference == Sine(0.3, 2.0)
     plain = DirectSMC(STEP)
     assert (default._slope, default._dead, default._cutoff) == (plain._slope, plain._dead, plain._cutoff)

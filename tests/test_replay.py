@@ -239,7 +239,7 @@ def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeyp
     monkeypatch.chdir(tmp_path)
     again = parse_scenario(scenario.document, name=scenario.name)
     assert again == scenario and again.pose == scenario.pose
-    assert again.controller.kind == ("valve" if log == "take.valves.csv" else "pressure")
+    assert again.recording.valves.kind == ("valve" if log == "take.valves.csv" else "pressure")
     assert (again.measured["bend_1"] == scenario.measured["bend_1"]).all()
 
 

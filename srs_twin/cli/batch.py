@@ -55,8 +55,7 @@ class Ended:
         """How many expectations came out how; see `scenario.expectation.verdict`."""
         from srs_twin.scenario.expectation import verdict
 
-        expectations = self.metrics.get("expectations", ())
-        return Counter(verdict(each["met"], each.get("known")) for each in expectations)
+        return Counter(map(verdict, self.metrics.get("expectations", ())))
 
 
 @dataclass

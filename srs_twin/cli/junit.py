@@ -6,16 +6,14 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from srs_twin.cli.batch import Case
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
-
-if TYPE_CHECKING:
-    from srs_twin.scenario import Outcome
+from srs_twin.scenario.expectation import verdict
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
 # What XML 1.0 has no way to write: control characters, and the halves of a file name that is not UTF-8.
@@ -80,24 +78,26 @@ def _suite(case: Case, fails: Set[str]) -> Element:
         test = _test(suite, case, name, 0.0)
         if outcome is None:
             SubElement(test, "skipped", message="there is no whole run to measure")
-        elif outcome.verdict in fails:
-            said = f"{name} = {outcome.value}, allowed {outcome.allowed}"
+        elif verdict(outcome) in fails:
+            said = f"{name} = {outcome['value']}, allowed {outcome['allowed']}"
             failure = SubElement(test, "failure", message=writable(said), type="expectation")
-            text = f"value: {outcome.value}\nallowed: {outcome.allowed}\nsource: {outcome.source or 'ours'}"
-            failure.text = writable(text + (f"\nknown: {outcome.known}" if outcome.known else ""))
-        elif outcome.verdict == "known":
-            SubElement(test, "skipped", message=writable(f"known: {outcome.known}"))
+            known = {"known": outcome["known"]} if outcome["known"] else {}
+            told = {key: outcome[key] for key in ("value", "allowed")}
+            told |= {"source": outcome["source"] or "ours"} | known
+            failure.text = writable("\n".join(f"{key}: {each}" for key, each in told.items()))
+        elif verdict(outcome) == "known":
+            SubElement(test, "skipped", message=writable(f"known: {outcome['known']}"))
     sum_up(suite, wall_s)
     return suite
 
 
-def _outcomes(case: Case) -> Iterator[tuple[str, Outcome | None]]:
+def _outcomes(case: Case) -> Iterator[tuple[str, dict[str, Any] | None]]:
     """Yield a name for each expectation and what came out; None where nothing could be measured."""
     expected = case.scenario.expect if case.scenario else ()
     metrics = case.ended.metrics if case.ended else None
     seen: Counter[str] = Counter()
     for each in expected:
-        name = f"{each.of} {each.metric}"
+        name = f"{each.subject} {each.metric}"
         seen[name] += 1
         number = f" ({seen[name]})" if seen[name] > 1 else ""
         yield name + number, each.check(metrics) if metrics else None

@@ -15,9 +15,8 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Plan
-    from srs_twin.scenario import Outcome, Scenario
-    from srs_twin.scenario.following import FollowSettings
+    from srs_twin.planning import Plan, Problem
+    from srs_twin.scenario import Scenario
 
 PLAN, PICTURE = "plan.json", "plan.png"
 
@@ -38,32 +37,32 @@ def plan(
     from srs_twin.comparison.following import plan_metrics
     from srs_twin.io.files import open_folder
     from srs_twin.scenario import load_scenario
-    from srs_twin.scenario.following import FollowSettings
+    from srs_twin.scenario.expectation import verdict
 
     loaded = load_scenario(scenario)
-    if not isinstance(loaded.controller, FollowSettings):
+    if loaded.planner is None:
         raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
     folder = Path(out) if out else RUNS / loaded.name
     open_folder(folder, (PLAN, PICTURE))
     with loaded.named_in_errors():
-        found = loaded.controller.planner.plan()
+        found = loaded.planner.plan()
     metrics = plan_metrics(found.found, found.segments, found.expanded)
-    outcomes = _outcomes(loaded, metrics)
-    _write(folder, loaded, loaded.controller, found, metrics)
+    checked = _checked(loaded, metrics)
+    _write(folder, loaded, loaded.planner.problem, found, metrics)
     if not quiet:
         _show(loaded, found, folder)
-    missed = [each for each in outcomes if each.verdict == "missed"]
-    for each in outcomes if not quiet else missed if check else ():
-        print(f"{WORDS[each.verdict]:6} {each.metric} = {each.value}, allowed {each.allowed}")
-    judged = any(each.metric == "plan_found" for each in outcomes)
+    missed = [each for each in checked if verdict(each) == "missed"]
+    for each in checked if not quiet else missed if check else ():
+        print(f"{WORDS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}")
+    judged = any(each["metric"] == "plan_found" for each in checked)
     if check and (missed or not (found.found or judged)):
         raise typer.Exit(EXPECTATION_FAILED)
 
 
-def _outcomes(scenario: Scenario, metrics: dict[str, Any]) -> list[Outcome]:
+def _checked(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """Return what the scenario expects of its plan, once each, checked."""
-    expected = {(e.metric, e.low, e.high): e for e in scenario.expect if e.metric in metrics}
-    return [e.check({"plants": {e.of: metrics}}) for e in expected.values()]
+    expected = {(each.metric, each.allowed): each for each in scenario.expect if each.metric in metrics}
+    return [each.check({"plants": {each.subject: metrics}}) for each in expected.values()]
 
 
 def _show(scenario: Scenario, found: Plan, folder: Path) -> None:
@@ -77,14 +76,11 @@ def _show(scenario: Scenario, found: Plan, folder: Path) -> None:
     say(f"files in {shown(folder)}: {PLAN}, {PICTURE}")
 
 
-def _write(
-    folder: Path, scenario: Scenario, settings: FollowSettings, found: Plan, metrics: dict[str, Any]
-) -> None:
+def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
     """Write the plan as data and as a picture."""
     from srs_twin.io.files import replaced
     from srs_twin.viewing.plots.plan_view import plan_plot
 
-    problem = settings.planner.problem
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
     document = {
         "scenario": scenario.name,

@@ -134,7 +134,7 @@ def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float
     """Return how many whole ticks the recording lasts, s, and say what was read."""
     from srs_twin.identification.takes import Reading, logs_of
     from srs_twin.recordings.recording import LONGEST_GAP
-    from srs_twin.scenario.settings import default_tick
+    from srs_twin.scenario.plants import TICK_S
 
     known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
     motion, valves = recording["motion"], recording.get("valves")
@@ -142,8 +142,8 @@ def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float
     take = Reading(**{"longest_gap_s": LONGEST_GAP} | known).take(motion, log, robot.spec())
     say(take.summary.text(), "", quiet=quiet)
     time = take.trajectory.time
-    tick = default_tick(bench=False)
-    return round(math.floor(min(float(time[-1] - time[0]), _LONGEST) / tick + 1e-6) * tick, 6)
+    ticks = math.floor(min(float(time[-1] - time[0]), _LONGEST) / TICK_S + 1e-6)
+    return round(ticks * TICK_S, 6)
 
 
 def _plants(names: str, model: str, law: str | None, bench: bool) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _expectations(path: str) -> list[Any]:
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import existing
     from srs_twin.io.validation import validate
-    from srs_twin.scenario.expectation_file import ExpectationsFile
+    from srs_twin.scenario.expectation import ExpectationsFile
 
     document = load_yaml(existing(Path(path)))
     file = validate(ExpectationsFile, document, document.data)

@@ -217,7 +217,7 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = WORDS) -> list[str]:
     """Return a line for each expectation of these verdicts: what came out, what is allowed, says who."""
-    return [_expectation(each) for each in metrics["expectations"] if _verdict(each) in verdicts]
+    return [_expectation(each) for each in metrics["expectations"] if verdict(each) in verdicts]
 
 
 def asks_why(metrics: Mapping[str, Any]) -> bool:
@@ -226,13 +226,9 @@ def asks_why(metrics: Mapping[str, Any]) -> bool:
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
-def _verdict(each: Mapping[str, Any]) -> str:
-    return verdict(each["met"], each.get("known"))
-
-
 def _expectation(each: Mapping[str, Any]) -> str:
     source = f" ({each['source']})" if each.get("source") else ""
     known = f"; known: {each['known']}" if each.get("known") else ""
     value = _number(each["value"]) or "none"
     said = f"{each['of']} {each['metric']} = {value}, allowed {each['allowed']}"
-    return f"{WORDS[_verdict(each)]:6} {said}{source}{known}"
+    return f"{WORDS[verdict(each)]:6} {said}{source}{known}"

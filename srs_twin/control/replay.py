@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from srs_twin.control.base import Controller
 from srs_twin.control.gait import SLOT_S
@@ -35,8 +36,7 @@ class Replay(Controller):
 
     def __init__(self, schedule: Schedule, frequency: float | None = None) -> None:
         self.schedule, self.frequency = schedule, frequency
-        states = set(np.unique(schedule.states).tolist())
-        self.layouts = tuple(name for name, known in LAYOUTS.items() if states <= set(known))
+        self.layouts = layouts_for(schedule.states)
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`.
@@ -71,6 +71,12 @@ STATES = {"fill": 1, "hold": 0, "vent": -1}
 """Name of a valve state → the state."""
 
 
+def layouts_for(states: ArrayLike) -> tuple[str, ...]:
+    """Return the valve layouts that have these states."""
+    needed = set(np.unique(states).tolist())
+    return tuple(name for name, known in LAYOUTS.items() if needed <= set(known))
+
+
 class HoldValves(Controller):
     """Open loop, all segments alike.
 
@@ -94,7 +100,7 @@ class HoldValves(Controller):
             if name not in STATES:
                 raise UnknownNameError("valve state", name, STATES)
         self._states = STATES[plus], STATES[minus]
-        self.layouts = tuple(name for name, known in LAYOUTS.items() if set(self._states) <= set(known))
+        self.layouts = layouts_for(self._states)
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`."""

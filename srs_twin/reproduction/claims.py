@@ -19,10 +19,10 @@ from pydantic import Field, model_validator
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.documents import Document, Loc, load_yaml
 from srs_twin.io.files import data_root, shipped_names
-from srs_twin.io.validation import Strict, validate
+from srs_twin.io.validation import validate
 from srs_twin.reproduction.computations import COMPUTATIONS
 from srs_twin.reproduction.traces import TRACES
-from srs_twin.scenario.fields import quantity, section
+from srs_twin.scenario.fields import Section, quantity, section
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 Set = Plain | Annotated[list[float], Field(min_length=1, max_length=100)]
@@ -38,7 +38,7 @@ Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
 _BOUND = 1e9
 
 
-class MeasureFile(Strict):
+class MeasureFile(Section):
     """A number that a run, the runs of a sweep or a computation give."""
 
     scenario: Name | None = section("Shipped scenario that is run.", None)
@@ -48,7 +48,7 @@ class MeasureFile(Strict):
         "Metric, `comparison.…`, `trace.…` (of the trajectory), or what a computation names."
     )
     set: Changes = section("Fields of the scenario or arguments of the computation that are otherwise.", {})
-    periods: float | None = quantity("Simulated time in periods", "", 3.0, 1000.0, None)
+    periods: float | None = quantity("Simulated time in periods", 3.0, 1000.0, None)
     where: Fields = section("Points of the sweep that count: varied field and its value.", {})
     take: Take | None = section("What is taken of the values of a sweep's points.", None)
     plant: Literal["analytical", "twin"] | None = section("Whose, whatever column is asked for.", None)
@@ -65,7 +65,7 @@ class MeasureFile(Strict):
         return self
 
 
-class CauseFile(Strict):
+class CauseFile(Section):
     """Why a row is missed: shown by a switch or by a section of the documents, or supposed without either."""
 
     says: Name = section("In words.")
@@ -83,7 +83,7 @@ class CauseFile(Strict):
         return self
 
 
-class TableFile(Strict):
+class TableFile(Section):
     """How the numbers of a table become rows of their own."""
 
     at: Name = section("Key of a row of the table that says where.")
@@ -95,7 +95,7 @@ class TableFile(Strict):
     fit_at: list[float] = section("Where they may be.", [])
 
 
-class ClaimFile(Strict):
+class ClaimFile(Section):
     """One statement of the dissertation, and how it is checked."""
 
     id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)] = section(
@@ -105,10 +105,10 @@ class ClaimFile(Strict):
     robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = section("Generation that it is about.", None)
     says: Annotated[str, Field(min_length=1, max_length=600)] = section("The statement.")
     use: Use = section("fit, holdout, law or shape.")
-    value: float | None = quantity("Published value", "the unit", -_BOUND, _BOUND, None)
+    value: float | None = quantity("Published value", -_BOUND, _BOUND, None, unit="the unit")
     unit: Name | None = section("Unit of the value.", None)
-    tol: float | None = quantity("Relative tolerance", "", 0.0, 100.0, None)
-    abs: float | None = quantity("Absolute tolerance", "the unit", 0.0, _BOUND, None)
+    tol: float | None = quantity("Relative tolerance", 0.0, 100.0, None)
+    abs: float | None = quantity("Absolute tolerance", 0.0, _BOUND, None, unit="the unit")
     rule: Rule | None = section("near, below, above, or ordering: each measure larger than the next.", None)
     measure: MeasureFile | None = section("What is held against the value.", None)
     measures: list[MeasureFile] = section("What is combined, or put in order.", [])

@@ -1,20 +1,8 @@
 """Scenarios: one experiment each, read from a file, checked, and able to build its plants and controller."""
 
-from srs_twin.scenario.control import GaitSettings
-from srs_twin.scenario.expectation import Expectation, Outcome
+from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.schema import scenario_json_schema
-from srs_twin.scenario.settings import AnalyticalSettings, TwinSettings
 
-__all__ = [
-    "AnalyticalSettings",
-    "Expectation",
-    "GaitSettings",
-    "Outcome",
-    "Scenario",
-    "TwinSettings",
-    "load_scenario",
-    "parse_scenario",
-    "scenario_json_schema",
-]
+__all__ = ["Expectation", "Scenario", "load_scenario", "parse_scenario", "scenario_json_schema"]

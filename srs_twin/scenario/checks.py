@@ -1,24 +1,20 @@
-"""What the parts of a scenario must agree on: checked once each of them is sound."""
+"""What the sections of a scenario must agree on: checked once each of them is sound."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError, TimeStepError, whole_steps
+from srs_twin.identification.takes import pressures, starts_at_rest
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics.chambers import largest_bend
+from srs_twin.recordings.recording import Recording
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario.control import ControllerSettings, LearningSettings, controller_settings
-from srs_twin.scenario.control_file import FollowFile, LearningFile, ReplayFile
+from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.scenario.plants_file import NOT_ON_A_BENCH, PLANTS, TwinFile
-from srs_twin.scenario.settings import SensorSettings, default_tick
-
-if TYPE_CHECKING:
-    from srs_twin.recordings.recording import Recording
+from srs_twin.scenario.plants import PLANTS, TwinFile
 
 _LONGER = 1e-6  # s: rounding
 _ROUNDED = 1.001
@@ -28,7 +24,8 @@ _ROUNDED = 1.001
 def check(document: Document, file: ScenarioFile) -> None:
     """Report what in a file contradicts something else in it, whatever the robot."""
     _check_times(document, file)
-    _check_bench(document, file)
+    if file.bench:
+        _check_bench(document, file)
     _check_expectations(document, file)
     _check_gap_factor(document, file)
     _check_following(document, file)
@@ -55,142 +52,106 @@ def overpressure(document: Document, robot: RobotFile) -> list[str]:
     return []
 
 
-def _check_times(document: Document, file: ScenarioFile) -> None:
-    for kind in PLANTS:
-        plant = getattr(file.plants, kind)
-        if plant is None:
-            continue
-        tick = tick_of(file, kind)
-        key: tuple[str, ...] = ("plants", kind, "tick_s")
-        interval = 1 / file.record_hz
-        try:
-            if isinstance(plant, TwinFile):
-                whole_steps("tick", tick, "time step", plant.timestep_s)
-            key = ("duration_s",)
-            whole_steps("duration", file.duration_s, f"the {kind} plant's tick", tick)
-            key = ("record_hz",)
-            if interval > tick:
-                whole_steps("recording interval", interval, f"the {kind} plant's tick", tick)
-            else:
-                whole_steps(f"the {kind} plant's tick", tick, "recording interval", interval)
-                if isinstance(plant, TwinFile):
-                    whole_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
-        except TimeStepError as error:
-            document.report(key, str(error))
-
-
-def tick_of(file: ScenarioFile, kind: str) -> float:
-    """Return the control tick of a plant that the file names, s."""
-    given = getattr(file.plants, kind).tick_s
-    driven = file.controller.gait if isinstance(file.controller, FollowFile) else file.controller
-    learning = isinstance(driven, LearningFile)
-    return default_tick(bench=file.bench, learning=learning) if given is None else float(given)
-
-
-def _check_bench(document: Document, file: ScenarioFile) -> None:
-    """On a bench there is no floor to lie on."""
-    if not file.bench:
-        return
-    if "start" in file.model_fields_set:
-        document.report(
-            ("start",), "what hangs on a bench starts where it is held; take one out", at_key=True
-        )
-    for kind, keys in NOT_ON_A_BENCH.items():
-        plant = getattr(file.plants, kind)
-        for key in keys:
-            if plant is not None and key in plant.model_fields_set:
-                document.report(
-                    ("plants", kind, key),
-                    "on a bench there is no floor; take it out, or bench: true",
-                    at_key=True,
-                )
-    analytical = file.plants.analytical
-    if analytical is not None and analytical.model == "compliant":
-        document.report(
-            ("plants", "analytical", "model"),
-            "compliant is for a free snake; on a bench the bends of complete are the free module's",
-        )
-
-
-def check_faults(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
-    """Report what breaks in a segment that the robot does not have."""
+def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """Report what the robot does not allow: faults, a sensor, a time step."""
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
-            document.report(
-                ("faults", k, "segment"),
-                f"{fault.segment} is not allowed; {robot.name} has {segments} segments",
-            )
-
-
-def check_sensor(document: Document, settings: SensorSettings, robot: RobotFile) -> None:
-    """Report a sensor that cannot be calibrated."""
+            text = f"{fault.segment} is not allowed; {robot.name} has {segments} segments"
+            document.report(("faults", k, "segment"), text)
     try:
-        settings.make(robot.spec())
+        file.sensor.sensor(robot.spec())
     except InputError as error:
         document.report(("sensor",), str(error))
-
-
-def checked_controller(
-    document: Document,
-    file: ScenarioFile,
-    robot: RobotFile,
-    supply_pa: float,
-    recording: Recording | None = None,
-) -> tuple[ControllerSettings, str, list[str]]:
-    """Return the controller, the layout of its valves and warnings; report why it cannot be had."""
-    spec = robot.spec()
-    limit = largest_bend(spec, supply_pa)
-    given = file.controller.gait if isinstance(file.controller, FollowFile) else file.controller
-    try:
-        settings = controller_settings(given, limit, recording)
-    except InputError as error:
-        document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
-        # What else is wrong is said as well.
-        settings = controller_settings(given.model_copy(update={"beyond_range": "saturate"}), limit)
-    controller = settings.make()
-    layout = file.valves.layout or controller.layouts[0]
-    if layout not in controller.layouts:
-        document.report(
-            ("valves", "layout"),
-            f"{controller.kind} drives valves of layout {', '.join(controller.layouts)}, not {layout}"
-            + ("; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"),
-        )
-    for kind in PLANTS:
-        if getattr(file.plants, kind) is not None:
-            try:
-                controller.reset(spec, tick_of(file, kind))
-            except InputError as error:
-                document.report(("controller",), f"on the {kind} plant: {error}")
-    return settings, layout, _saturation(settings, limit)
-
-
-def _saturation(settings: ControllerSettings, limit: float) -> list[str]:
-    if isinstance(settings, LearningSettings) and (settings.target or 0.0) > limit:
-        return [
-            f"controller.target_rad: {settings.target:.4g} rad is more than the {limit:.4g} rad that the "
-            "segments bend by at this supply pressure; duties will stay at 1"
-        ]
-    wanted = getattr(getattr(settings, "reference", None), "wanted", None)
-    if wanted is None:
-        return []
-    return [
-        f"controller.reference: asks for {wanted.peak:.4g} rad and is cut at {limit:.4g} rad, the most that "
-        "the segments bend by at this supply pressure"
-    ]
-
-
-def check_damping(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
-    """The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`)."""
-    bending = robot.bending
+    # The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`).
+    bending, twin = robot.bending, file.plants.twin
     shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
-    twin = file.plants.twin
     if twin is not None and not twin.timestep_s < shortest:
         document.report(
             ("plants", "twin", "timestep_s"),
             f"{twin.timestep_s:g} s is too long for a robot whose damping times reach down to {shortest:g} s "
             "(bending.damping_time_s, out_of_plane_damping_time_s); it must be shorter",
         )
+
+
+def check_controller(
+    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, recording: Recording | None
+) -> tuple[str, list[str]]:
+    """Return the layout of the controller's valves and warnings; report why it cannot be had."""
+    spec, controller = robot.spec(), file.controller
+    limit = largest_bend(spec, supply_pa)
+    warnings: list[str] = []
+    try:
+        warnings = list(controller.warnings(limit))
+    except InputError as error:
+        document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
+    possible = controller.layouts(recording)
+    layout = file.valves.layout or possible[0]
+    if layout not in possible:
+        why = "; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"
+        text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}{why}"
+        document.report(("valves", "layout"), text)
+    for kind in PLANTS:
+        if getattr(file.plants, kind) is not None:
+            try:
+                controller.check(spec, file.tick(kind))
+            except InputError as error:
+                document.report(("controller",), f"on the {kind} plant: {error}")
+    return layout, warnings
+
+
+def check_recording(document: Document, file: ScenarioFile, recording: Recording) -> list[str]:
+    """Report what of a scenario the recording does not allow; return warnings."""
+    time = recording.trajectory.time
+    span = float(time[-1] - time[0])
+    if file.duration_s > span + _LONGER:
+        document.report(("duration_s",), f"{file.duration_s:g} s is longer than the recording's {span:.4g} s")
+    if pressures(recording) is not None and "pneumatics" in file.model_fields_set:
+        text = "the recording holds pressures, which chambers then have; take it out"
+        document.report(("pneumatics",), text, at_key=True)
+    if starts_at_rest(recording):
+        return []
+    return ["recording: it begins while chambers hold air; the plants begin straight and at rest"]
+
+
+def _check_times(document: Document, file: ScenarioFile) -> None:
+    for kind in PLANTS:
+        plant = getattr(file.plants, kind)
+        if plant is None:
+            continue
+        tick, interval = file.tick(kind), 1 / file.record_hz
+        named = f"the {kind} plant's tick"
+        key: tuple[str, ...] = ("plants", kind, "tick_s")
+        try:
+            if isinstance(plant, TwinFile):
+                whole_steps("tick", tick, "time step", plant.timestep_s)
+            key = ("duration_s",)
+            whole_steps("duration", file.duration_s, named, tick)
+            key = ("record_hz",)
+            if interval > tick:
+                whole_steps("recording interval", interval, named, tick)
+            else:
+                whole_steps(named, tick, "recording interval", interval)
+                if isinstance(plant, TwinFile):
+                    whole_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
+        except TimeStepError as error:
+            document.report(key, str(error))
+
+
+def _check_bench(document: Document, file: ScenarioFile) -> None:
+    """On a bench there is no floor to lie on."""
+    if "start" in file.model_fields_set:
+        text = "what hangs on a bench starts where it is held; take one out"
+        document.report(("start",), text, at_key=True)
+    for kind in PLANTS:
+        plant = getattr(file.plants, kind)
+        for key in plant.on_a_floor if plant else ():
+            if key in plant.model_fields_set:
+                text = "on a bench there is no floor; take it out, or bench: true"
+                document.report(("plants", kind, key), text, at_key=True)
+    if file.plants.analytical and file.plants.analytical.model == "compliant":
+        text = "compliant is for a free snake; on a bench the bends of complete are the free module's"
+        document.report(("plants", "analytical", "model"), text)
 
 
 def _check_following(document: Document, file: ScenarioFile) -> None:
@@ -222,29 +183,6 @@ def _check_replay(document: Document, file: ScenarioFile) -> None:
             document.report(("expect", i, "metric"), f"{each.metric} needs recording")
 
 
-def recorded_pressures(recording: Recording) -> bool:
-    """Say whether chambers are to hold what a recording says, whatever the valves."""
-    return recording.valves is not None and recording.valves.kind == "pressure"
-
-
-def check_recording(document: Document, file: ScenarioFile, recording: Recording) -> list[str]:
-    """Report what of a scenario the recording does not allow; return warnings."""
-    from srs_twin.identification.takes import starts_at_rest
-
-    time = recording.trajectory.time
-    span = float(time[-1] - time[0])
-    if file.duration_s > span + _LONGER:
-        document.report(("duration_s",), f"{file.duration_s:g} s is longer than the recording's {span:.4g} s")
-    if recorded_pressures(recording) and "pneumatics" in file.model_fields_set:
-        document.report(
-            ("pneumatics",), "the recording holds pressures, which chambers then have; take it out",
-            at_key=True,
-        )  # fmt: skip
-    if starts_at_rest(recording):
-        return []
-    return ["recording: it begins while chambers hold air; the plants begin straight and at rest"]
-
-
 def _check_expectations(document: Document, file: ScenarioFile) -> None:
     runs = {kind for kind in PLANTS if getattr(file.plants, kind)}
     for i, each in enumerate(file.expect):
@@ -256,15 +194,11 @@ def _check_expectations(document: Document, file: ScenarioFile) -> None:
 
 def _check_gap_factor(document: Document, file: ScenarioFile) -> None:
     """The dissertation's factor stands for gaps that the model does not have."""
-    analytical, twin = file.plants.analytical, file.plants.twin
+    analytical, twin, key = file.plants.analytical, file.plants.twin, ("comparison", "gap_factor")
     if not file.comparison.gap_factor:
         return
     if analytical is None or twin is None:
-        document.report(
-            ("comparison", "gap_factor"), "a comparison needs both plants; add the other to plants"
-        )
+        document.report(key, "a comparison needs both plants; add the other to plants")
     elif analytical.gaps:
-        document.report(
-            ("comparison", "gap_factor"),
-            "the analytical plant has the gaps in its geometry already; set plants.analytical.gaps: false",
-        )
+        text = "the analytical plant has the gaps in its geometry already; set plants.analytical.gaps: false"
+        document.report(key, text)

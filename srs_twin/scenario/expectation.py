@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS
+from pydantic import Field, field_validator, model_validator
+
+from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, METRICS_LISTED
+from srs_twin.errors import UnknownNameError
+from srs_twin.scenario.fields import Section, quantity, section
 
 COMPARISON = "comparison"
+_BOUND = 1e9
+_UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
     "missed": "missed",
@@ -17,92 +22,7 @@ _TALLY = {
     "holds": "met though known to be missed (take `known` out)",
 }
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """An expectation and what came out.
-
-    Attributes:
-        metric: name of the metric.
-        of: "analytical", "twin" or "comparison".
-        value: what came out; None where there is no such number.
-        allowed: in words, e.g. "0.1819 to 0.2461".
-        met: whether the value is allowed; never so without a value.
-        near: the value that was expected, None for one-sided bounds.
-        source: where the expectation is from, None for our own.
-        known: why it is missed, where the scenario says so.
-    """
-
-    metric: str
-    of: str
-    value: float | None
-    allowed: str
-    met: bool
-    near: float | None
-    source: str | None
-    known: str | None = None
-
-    @property
-    def verdict(self) -> str:
-        """As `verdict` has it."""
-        return verdict(self.met, self.known)
-
-
-def verdict(met: bool, known: str | None) -> str:
-    """Return "met", "missed", "known" (missed, as the scenario says) or "holds" (met, though it says so)."""
-    if known is None:
-        return "met" if met else "missed"
-    return "holds" if met else "known"
-
-
-def tally(verdicts: Mapping[str, int]) -> str:
-    """Return in words how many expectations came out how."""
-    said = [f"{verdicts[each]} {words}" for each, words in _TALLY.items() if verdicts.get(each)]
-    return ", ".join(said) or "none"
-
-
-@dataclass(frozen=True)
-class Expectation:
-    """A range for one metric of one plant or of the comparison; both ends are allowed values.
-
-    Attributes:
-        metric: name of the metric.
-        of: "analytical", "twin" or "comparison".
-        low: −inf where there is no lower bound.
-        high: inf where there is no upper bound.
-        near: the middle of the range where it was given so.
-        source: where it is from.
-        known: why it is missed; None where it is to be met.
-    """
-
-    metric: str
-    of: str
-    low: float
-    high: float
-    near: float | None = None
-    source: str | None = None
-    known: str | None = None
-
-    @property
-    def allowed(self) -> str:
-        """The range in words."""
-        if math.isinf(self.low):
-            return f"at most {self.high:.4g}"
-        if math.isinf(self.high):
-            return f"at least {self.low:.4g}"
-        return f"{self.low:.4g} to {self.high:.4g}"
-
-    def check(self, metrics: Mapping[str, Any]) -> Outcome:
-        """Compare with what came out.
-
-        Args:
-            metrics: as in metrics.json: "plants" → plant → metric, and "comparison" → metric.
-        """
-        comparison = self.of == COMPARISON
-        found = metrics.get(COMPARISON) if comparison else (metrics.get("plants") or {}).get(self.of)
-        value = (found or {}).get(self.metric)
-        met = value is not None and math.isfinite(value) and self.low <= value <= self.high
-        return Outcome(self.metric, self.of, value, self.allowed, met, self.near, self.source, self.known)
+Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 def known_metrics(of: str | None = None) -> tuple[str, ...]:
@@ -110,3 +30,115 @@ def known_metrics(of: str | None = None) -> tuple[str, ...]:
     if of is None:
         return (*METRIC_UNITS, *COMPARISON_UNITS)
     return tuple(COMPARISON_UNITS if of == COMPARISON else METRIC_UNITS)
+
+
+class Expectation(Section):
+    """What a metric must come out as: near a value (rel or abs), below or above one."""
+
+    metric: str = Field(
+        title="Metric", description="Name of the metric.", json_schema_extra={"enum": list(known_metrics())}
+    )
+    plant: Literal["analytical", "twin"] | None = section("Which plant's metric.", None)
+    of: Literal["comparison"] | None = section("A metric of the comparison instead of a plant's.", None)
+    near: float | None = quantity("The expected value", -_BOUND, _BOUND, None, unit=_UNIT)
+    rel: float | None = quantity("Relative tolerance of near", 1e-9, 100.0, None)
+    abs: float | None = quantity("Absolute tolerance of near", 0.0, _BOUND, None, unit=_UNIT)
+    below: float | None = quantity("Highest allowed value", -_BOUND, _BOUND, None, unit=_UNIT)
+    above: float | None = quantity("Lowest allowed value", -_BOUND, _BOUND, None, unit=_UNIT)
+    source: Words | None = section("Where the value is published; none for our own.", None)
+    known: Words | None = section(
+        "Why it is missed, where that is known: `--check` lets it pass, `--strict` does not.", None
+    )
+
+    @field_validator("metric")
+    @classmethod
+    def _is_a_metric(cls, metric: str) -> str:
+        if metric not in known_metrics():
+            raise ValueError(str(UnknownNameError("metric", metric, known_metrics(), METRICS_LISTED)))
+        return metric
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Expectation:
+        if (self.plant is None) == (self.of is None):
+            raise ValueError("give either plant (analytical or twin) or of: comparison")
+        if self.metric not in known_metrics(self.subject):
+            right = "plant: analytical or plant: twin" if self.of else f"of: {COMPARISON}"
+            raise ValueError(f"{self.metric} needs {right}")
+        if sum(value is not None for value in (self.near, self.below, self.above)) != 1:
+            raise ValueError("give exactly one of near, below and above")
+        tolerances = sum(value is not None for value in (self.rel, self.abs))
+        if tolerances != (self.near is not None):
+            raise ValueError("near needs either rel or abs; below and above take neither")
+        if self.near == 0 and self.rel is not None:
+            raise ValueError("a relative tolerance of 0 allows nothing else; use abs")
+        return self
+
+    @property
+    def subject(self) -> str:
+        """Whose metric: "analytical", "twin" or "comparison"."""
+        return self.plant or COMPARISON
+
+    @property
+    def allowed(self) -> tuple[float, float]:
+        """The lowest and the highest allowed value; infinite where there is none."""
+        if self.near is None:
+            low = -math.inf if self.above is None else self.above
+            return low, math.inf if self.below is None else self.below
+        tolerance = self.abs if self.abs is not None else (self.rel or 0.0) * math.fabs(self.near)
+        return self.near - tolerance, self.near + tolerance
+
+    def check(self, metrics: Mapping[str, Any]) -> dict[str, Any]:
+        """Compare with what came out.
+
+        Args:
+            metrics: as in metrics.json: "plants" → plant → metric, and "comparison" → metric.
+
+        Returns:
+            A row of the expectations of metrics.json: `metric`, `of`, the `value` or None, what is `allowed`
+            in words, whether it is `met` (never without a value), `near`, `source`, `known`.
+        """
+        (low, high), subject = self.allowed, self.subject
+        found = metrics.get(COMPARISON) if self.of else (metrics.get("plants") or {}).get(subject)
+        value = (found or {}).get(self.metric)
+        return {
+            "metric": self.metric,
+            "of": subject,
+            "value": value,
+            "allowed": _in_words(low, high),
+            "met": value is not None and math.isfinite(value) and low <= value <= high,
+            "near": self.near,
+            "source": self.source,
+            "known": self.known,
+        }
+
+
+def _in_words(low: float, high: float) -> str:
+    if math.isinf(low):
+        return f"at most {high:.4g}"
+    return f"at least {low:.4g}" if math.isinf(high) else f"{low:.4g} to {high:.4g}"
+
+
+class ExpectationsFile(Section):
+    """Expectations alone, for `srs-twin replay --expect`."""
+
+    expect: Annotated[list[Expectation], Field(min_length=1, max_length=200)] = section("What must come out.")
+
+
+def verdict(checked: Mapping[str, Any]) -> str:
+    """Return what came of an expectation.
+
+    Args:
+        checked: as `Expectation.check` returns it.
+
+    Returns:
+        "met", "missed", "known" (missed, as the scenario says) or "holds" (met, though it says so).
+    """
+    if checked.get("known") is None:
+        return "met" if checked["met"] else "missed"
+    return "holds" if checked["met"] else "known"
+
+
+def tally(verdicts: Mapping[str, int]) -> str:
+    """Return in words how many expectations came out how."""
+    counted = [f"{verdicts[each]} {words}" for each, words in _TALLY.items() if verdicts.get(each)]
+    return ", ".join(counted) or "none"

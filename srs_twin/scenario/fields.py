@@ -1,27 +1,139 @@
-"""Fields of files: bounded numbers with their unit, sections with a description."""
+"""Sections of files: what a key may hold, the unit that it names, and what is built of it in SI.
+
+The unit of a number stands in its key and nowhere else: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A
+section builds an object by a constructor whose parameters have the keys' names without their units
+(``frequency``, ``k`` or ``K``, ``distance``). Where the constructor has a default, the file has the same.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
+from srs_twin.io.validation import Strict
 
-def quantity(title: str, unit: str, low: float, high: float, default: Any = ...) -> Any:
-    """Return the field of a bounded number, its description made of title, unit and range.
+UNITS = {
+    "_rad_per_s": "rad/s",
+    "_s_per_rad": "s/rad",
+    "_l_per_min": "L/min",
+    "_per_rad": "1/rad",
+    "_per_s": "1/s",
+    "_m_s": "m/s",
+    "_kpa": "kPa",
+    "_rad": "rad",
+    "_hz": "Hz",
+    "_mm": "mm",
+    "_ml": "ml",
+    "_uv": "µV",
+    "_m": "m",
+    "_s": "s",
+    "_v": "V",
+}
+"""How a key ends → the unit of its number."""
+
+# One of the unit in SI, as a numerator and a denominator: 3.1 mm divided by 1000 are the double 0.0031.
+_IN_SI = {"kPa": (1000, 1), "mm": (1, 1000), "ml": (1, 1e6), "µV": (1, 1e6), "L/min": (1, 60_000)}
+
+
+def split_unit(key: str) -> tuple[str, str]:
+    """Return a key without its unit, and the unit; "1" where it names none."""
+    ending = next((each for each in UNITS if key.endswith(each)), "")
+    return key.removesuffix(ending), UNITS.get(ending, "1")
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What a section says of a key, before the key's name and the constructor are known."""
+
+    text: str
+    default: Any
+    bounds: tuple[float, float] | None = None
+    unit: str | None = None
+
+    def field(self, key: str, parameter: inspect.Parameter | None) -> Any:
+        own = parameter.default if parameter and parameter.default is not parameter.empty else ...
+        default = own if self.default is ... else self.default
+        if self.bounds is None:
+            return Field(default, title=self.text.partition(";")[0].rstrip("."), description=self.text)
+        (low, high), unit = self.bounds, self.unit or split_unit(key)[1]
+        title = self.text.format(default=None if own is ... else _in_unit(key, own))
+        text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
+        return Field(
+            default, title=title, description=text, ge=low, le=high, json_schema_extra={"unit": unit}
+        )
+
+
+def quantity(title: str, low: float, high: float, default: Any = ..., *, unit: str | None = None) -> Any:
+    """Return the field of a bounded number of a `Section`.
 
     Args:
-        title: what it is.
-        unit: "" for a pure number; the schema says "1", as robot files do.
+        title: what it is; ``{default}`` in it is the constructor's default.
         low: the lowest allowed.
         high: the highest allowed.
-        default: what a file gets that leaves it out; the key is required without one.
+        default: what a file gets that leaves it out. Not given: the constructor's, and the key is required
+            where that has none.
+        unit: of a key that does not name it.
     """
-    text = f"{title}{f' in {unit}' if unit else ''}, {low:.10g} to {high:.10g}."
-    extra: dict[str, Any] = {"unit": unit or "1"}
-    return Field(default, title=title, description=text, ge=low, le=high, json_schema_extra=extra)
+    return _Key(title, default, (low, high), unit)
 
 
 def section(text: str, default: Any = ...) -> Any:
-    """Return a field with a description."""
-    return Field(default, title=text.partition(";")[0].rstrip("."), description=text)
+    """Return the field of anything else, with a description; `default` as in `quantity`."""
+    return _Key(text, default)
+
+
+class Section(Strict):
+    """A block of keys of a file.
+
+    Attributes:
+        constructors: whose parameters the keys set; `build` calls the first.
+    """
+
+    constructors: ClassVar[tuple[Callable[..., Any], ...]] = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for key, given in list(vars(cls).items()):
+            if isinstance(given, _Key):
+                setattr(cls, key, given.field(key, cls.parameter(key)))
+
+    @classmethod
+    def parameter(cls, key: str) -> inspect.Parameter | None:
+        """Return the parameter that a key sets, by its whole name or by that without its unit."""
+        known: dict[str, inspect.Parameter] = {}
+        for constructor in cls.constructors:
+            for name, each in inspect.signature(constructor).parameters.items():
+                known.setdefault(name.lower(), each)
+        return known.get(key) or known.get(split_unit(key)[0])
+
+    def arguments(self) -> dict[str, Any]:
+        """Return what the keys set, by parameter, in SI; None leaves a default alone."""
+        found = {}
+        for key in type(self).model_fields:
+            parameter, value = self.parameter(key), getattr(self, key)
+            if parameter and not (value is None and parameter.default is not parameter.empty):
+                found[parameter.name] = _in_si(key, value)
+        return found
+
+    def build(self) -> Any:
+        """Return what the section describes."""
+        return self.constructors[0](**self.arguments())
+
+    def with_defaults(self, *keys: str) -> Self:
+        """Return the section with the constructor's defaults for these keys where it says nothing."""
+        missing = {key: self.parameter(key) for key in keys if getattr(self, key) is None}
+        return self.model_copy(update={k: _in_unit(k, each.default) for k, each in missing.items() if each})
+
+
+def _in_si(key: str, value: Any) -> Any:
+    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
+    return value if value is None or up == down else value * up / down
+
+
+def _in_unit(key: str, value: Any) -> Any:
+    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
+    return value if value is None or up == down else round(value * down / up, 6)

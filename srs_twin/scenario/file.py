@@ -6,20 +6,23 @@ from typing import Annotated, Any
 
 from pydantic import Field, WithJsonSchema
 
-from srs_twin.io.validation import Strict
-from srs_twin.scenario.air_file import PneumaticsFile, SupplyFile, ValvesFile
-from srs_twin.scenario.control_file import ControllerFile
-from srs_twin.scenario.expectation_file import ExpectationFile
-from srs_twin.scenario.faults_file import FaultFile
-from srs_twin.scenario.fields import quantity, section
-from srs_twin.scenario.planner_file import PlannerFile
-from srs_twin.scenario.plants_file import AnalyticalFile, PlantsFile, TwinFile
-from srs_twin.scenario.recording_file import RecordingFile
-from srs_twin.scenario.sensor_file import SensorFile
-from srs_twin.scenario.world_file import StartFile, WorldFile
+from srs_twin.scenario.air import PneumaticsFile, SupplyFile, ValvesFile
+from srs_twin.scenario.controllers import ControllerFile, FollowFile
+from srs_twin.scenario.expectation import Expectation
+from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.planner import PlannerFile
+from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
+from srs_twin.scenario.recording import RecordingFile
+from srs_twin.scenario.sensors import FaultFile, SensorFile
+from srs_twin.scenario.world import StartFile, WorldFile
+
+ROBOT_TEXT = (
+    "The snake: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or path} "
+    "with fields to change, or a whole robot."
+)
 
 
-class ComparisonFile(Strict):
+class ComparisonFile(Section):
     """How the plants are compared."""
 
     gap_factor: bool = section(
@@ -29,32 +32,26 @@ class ComparisonFile(Strict):
     )
 
 
-ROBOT_TEXT = (
-    "The snake: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or path} "
-    "with fields to change, or a whole robot."
-)
-
-
-class ScenarioFile(Strict):
+class ScenarioFile(Section):
     """One experiment with a soft snake."""
 
     name: str | None = Field(
-        None, title="Name", min_length=1, max_length=200, pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$",
-        description="Name of the results' folder (default: the file's name).",
-    )  # fmt: skip
-    title: str | None = Field(
         None,
-        title="Title",
+        title="Name",
         min_length=1,
         max_length=200,
-        description="One line for people (default: the name).",
+        pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$",
+        description="Name of the results' folder (default: the file's name).",
+    )
+    title: Annotated[str, Field(min_length=1, max_length=200)] | None = section(
+        "One line for people (default: the name).", None
     )
     robot: Annotated[Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})] = Field(
         title="Robot", description=ROBOT_TEXT
     )
-    duration_s: float = quantity("Simulated time", "s", 0.001, 3600.0)
-    seed: int = quantity("Seed of whatever is random", "", 0, 2**32 - 1, 0)
-    record_hz: float = quantity("Recorded samples a second", "Hz", 0.1, 10_000.0, 100.0)
+    duration_s: float = quantity("Simulated time", 0.001, 3600.0)
+    seed: int = quantity("Seed of whatever is random", 0, 2**32 - 1, 0)
+    record_hz: float = quantity("Recorded samples a second", 0.1, 10_000.0, 100.0)
     supply: SupplyFile = section("Compressed air.", SupplyFile())
     pneumatics: PneumaticsFile = section("Valves and chambers.", PneumaticsFile())
     allow_overpressure: bool = section(
@@ -79,4 +76,11 @@ class ScenarioFile(Strict):
         "Which plants run (default: both).", PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
     )
     comparison: ComparisonFile = section("How the plants are compared.", ComparisonFile())
-    expect: Annotated[list[ExpectationFile], Field(max_length=200)] = section("What must come out.", [])
+    expect: Annotated[list[Expectation], Field(max_length=200)] = section("What must come out.", [])
+
+    def tick(self, plant: str) -> float:
+        """Return the control tick of a plant, whether the file names it or not, s."""
+        section = getattr(self.plants, plant)
+        driven = self.controller.gait if isinstance(self.controller, FollowFile) else self.controller
+        suits = BENCH_TICK_S if self.bench else driven.tick or TICK_S
+        return suits if section is None or section.tick_s is None else float(section.tick_s)

@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
+from srs_twin.identification.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
 from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.footprint import load_footprint
-from srs_twin.robot.file import RobotFile, resolve_robot
-from srs_twin.scenario.building import build, sensors, supply
+from srs_twin.recordings.logs import on_bench, read_valves
+from srs_twin.recordings.recording import Recording
+from srs_twin.robot.file import PA_PER_KPA, RobotFile, resolve_robot
 from srs_twin.scenario.checks import (
     check,
-    check_damping,
-    check_faults,
+    check_controller,
     check_recording,
-    check_sensor,
-    checked_controller,
+    check_robot,
     overpressure,
 )
-from srs_twin.scenario.control import ControllerSettings, GaitSettings, LearningSettings
-from srs_twin.scenario.control_file import FollowFile, ReplayFile
+from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.scenario.following import FollowSettings, follow_settings
-from srs_twin.scenario.route_finding import planner_settings
+from srs_twin.scenario.planner import RoutePlanner
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.scenario.surroundings import start_of, world_of
 from srs_twin.world import World
-
-if TYPE_CHECKING:
-    from srs_twin.recordings.recording import Recording
 
 Found = TypeVar("Found")
 
@@ -62,32 +58,85 @@ def _scenario(document: Document, name: str) -> Scenario:
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
-    controller: ControllerSettings | FollowSettings | None = None
-    layout, world, recording = "", World(), None
+    layout, world, recording, planner = "", World(), None, None
     if file:
         world = _world(document, file)
         check(document, file)
-        if robot:
-            check_damping(document, file, robot)
-            check_faults(document, file, robot)
-            check_sensor(document, sensors(file.sensor)[0], robot)
-            recording = _recording(document, file, robot)
-            if recording is not None:
-                warnings += check_recording(document, file, recording)
-            if recording is not None or not isinstance(file.controller, ReplayFile):
-                driving, layout, said = checked_controller(
-                    document, file, robot, supply(file, robot), recording
-                )
-                warnings += said
-                controller = _followed(document, file, driving, world)
+    if file and robot:
+        check_robot(document, file, robot)
+        recording = _recording(document, file, robot)
+        if recording is not None:
+            warnings += check_recording(document, file, recording)
+        if recording is not None or not isinstance(file.controller, ReplayFile):
+            layout, more = check_controller(
+                document, file, robot, supply_kpa(file, robot) * PA_PER_KPA, recording
+            )
+            warnings += more
+        planner = _planner(document, file, world)
     document.finish(foreign)
-    assert file is not None and robot is not None and controller is not None, "no problem was reported"
+    assert file is not None and robot is not None, "no problem was reported"
     if file.planner is None and (world.goal or world.bounds):
         warnings.append(
             "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
         )
-    found = build(file, robot, file.name or name, controller, layout, tuple(warnings), world, recording)
-    return replace(found, source=document.name)
+    resolved = _resolved(file, robot, file.name or name, layout, recording)
+    file = ScenarioFile.model_validate_json(json.dumps(resolved), strict=True)
+    pose = file.start.build()
+    assert file.name and file.title and file.supply.pressure_kpa, "defaults are written out"
+    return Scenario(
+        name=file.name,
+        title=file.title,
+        robot=robot.spec(file.seed),
+        duration=file.duration_s,
+        seed=file.seed,
+        record_hz=file.record_hz,
+        supply_pa=file.supply.pressure_kpa * PA_PER_KPA,
+        pose=(pose.x, pose.y, pose.heading),
+        world=world,
+        file=file,
+        planner=planner,
+        document=resolved,
+        warnings=tuple(warnings),
+        recording=recording,
+        source=document.name,
+    )
+
+
+def _resolved(
+    file: ScenarioFile, robot: RobotFile, name: str, layout: str, recording: Recording | None
+) -> dict[str, Any]:
+    """Return plain data of the same scenario with all defaults and the robot written out."""
+    plain = file.model_dump(mode="json", exclude_none=True, exclude={"start"} if file.bench else None)
+    document = plain | {
+        "name": name,
+        "title": file.title or name,
+        "robot": robot.model_dump(mode="json", exclude_none=True),
+        "supply": {"pressure_kpa": supply_kpa(file, robot)},
+        "pneumatics": plain["pneumatics"] | file.pneumatics.resolved().model_dump(exclude_none=True),
+        "valves": {"layout": layout},
+        "sensor": file.sensor.resolved().model_dump(exclude_none=True),
+        "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
+    }
+    if recording is not None:
+        # A run's folder can be read from any other folder.
+        for key in document["recording"].keys() & {"motion", "valves"}:
+            document["recording"][key] = str(Path(document["recording"][key]).resolve())
+        if pressures(recording) is not None:
+            del document["pneumatics"]
+        if not file.bench and "start" not in file.model_fields_set:
+            x, y, heading = start_pose(recording)
+            document["start"] = {"x_m": x, "y_m": y, "heading_rad": math.remainder(heading, 2 * math.pi)}
+    for kind, plant in document["plants"].items():
+        plant["tick_s"] = file.tick(kind)
+        for key in getattr(file.plants, kind).on_a_floor if file.bench else ():
+            del plant[key]
+    return document
+
+
+def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
+    """Return the supply pressure, the robot's nominal one where none is given, kPa."""
+    given = file.supply.pressure_kpa
+    return float(robot.supply.nominal_kpa.value) if given is None else given
 
 
 def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Recording | None:
@@ -95,13 +144,7 @@ def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Reco
     given = file.recording
     if given is None:
         return None
-    from srs_twin.identification.takes import NO_MARKERS, Reading, logs_of, only_bends, repeats
-    from srs_twin.recordings.logs import on_bench, read_valves
-
-    reading = Reading(
-        given.up, given.layout, given.head, given.longest_gap_s, given.offset_s, given.gait_frequency_hz
-    )
-    spec = robot.spec(file.seed)
+    reading, spec = given.build(), robot.spec(file.seed)
     (path,) = logs_of([given.motion], [given.valves] if given.valves else [])
     log = _read(document, "valves", lambda: read_valves(path, spec))
     frequency = repeats(log) if log else None
@@ -132,30 +175,24 @@ def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | No
 
 def _world(document: Document, file: ScenarioFile) -> World:
     try:
-        return world_of(file)
+        return file.world.surroundings(file.start.build(), file.seed)
     except InputError as error:
         document.report(("world", "random"), str(error))
         return World()
 
 
-def _followed(
-    document: Document, file: ScenarioFile, gait: ControllerSettings, world: World
-) -> ControllerSettings | FollowSettings:
-    """Put a follower on top of the gait where the file has one; report why it cannot be had."""
+def _planner(document: Document, file: ScenarioFile, world: World) -> RoutePlanner | None:
+    """Return what plans the way to follow; report why it cannot be had."""
     if file.planner is None or not isinstance(file.controller, FollowFile) or document.problems:
-        return gait
-    assert isinstance(gait, GaitSettings | LearningSettings)
+        return None
+    key: tuple[str, ...] = ("planner", "footprint")
     try:
         footprint = load_footprint(file.planner.footprint)
+        key = ("planner",)
+        return RoutePlanner.of(file.planner, footprint, file.start.build(), world)
     except InputError as error:
-        document.report(("planner", "footprint"), str(error).splitlines()[0])
-        return gait
-    try:
-        planner = planner_settings(file.planner, footprint, start_of(file), world)
-    except InputError as error:
-        document.report(("planner",), str(error))
-        return gait
-    return follow_settings(file.controller, gait, planner)
+        document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])
+        return None
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.identification.takes import pressures
+from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.control import ControllerSettings, LearningSettings, ReplaySettings
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.following import FollowSettings
-from srs_twin.scenario.settings import (
-    AnalyticalSettings,
-    PlantSettings,
-    PneumaticsSettings,
-    SensorSettings,
-    TwinSettings,
-    default_tick,
-)
+from srs_twin.scenario.plants import PLANTS, AnalyticalFile, PlantFile, TwinFile
 from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
 from srs_twin.trajectory import Trajectory
 from srs_twin.world import World
@@ -29,8 +23,10 @@ if TYPE_CHECKING:
     from srs_twin.control.base import Controller
     from srs_twin.plants.base import Plant
     from srs_twin.pneumatics import Pneumatics
-
-_KINDS = {"analytical": AnalyticalSettings, "twin": TwinSettings}
+    from srs_twin.recordings.recording import Recording
+    from srs_twin.scenario.controllers import ControllerFile
+    from srs_twin.scenario.file import ScenarioFile
+    from srs_twin.scenario.planner import RoutePlanner
 
 
 @dataclass(frozen=True)
@@ -45,21 +41,13 @@ class Scenario:
         seed: for whatever is random.
         record_hz: recorded samples a second.
         supply_pa: supply pressure, Pa.
-        pneumatics: valves and chambers.
-        allow_overpressure: whether a pressure above the robot's limit was asked for knowingly.
-        layout: of the valves, "3/2" or "in_out".
-        sensor: what controllers are told of the bends.
-        faults: what breaks.
-        bench: whether the head is clamped, in the air.
-        controller: what commands the valves.
         pose: start: centre of mass x, y (m) and mean heading (rad).
         world: obstacles, bounds, goal.
-        plants: plants that the file names → how they run.
-        gap_factor: whether speeds are compared with the dissertation's factor (l + L_o)/l.
-        expect: what must come out.
+        file: the sections of the file, all defaults written out.
+        planner: what plans the way; None where nothing follows one.
         document: plain data of a file that loads as an equal scenario, defaults and robot written out.
-        warnings: what a person should know before believing the results.
-        measured: what was recorded of the robot, on the clock of the run; None where nothing is replayed.
+        warnings: what a person should know before trusting the results.
+        recording: what is replayed, joined with its log.
         source: the file, as messages show it.
     """
 
@@ -70,22 +58,47 @@ class Scenario:
     seed: int
     record_hz: float
     supply_pa: float
-    pneumatics: PneumaticsSettings
-    allow_overpressure: bool
-    layout: str
-    sensor: SensorSettings
-    faults: tuple[DeadSensor | StuckValve, ...]
-    bench: bool
-    controller: ControllerSettings | FollowSettings
     pose: tuple[float, float, float]
     world: World
-    plants: Mapping[str, PlantSettings]
-    gap_factor: bool
-    expect: tuple[Expectation, ...]
+    file: ScenarioFile
+    planner: RoutePlanner | None
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
-    measured: Trajectory | None = field(default=None, compare=False, repr=False)
+    recording: Recording | None = field(default=None, compare=False, repr=False)
     source: str = field(default="", compare=False)
+
+    @property
+    def plants(self) -> Mapping[str, PlantFile]:
+        """The plants that the file names, and how they run."""
+        sections = {kind: getattr(self.file.plants, kind) for kind in PLANTS}
+        return {kind: each for kind, each in sections.items() if each is not None}
+
+    @property
+    def controller(self) -> ControllerFile:
+        """What commands the valves."""
+        return self.file.controller
+
+    @property
+    def expect(self) -> tuple[Expectation, ...]:
+        """What must come out."""
+        return tuple(self.file.expect)
+
+    @property
+    def layout(self) -> str:
+        """The layout of the valves, "3/2" or "in_out"."""
+        assert self.file.valves.layout is not None, "defaults are written out"
+        return self.file.valves.layout
+
+    @property
+    def measured(self) -> Trajectory | None:
+        """What was recorded of the robot, on the clock of the run; None where nothing is replayed."""
+        if self.recording is None:
+            return None
+        trajectory = self.recording.trajectory
+        time = trajectory.time - trajectory.time[0]
+        kept = time <= self.duration + 1e-9
+        columns = {name: column[kept] for name, column in trajectory.columns.items()}
+        return replace(trajectory, columns=columns | {"time": time[kept]})
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
@@ -106,50 +119,52 @@ class Scenario:
         Args:
             kind: "analytical" or "twin".
             robot: another robot than the scenario's.
-            changes: settings or arguments of the plant other than the scenario's.
+            changes: arguments of the plant other than the scenario's, and `gaps`.
 
         Raises:
             UnknownNameError: another kind.
         """
-        if kind not in _KINDS:
-            raise UnknownNameError("plant", kind, _KINDS)
-        driven = self.controller.gait if isinstance(self.controller, FollowSettings) else self.controller
-        learning = isinstance(driven, LearningSettings)
-        tick = default_tick(bench=self.bench, learning=learning)
-        settings = self.plants.get(kind) or _KINDS[kind](tick=tick)
+        if kind not in PLANTS:
+            raise UnknownNameError("plant", kind, PLANTS)
         robot = robot or self.robot
-        hung = {"sensor": self._sensors(robot), "base": "clamped" if self.bench else "free"}
-        arguments = hung | asdict(settings) | changes
-        robot = robot if arguments.pop("gaps") else _without_gaps(robot)
+        settings = self.plants.get(kind) or (AnalyticalFile() if kind == "analytical" else TwinFile())
+        arguments: dict[str, Any] = {
+            "supply_pa": self.supply_pa,
+            "tick": self.file.tick(kind),
+            "base": "clamped" if self.file.bench else "free",
+            "sensor": self._sensors(robot),
+        }
+        arguments |= settings.arguments() | {"gaps": settings.gaps} | changes
+        if not arguments.pop("gaps"):
+            robot = replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))
         arguments["pneumatics"] = self._chambers(robot)
         if kind == "analytical":
-            from srs_twin.plants.analytical import AnalyticalSnake
-
-            return AnalyticalSnake(robot, supply_pa=self.supply_pa, **arguments)
+            return AnalyticalSnake(robot, **arguments)
         from srs_twin.plants.twin import TwinSnake
 
-        if not self.bench:
-            arguments["world"] = self.world
-        return TwinSnake(robot, supply_pa=self.supply_pa, **arguments)
+        return TwinSnake(robot, world=None if self.file.bench else self.world, **arguments)
+
+    def build_controller(self) -> Controller:
+        """Return a fresh controller.
+
+        Raises:
+            InputError: one that follows a plan, and nothing can be planned.
+        """
+        return self.controller.controller(self)
 
     def _chambers(self, robot: RobotSpec) -> Pneumatics:
-        chambers = None
-        if isinstance(self.controller, ReplaySettings):
-            chambers = self.controller.chambers(robot, self.supply_pa, self.layout)
-        if chambers is None:
-            chambers = self.pneumatics.make(robot, self.supply_pa, self.layout)
-        chambers.stuck = tuple(fault for fault in self.faults if isinstance(fault, StuckValve))
+        recorded = pressures(self.recording) if self.recording else None
+        chambers: Pneumatics
+        if recorded is None:
+            chambers = self.file.pneumatics.chambers(robot, self.supply_pa, self.layout)
+        else:
+            chambers = RecordedPressures(robot, *recorded, supply_pa=self.supply_pa, layout=self.layout)
+        faults = (each.build() for each in self.file.faults)
+        chambers.stuck = tuple(fault for fault in faults if isinstance(fault, StuckValve))
         return chambers
 
     def _sensors(self, robot: RobotSpec) -> Sensor:
-        sensor = self.sensor.make(robot)
-        dead = tuple(fault for fault in self.faults if isinstance(fault, DeadSensor))
+        sensor = self.file.sensor.sensor(robot)
+        faults = (each.build() for each in self.file.faults)
+        dead = tuple(fault for fault in faults if isinstance(fault, DeadSensor))
         return FaultySensor(sensor, dead) if dead else sensor
-
-    def build_controller(self) -> Controller:
-        """Return a fresh controller."""
-        return self.controller.make()
-
-
-def _without_gaps(robot: RobotSpec) -> RobotSpec:
-    return replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))

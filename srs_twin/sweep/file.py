@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from srs_twin.io.validation import Strict
-from srs_twin.scenario.fields import quantity, section
+from srs_twin.scenario.fields import Section, quantity, section
 
 MAX_FIELDS = 16
 MAX_POINTS = 1_000_000
@@ -20,12 +19,12 @@ PublishedValues = Annotated[
 FieldName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class RangeFile(Strict):
+class RangeFile(Section):
     """Values from one end to the other, both included."""
 
     start: float = Field(alias="from", ge=-1e12, le=1e12, title="From", description="First value.")
     stop: float = Field(alias="to", ge=-1e12, le=1e12, title="To", description="Last value.")
-    count: int | None = quantity("How many values (grid, list)", "", 2, 10_000, None)
+    count: int | None = quantity("How many values (grid, list)", 2, 10_000, None)
     scale: Literal["linear", "log"] = section("How values are spaced; log: by equal ratios.", "linear")
 
     @model_validator(mode="after")
@@ -48,7 +47,7 @@ Varied = Annotated[
 ]
 
 
-class SamplingFile(Strict):
+class SamplingFile(Section):
     """How the values of several fields are put together."""
 
     kind: Literal["grid", "list", "latin_hypercube", "sobol"] = section(
@@ -56,10 +55,8 @@ class SamplingFile(Strict):
         "sobol: so many points spread over the ranges.",
         "grid",
     )
-    count: int | None = quantity("Points (latin_hypercube; sobol: a power of 2)", "", 1, MAX_POINTS, None)
-    seed: int | None = quantity(
-        "Seed of the points (latin_hypercube, sobol; default 0)", "", 0, 2**32 - 1, None
-    )
+    count: int | None = quantity("Points (latin_hypercube; sobol: a power of 2)", 1, MAX_POINTS, None)
+    seed: int | None = quantity("Seed of the points (latin_hypercube, sobol; default 0)", 0, 2**32 - 1, None)
 
     @model_validator(mode="after")
     def _what_belongs_together(self) -> SamplingFile:
@@ -77,7 +74,7 @@ class SamplingFile(Strict):
         return self
 
 
-class PlotFile(Strict):
+class PlotFile(Section):
     """A picture of the results."""
 
     kind: Literal["contour", "line", "scatter"] = section("Which kind.")
@@ -97,7 +94,7 @@ class PlotFile(Strict):
         return self
 
 
-class BesideFile(Strict):
+class BesideFile(Section):
     """What was published of the metrics, at some values of the varied fields."""
 
     source: str = Field(
@@ -118,7 +115,7 @@ class BesideFile(Strict):
     )
 
 
-class SweepFile(Strict):
+class SweepFile(Section):
     """One scenario over many values of its fields."""
 
     title: str | None = Field(
@@ -137,7 +134,6 @@ class SweepFile(Strict):
     )
     periods: float | None = quantity(
         "Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks",
-        "",
         3.0,
         1000.0,
         None,

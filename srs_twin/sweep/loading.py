@@ -22,7 +22,7 @@ from srs_twin.io.validation import validate
 from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
-from srs_twin.scenario.plants_file import PLANTS
+from srs_twin.scenario.plants import PLANTS
 from srs_twin.sweep.file import BesideFile, RangeFile, SweepFile
 from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts, sample
 from srs_twin.viewing.plots.sweeps import Beside, Values

@@ -20,7 +20,7 @@ from srs_twin.io.documents import Loc
 from srs_twin.provenance import run_key
 from srs_twin.robot.file import units_of
 from srs_twin.robot.sourced import restated
-from srs_twin.scenario.planner_file import PLANNER_FILES
+from srs_twin.scenario.planner import PLANNER_FILES
 from srs_twin.sweep.file import MAX_POINTS, RangeFile, SamplingFile
 
 if TYPE_CHECKING:

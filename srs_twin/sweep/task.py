@@ -14,8 +14,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError, SrsError
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, parse_scenario
-from srs_twin.scenario.following import FollowSettings
-from srs_twin.scenario.plants_file import PLANTS
+from srs_twin.scenario.plants import PLANTS
 from srs_twin.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 
@@ -71,7 +70,7 @@ def run_point(experiment: Experiment, point: Point) -> Row:
             values |= flat_metrics(plant, metrics)
         if len(trajectories) == 2:
             analytical, twin = (trajectories[plant] for plant in PLANTS)
-            comparison = compare(analytical, twin, gap_factor=scenario.gap_factor)
+            comparison = compare(analytical, twin, gap_factor=scenario.file.comparison.gap_factor)
             values |= flat_metrics("comparison", comparison.metrics)
     except SrsError as error:
         trajectories |= _begun(error, experiment.plants, trajectories)
@@ -94,13 +93,13 @@ def _planned(scenario: Scenario) -> dict[str, Any]:
     Raises:
         InputError: there is nothing to plan, or the planner cannot.
     """
-    if not isinstance(scenario.controller, FollowSettings):
+    planner = scenario.planner
+    if planner is None:
         raise InputError("there is no planner; give planner, and controller.kind: follow")
-    planner = scenario.controller.planner
-    if planner.kind not in _planned_before:
+    if planner.file.kind not in _planned_before:
         # What is loaded and compiled once a process is in no point's time.
         planner.plan_anew()
-        _planned_before.add(planner.kind)
+        _planned_before.add(planner.file.kind)
     found = planner.plan_anew()
     return plan_metrics(found.found, found.segments, found.expanded) | {"plan_s": found.seconds}
 

@@ -122,7 +122,7 @@ def test_a_scenario_asks_for_it():
     document = dict(load_scenario("follow_gen4_b").document)
     plans = [
         parse_scenario({**document, "planner": {**document["planner"], "shape_changes": shape}})
-        .controller.planner.plan()
+        .planner.plan()
         for shape in (False, True)
     ]  # fmt: skip
     assert all(answer.found for answer in plans)

@@ -16,7 +16,7 @@ def test_a_grid_of_documents(tmp_path):
     sweep = load_sweep(write(tmp_path))
     assert (sweep.name, len(sweep.points), sweep.experiment.plants) == ("small", 8, ("analytical",))
     scenario = parse_scenario(sweep.experiment.document(sweep.points[-1].changes))
-    assert (scenario.controller.frequency, scenario.supply_pa, scenario.duration) == (2.5, 55e3, 2.0)
+    assert (scenario.controller.frequency_hz, scenario.supply_pa, scenario.duration) == (2.5, 55e3, 2.0)
     # Everything else is the scenario's.
     assert scenario.robot == load_scenario("gen2_straight").robot
 

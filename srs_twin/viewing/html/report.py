@@ -240,7 +240,7 @@ def _said(stated: Mapping[str, str], name: str) -> list[str]:
 def _expectations(expectations: Sequence[Mapping[str, Any]]) -> list[Markup]:
     if not expectations:
         return []
-    verdicts = [verdict(each["met"], each.get("known")) for each in expectations]
+    verdicts = [verdict(each) for each in expectations]
     keys = ["allowed", "source", *(["known"] if {"known", "holds"} & set(verdicts) else [])]
     rows = []
     for word, each in zip(verdicts, expectations, strict=True):

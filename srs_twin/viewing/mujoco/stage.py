@@ -54,7 +54,7 @@ class Stage:
         """
         if not run.has("qpos") or not len(run):
             raise InputError("no positions of the twin were recorded (columns qpos_1…): nothing to draw")
-        self.run, self.bench = run, scenario.bench
+        self.run, self.bench = run, scenario.file.bench
         plant: Any = scenario.build_plant("twin")
         self.model = plant.physics.model.ptr
         self.data = mujoco.MjData(self.model)

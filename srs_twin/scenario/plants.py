@@ -1,35 +1,40 @@
-"""What a scenario file says of the plants."""
+"""Plants of a scenario: which run, and how."""
 
 from __future__ import annotations
 
-from typing import Literal
+import inspect
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
-from srs_twin.io.validation import Strict
-from srs_twin.scenario.fields import quantity, section
+from srs_twin.mjcf.numerics import Numerics
+from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.scenario.fields import Section, quantity, section
 
 PLANTS = ("analytical", "twin")
 
-NOT_ON_A_BENCH = {
-    "analytical": ("friction", "friction_torque", "slip_speed_m_s"),
-    "twin": ("wheels",),
-}
-"""Keys that say how a snake meets the floor; a module on a bench hangs in the air."""
 
+class _PlantFile(Section):
+    """What both plants have in common.
 
-class _PlantFile(Strict):
-    """What both plants have in common."""
+    Attributes:
+        on_a_floor: keys that say how a snake meets the floor; a module on a bench hangs in the air.
+    """
+
+    on_a_floor: ClassVar[tuple[str, ...]]
 
     gaps: bool = section("Whether the rigid gaps of the segments are part of the body.", True)
-    timestep_s: float = quantity("Time step of the integrator", "s", 1e-5, 0.02, 0.001)
+    timestep_s: float
     tick_s: float | None = Field(
-        default=None, ge=1e-5, le=1.0, title="Control tick",
+        default=None,
+        ge=1e-5,
+        le=1.0,
+        title="Control tick",
         description="Control tick in s, 1e-5 to 1; above 0.1 ms a multiple of it, the twin's of timestep_s "
         "(default: 0.02, on a bench 0.001).",
-    )  # fmt: skip
+    )
 
     @field_validator("tick_s")
     @classmethod
@@ -45,26 +50,26 @@ class _PlantFile(Strict):
 class AnalyticalFile(_PlantFile):
     """The dissertation's planar model."""
 
-    timestep_s: float = quantity("Longest step of the integrator", "s", 1e-5, 0.02, 0.002)
+    constructors = (AnalyticalSnake,)
+    on_a_floor = ("friction", "friction_torque", "slip_speed_m_s")
+
+    timestep_s: float = quantity("Longest step of the integrator", 1e-5, 0.02)
     model: Literal["complete", "simplified", "compliant"] = section(
         "complete: bends as the actuators give them; simplified: chords frozen at their straight length "
-        "besides; compliant: bends that load and inertia deflect.",
-        "complete",
+        "besides; compliant: bends that load and inertia deflect."
     )
     friction_torque: bool = section(
-        "Whether friction's moment about the centre of mass acts; only simplified goes without.", True
+        "Whether friction's moment about the centre of mass acts; only simplified goes without."
     )
     inertia: Literal["point", "connector", "lumped"] = section(
         "Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: "
-        "the dissertation's, which counts the segments twice.",
-        "point",
+        "the dissertation's, which counts the segments twice."
     )
     friction: Literal["axis", "wheel", "viscous", "ellipse"] = section(
         "Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, "
-        "ellipse: two skids at the track, viscous: a law for tests.",
-        "axis",
+        "ellipse: two skids at the track, viscous: a law for tests."
     )
-    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", "m/s", 1e-6, 0.1, 0.00025)
+    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", 1e-6, 0.1)
 
     @model_validator(mode="after")
     def _torque_is_there(self) -> AnalyticalFile:
@@ -73,17 +78,28 @@ class AnalyticalFile(_PlantFile):
         return self
 
 
+TICK_S: float = inspect.signature(AnalyticalSnake).parameters["tick"].default
+BENCH_TICK_S = 0.001
+"""Control ticks that suit gaits and a bench."""
+
+
 class TwinFile(_PlantFile):
     """The MuJoCo twin."""
 
+    constructors = (Numerics,)
+    on_a_floor = ("wheels",)
+
+    timestep_s: float = quantity("Time step of the integrator", 1e-5, 0.02)
     wheels: Literal["rolling", "skid"] = section(
-        "What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse).",
-        "rolling",
+        "What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse)."
     )
-    hinges_per_segment: int = quantity("Bending hinges a segment", "", 1, 32, 2)
+    hinges_per_segment: int = quantity("Bending hinges a segment", 1, 32)
 
 
-class PlantsFile(Strict):
+PlantFile = AnalyticalFile | TwinFile
+
+
+class PlantsFile(Section):
     """Which plants run, and how; one that is not named does not run."""
 
     analytical: AnalyticalFile | None = section("The analytical model; {} for its defaults.", None)

@@ -1,0 +1,411 @@
+"""Controllers of a scenario: what commands the valves, the bend that it follows, the plan that it follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from srs_twin.control.base import Controller
+from srs_twin.control.camera import Camera
+from srs_twin.control.duties import LARGEST_OFFSET, Cycles
+from srs_twin.control.following import BearingLaw, Conditions, Follower, PathLaw, Steering
+from srs_twin.control.gait import Gait
+from srs_twin.control.learning import ILC, LEAST_PULSES
+from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
+from srs_twin.control.replay import STATES, HoldValves, Replay, layouts_for
+from srs_twin.control.smc import DirectSMC, IterativeSMC
+from srs_twin.identification.takes import commands
+from srs_twin.planning import Footprint
+from srs_twin.pneumatics.chambers import largest_bend
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.scenario.fields import Section, quantity, section
+
+if TYPE_CHECKING:
+    from srs_twin.recordings.recording import Recording
+    from srs_twin.scenario.scenario import Scenario
+
+_KIND = "Which controller."
+_SHAPE = "How the bend changes over time."
+_RIGHT = math.pi / 2
+
+_FREQUENCY = quantity("Gait frequency", 0.01, 50.0)
+_PHASE = quantity("Phase at the start", -6.3, 6.3)
+_PHASE_STEP = quantity("Lag of each segment behind the one before it (default: the robot's)", -6.3, 6.3)
+_CARRIER = quantity("Carrier of the pulse-width modulation", 1.0, 1000.0)
+_SLOPE = quantity("D, slope of the sliding manifold", 0.001, 1000.0)
+
+Bend = Annotated[float, Field(ge=-_RIGHT, le=_RIGHT)]
+
+
+class _ControllerFile(Section):
+    """What all controllers have in common; `constructors` begin with the controller's class.
+
+    Attributes:
+        tick: control tick that suits it, s; None: the plants' own.
+    """
+
+    if TYPE_CHECKING:
+        kind: str
+    tick: ClassVar[float | None] = None
+
+    def controller(self, scenario: Scenario) -> Controller:
+        """Return a fresh controller."""
+        controller: Controller = self.constructors[0](**self.arguments())
+        return controller
+
+    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
+        """Return the valve layouts that it can drive."""
+        found: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
+        return found
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """Refuse a robot or tick that it cannot drive.
+
+        Raises:
+            InputError: it cannot.
+        """
+
+    def warnings(self, limit: float) -> Iterator[str]:
+        """Return what to warn of where the segments bend by `limit` (rad) at most.
+
+        Raises:
+            InputError: a reference beyond that, which is to be refused.
+        """
+        return iter(())
+
+
+class GaitFile(_ControllerFile):
+    """Lateral undulation, open loop (Eq. 13)."""
+
+    constructors = (Gait,)
+
+    kind: Literal["gait"] = section(_KIND)
+    frequency_hz: float = _FREQUENCY
+    offset: float = quantity("Steering offset, positive to the left", -0.95, 0.95)
+    phase_rad: float = _PHASE
+    phase_step_rad: float | None = _PHASE_STEP
+
+
+class LearningFile(_ControllerFile):
+    """Iterative learning control of a gait: the duty of each chamber, learnt once a period (Eq. 32)."""
+
+    constructors = (ILC,)
+    tick = 0.005  # the peaks of bends that ripple with a carrier of 17 ms must be seen
+
+    kind: Literal["ilc"] = section(_KIND)
+    frequency_hz: float = _FREQUENCY
+    offset: float = quantity(
+        "Steering offset, positive to the left, by unequal targets", -LARGEST_OFFSET, LARGEST_OFFSET
+    )
+    target: Literal["smallest"] | None = section(
+        "Target of the larger side: the smallest amplitude recorded (default), unless target_rad is given.",
+        None,
+    )
+    target_rad: float | None = quantity("Target of the larger side", 0.01, _RIGHT, None)
+    k_per_rad: float = quantity("k, change of duty for an error", 1e-4, 100.0)
+    free_periods: int = quantity("Periods at full duty before the recorded one", 1, 1000)
+    carrier_hz: float = _CARRIER
+    on_fault: Literal["go_on", "stop"] = section(
+        "What a dead sensor or a stuck valve leads to: going on without that module, or the end of the run."
+    )
+    steering: Literal["targets", "targets_and_wave"] = section(
+        "What the offset acts on: unequal targets, or also the valves' wave (Eq. 13), which then fills the "
+        "chambers of the side to turn to for longer."
+    )
+    phase_rad: float = _PHASE
+    phase_step_rad: float | None = _PHASE_STEP
+
+    @model_validator(mode="after")
+    def _fits(self) -> LearningFile:
+        if self.target is not None and self.target_rad is not None:
+            raise ValueError("give either target or target_rad")
+        least = 2 * LEAST_PULSES * self.frequency_hz
+        if self.carrier_hz < least:
+            raise ValueError(f"a gait of this frequency needs a carrier_hz of {least:g} or more")
+        return self
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `_ControllerFile.check`: a period needs enough ticks to learn from."""
+        Cycles(spec.modules.array("bias"), self.frequency_hz, tick)
+
+    def warnings(self, limit: float) -> Iterator[str]:
+        """See `_ControllerFile.warnings`."""
+        if self.target_rad and self.target_rad > limit:
+            yield (
+                f"controller.target_rad: {self.target_rad:.4g} rad is more than the {limit:.4g} rad that the "
+                "segments bend by at this supply pressure; duties will stay at 1"
+            )
+
+
+class ConstantFile(Section):
+    """One bend for ever."""
+
+    kind: Literal["constant"] = section(_SHAPE)
+    bend_rad: float = quantity("Bend", -_RIGHT, _RIGHT)
+
+    def build(self) -> Reference:
+        """Return the reference."""
+        return Constant(self.bend_rad)
+
+
+class StepFile(Section):
+    """A jump from one bend to another."""
+
+    constructors = (Step,)
+
+    kind: Literal["step"] = section(_SHAPE)
+    bend_rad: float = quantity("Bend after the step", -_RIGHT, _RIGHT)
+    before_rad: float = quantity("Bend before it", -_RIGHT, _RIGHT)
+    time_s: float = quantity("When it comes", 0.0, 3600.0)
+
+    def build(self) -> Reference:
+        """Return the reference."""
+        return Step(self.bend_rad, self.before_rad, self.time_s)
+
+
+class _PeriodicFile(Section):
+    constructors: ClassVar[tuple[type[Sine | Square], ...]] = (Sine,)
+
+    amplitude_rad: float = quantity("Amplitude", 0.001, _RIGHT)
+    frequency_hz: float = quantity("Frequency", 0.01, 50.0)
+    phase_rad: float = _PHASE
+    offset_rad: float = quantity("Mean bend", -_RIGHT, _RIGHT)
+
+
+class SineFile(_PeriodicFile):
+    """A sine."""
+
+    kind: Literal["sine"] = section(_SHAPE)
+
+
+class SquareFile(_PeriodicFile):
+    """A square wave."""
+
+    constructors = (Square,)
+
+    kind: Literal["square"] = section(_SHAPE)
+
+
+class StaircaseFile(Section):
+    """One bend after another, each held for the same time; the last one stays."""
+
+    kind: Literal["staircase"] = section(_SHAPE)
+    bends_rad: Annotated[tuple[Bend, ...], Field(min_length=1, max_length=1000)] = section("The bends, rad.")
+    hold_s: float = quantity("How long each is held", 0.001, 3600.0)
+
+    def build(self) -> Reference:
+        """Return the reference."""
+        return Staircase(self.bends_rad, self.hold_s)
+
+
+ReferenceFile = Annotated[
+    ConstantFile | StepFile | SineFile | SquareFile | StaircaseFile, Field(discriminator="kind")
+]
+
+
+class _TrackingFile(_ControllerFile):
+    reference: ReferenceFile = section("The bend that every segment is to follow.")
+    beyond_range: Literal["refuse", "saturate"] = section(
+        "What becomes of a reference beyond what the segments bend by at the supply pressure.", "refuse"
+    )
+
+    def controller(self, scenario: Scenario) -> Controller:
+        """See `_ControllerFile.controller`."""
+        wanted = self.within(largest_bend(scenario.robot, scenario.supply_pa))
+        controller: Controller = self.constructors[0](**self.arguments() | {"reference": wanted})
+        return controller
+
+    def within(self, limit: float) -> Reference:
+        """Return the reference, refused or cut beyond what the segments bend by (`limit`, rad).
+
+        Raises:
+            InputError: it goes beyond, and is to be refused.
+        """
+        reference: Reference = self.reference.build()
+        return reference.within(limit, self.beyond_range)
+
+    def warnings(self, limit: float) -> Iterator[str]:
+        """See `_ControllerFile.warnings`."""
+        if wanted := getattr(self.within(limit), "wanted", None):
+            yield (
+                f"controller.reference: asks for {wanted.peak:.4g} rad and is cut at {limit:.4g} rad, the "
+                "most that the segments bend by at this supply pressure"
+            )
+
+
+class DirectFile(_TrackingFile):
+    """Sliding mode control by valve states, with separate inlet and outlet valves (Eq. 31)."""
+
+    constructors = (DirectSMC,)
+
+    kind: Literal["direct_smc"] = section(_KIND)
+    d_per_s: float = _SLOPE
+    epsilon_rad_per_s: float = quantity("ε, half the width of the dead zone", 0.0001, 1000.0)
+    cutoff_hz: float = quantity("Cutoff of the velocity filter", 0.1, 1000.0)
+
+
+class IterativeFile(_TrackingFile):
+    """Sliding mode control through the duty of pulse-width modulated 3/2 valves (Eq. 29)."""
+
+    constructors = (IterativeSMC,)
+
+    kind: Literal["iterative_smc"] = section(_KIND)
+    k_s_per_rad: float = quantity("K, gain", 1e-5, 1000.0)
+    d_per_s: float = _SLOPE
+    carrier_hz: float = _CARRIER
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `_ControllerFile.check`: the carrier's periods must not be shorter than ticks."""
+        PulseWidth(self.carrier_hz, tick, spec.segments)
+
+
+class HoldFile(_ControllerFile):
+    """Valves that stay as they are."""
+
+    constructors = (HoldValves,)
+
+    kind: Literal["hold_valves"] = section(_KIND)
+    plus: Literal["fill", "hold", "vent"] = section("Valves of the + chambers.")
+    minus: Literal["fill", "hold", "vent"] = section("Valves of the - chambers.")
+
+    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
+        """See `_ControllerFile.layouts`."""
+        return layouts_for([STATES[self.plus], STATES[self.minus]])
+
+
+class ReplayFile(_ControllerFile):
+    """Valves that were recorded, or chambers that hold recorded pressures; the scenario needs a recording."""
+
+    kind: Literal["replay"] = section(_KIND)
+
+    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
+        """See `_ControllerFile.layouts`."""
+        return layouts_for(commands(recording, self.kind).states) if recording else ()
+
+    def controller(self, scenario: Scenario) -> Controller:
+        """See `_ControllerFile.controller`."""
+        recording = scenario.recording
+        assert recording is not None, "a replay without a recording was reported"
+        return Replay(
+            commands(recording, scenario.name), recording.trajectory.metadata.get("gait_frequency_hz")
+        )
+
+
+class CameraFile(Section):
+    """Motion capture: how a follower sees the snake."""
+
+    constructors = (Camera,)
+
+    rate_hz: float = quantity("Frames a second", 5.0, 10_000.0)
+    position_noise_m: float = quantity("RMS noise of x and y", 0.0, 1.0)
+    heading_noise_rad: float = quantity("RMS noise of the heading", 0.0, 3.0)
+
+
+_GAIN_PER_RAD, _NODE_M, _NEAR_M, _LOOKAHEAD_M, _SETTLE_M = 0.6, 0.2, 0.2, 0.15, 0.05
+"""Defaults of the followers; docs/following.md says how they were found."""
+
+FOLLOWERS = {"bearing": ("gain_per_rad", "node_m", "near_m"), "path": ("lookahead_m", "settle_m")}
+"""Keys that belong to one follower only."""
+
+
+class FollowFile(_ControllerFile):
+    """Following of a plan by the offset of a gait (Section 5.2.2); the scenario needs a planner."""
+
+    constructors = (Conditions,)
+
+    kind: Literal["follow"] = section(_KIND)
+    follower: Literal["bearing", "path"] = section(
+        "bearing: the text's, towards one node after the other; path: feedback of the distance from the path "
+        "with its curvature ahead.",
+        "path",
+    )
+    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")] = section("What is steered.")
+    delay_s: float = quantity("How long a command takes to the snake", 0.0, 10.0, 0.1)
+    camera: CameraFile = section("How it sees the snake.", CameraFile())
+    gain_per_rad: float | None = quantity(
+        f"Offset for an error of bearing (bearing; default {_GAIN_PER_RAD})", 0.001, 100.0, None
+    )
+    node_m: float | None = quantity(f"Distance of the nodes (bearing; default {_NODE_M})", 0.001, 100.0, None)
+    near_m: float | None = quantity(
+        f"How near to a node is near enough (bearing; default {_NEAR_M})", 0.001, 100.0, None
+    )
+    lookahead_m: float | None = quantity(
+        f"Path over which a distance from it dies out (path; default {_LOOKAHEAD_M})", 0.001, 100.0, None
+    )
+    settle_m: float | None = quantity(
+        "Path over which a new offset takes hold (path; default: a third of the footprint's longest "
+        f"transient, {_SETTLE_M} without one)",
+        0.0,
+        100.0,
+        None,
+    )
+    replan_beyond_m: float | None = quantity(
+        "Distance from the path that calls for a new plan (default: none is made)", 0.001, 100.0, None
+    )
+    replans: int = quantity("How often a new plan is asked for at most", 0, 1000)
+
+    @model_validator(mode="after")
+    def _what_belongs_together(self) -> FollowFile:
+        if self.gait.offset != 0:
+            raise ValueError("the follower decides the offset; take gait.offset out")
+        for follower, names in FOLLOWERS.items():
+            given = [name for name in names if getattr(self, name) is not None]
+            if given and self.follower != follower:
+                raise ValueError(
+                    f"{given[0]} belongs to follower: {follower}; set that, or take {given[0]} out"
+                )
+        return self
+
+    def controller(self, scenario: Scenario) -> Controller:
+        """See `_ControllerFile.controller`; the first time this plans.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+        planner = scenario.planner
+        assert planner is not None, "a follower without a planner was reported"
+        body, settle, problem = planner.footprint, self._settle(planner.footprint), planner.problem
+        law: Steering
+        if self.follower == "bearing":
+            gain, near = self.gain_per_rad or _GAIN_PER_RAD, self.near_m or _NEAR_M
+            law = BearingLaw(gain, self.node_m or _NODE_M, near)
+        else:
+            law = PathLaw(body, self.lookahead_m or _LOOKAHEAD_M, settle)
+        return Follower(
+            self.gait.controller(scenario),
+            law,
+            planner.plan(),
+            problem.goal,
+            body,
+            Conditions(self.camera.build(), self.delay_s, settle, self.replan_beyond_m, self.replans),
+            body=problem.footprint,
+            world=problem.world,
+            replan=None if planner.file.kind == "given" else planner.plan_from,
+        )
+
+    def _settle(self, footprint: Footprint) -> float:
+        """Return ℓ: what follows with a lag of ℓ is there, but for 5 %, after 3 ℓ."""
+        longest = max((each.length for each in footprint.transients), default=3 * _SETTLE_M)
+        return longest / 3 if self.settle_m is None else self.settle_m
+
+    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
+        """See `_ControllerFile.layouts`."""
+        return self.gait.layouts(recording)
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `_ControllerFile.check`."""
+        self.gait.check(spec, tick)
+
+    def warnings(self, limit: float) -> Iterator[str]:
+        """See `_ControllerFile.warnings`."""
+        return self.gait.warnings(limit)
+
+
+ControllerFile = Annotated[
+    GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile | ReplayFile | FollowFile,
+    Field(discriminator="kind"),
+]

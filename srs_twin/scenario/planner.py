@@ -1,0 +1,222 @@
+"""Planner of a scenario: from start, goal and world to a plan, made once for all who ask."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from srs_twin.errors import InputError
+from srs_twin.planning import Footprint, Outcome, Plan, Primitives, Problem, Segment, Settings, plan
+from srs_twin.planning.collision import Checker
+from srs_twin.planning.footprint import checked
+from srs_twin.planning.planner import plan_shaped
+from srs_twin.planning.problem import path_of
+from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.world import Goal, Pose, World
+
+_KIND = "How the way is found."
+
+Turn = Annotated[float, Field(ge=-math.pi, le=math.pi)]
+
+
+class PrimitivesFile(Section):
+    """Arcs of one length to plan with (Section 5.2.1)."""
+
+    constructors = (Primitives,)
+
+    count: int = quantity("N, how many; odd", 3, 201)
+    turn_rad: float = quantity("Largest turn of one", 0.001, 3.14)
+    length_m: float = quantity("Length of each", 0.001, 100.0)
+
+
+class _PlannerFile(Section):
+    footprint: str = Field(
+        title="Footprint",
+        min_length=1,
+        max_length=4096,
+        description="What the body sweeps at each offset: a shipped name or the path of a footprint file.",
+    )
+    turn_share: float = quantity(
+        "Share of the tightest turns to plan with; the rest is left to the follower", 0.05, 1.0, 1.0
+    )
+    margin_m: float = quantity("Added to both edges of the footprint", 0.0, 10.0, 0.0)
+
+    def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
+        """Return where the way is to end.
+
+        Raises:
+            InputError: there is no goal.
+        """
+        if goal is None:
+            raise InputError("there is no goal to plan to; give world.goal")
+        return goal
+
+    def find(self, problem: Problem) -> Plan:
+        """Return the plan of a problem.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+        raise NotImplementedError
+
+
+class _SearchFile(_PlannerFile):
+    constructors = (Settings,)
+
+    run_up_m: float = quantity(
+        "Straight beginning of the path, over which the gait gets going", 0.0, 100.0, 0.0
+    )
+    if TYPE_CHECKING:
+        kind: str
+
+    def find(self, problem: Problem) -> Plan:
+        """See `_PlannerFile.find`."""
+        if self.run_up_m == 0:
+            return self.search(problem, ())
+        (first,) = path_of(problem.start, [(0.0, self.run_up_m)], problem.footprint)
+        if hit := Checker(problem.world, problem.footprint).blocker(problem.start, self.run_up_m):
+            raise InputError(f"the straight beginning of {self.run_up_m:g} m touches {hit}; run_up_m sets it")
+        return self.search(replace(problem, start=first.end), (first,))
+
+    def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
+        """Return the plan behind a fixed beginning."""
+        found = plan(problem, self.build(), planner=self.kind)
+        return replace(found, segments=(*begin, *found.segments)) if found.found else found
+
+
+class BestFirstFile(_SearchFile):
+    """Best-first search, from both sides where that helps."""
+
+    primitives: PrimitivesFile | None = section("Arcs to plan with (default: the planner's own).", None)
+    kind: Literal["best_first"] = section(_KIND)
+    nodes: int = quantity("How many may be expanded", 1, 100_000_000)
+    seconds: float | None = quantity(
+        "Wall time; only without it is a run the same on every machine (default: no limit)",
+        0.001,
+        3600.0,
+        unit="s",
+    )
+    weight: float = quantity("Of the bound; above 1 faster and longer", 1.0, 100.0)
+    levels: int = quantity("Resolutions to try", 1, 5)
+    smooth: bool = section("Shorten the path afterwards.")
+    shape_changes: bool = section(
+        "Plan the way that changes of offset take, as the footprint has it measured, not jumps of curvature.",
+        False,
+    )
+    improve: bool = section("Go on to finer levels for shorter paths while the budget lasts.")
+
+    def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
+        """See `_SearchFile.search`."""
+        return (
+            plan_shaped(problem, self.build(), begin)
+            if self.shape_changes
+            else super().search(problem, begin)
+        )
+
+
+class GreedyFile(_SearchFile):
+    """The text's search: the best child of either side in turn, for good."""
+
+    kind: Literal["greedy"] = section(_KIND)
+    primitives: PrimitivesFile = section(
+        "Arcs to plan with (default: Section 5.2's: 21, turns of 60 degrees at most, 0.2 m).",
+        PrimitivesFile(count=21, turn_rad=math.pi / 3, length_m=0.2),
+    )
+
+
+class OmplFile(_SearchFile):
+    """RRT-Connect of the Open Motion Planning Library (extra ompl)."""
+
+    kind: Literal["ompl"] = section(_KIND)
+    seconds: float = quantity("Wall time", 0.001, 3600.0, 1.0, unit="s")
+
+
+class GivenFile(_PlannerFile):
+    """A path that is given, as in Fig. 56; obstacles are not looked at."""
+
+    kind: Literal["given"] = section(_KIND)
+    turns_rad: Annotated[tuple[Turn, ...], Field(min_length=1, max_length=1000)] = section(
+        "Turn of each step, positive to the left, rad, -3.14159 to 3.14159."
+    )
+    step_m: float = quantity("Length of each step", 0.001, 100.0)
+
+    def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
+        """Return the end of the path."""
+        end = self._path(start, footprint)[-1].end
+        return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
+
+    def find(self, problem: Problem) -> Plan:
+        """See `_PlannerFile.find`."""
+        return Plan(Outcome.FOUND, "the path is given", self._path(problem.start, problem.footprint))
+
+    def _path(self, start: Pose, footprint: Footprint) -> tuple[Segment, ...]:
+        return path_of(start, [(turn / self.step_m, self.step_m) for turn in self.turns_rad], footprint)
+
+
+PlannerFile = Annotated[BestFirstFile | GreedyFile | OmplFile | GivenFile, Field(discriminator="kind")]
+PLANNER_FILES: dict[str, type[_PlannerFile]] = {
+    "best_first": BestFirstFile,
+    "greedy": GreedyFile,
+    "ompl": OmplFile,
+    "given": GivenFile,
+}
+"""Kind → keys that a planner of this kind has."""
+
+
+@dataclass(frozen=True)
+class RoutePlanner:
+    """What plans the way of a scenario.
+
+    Attributes:
+        file: how.
+        footprint: the robot's, whole: what it can do.
+        problem: start, goal, world, and the footprint to plan with.
+    """
+
+    file: PlannerFile
+    footprint: Footprint
+    problem: Problem
+
+    @classmethod
+    def of(cls, file: PlannerFile, footprint: Footprint, start: Pose, world: World) -> RoutePlanner:
+        """Return the planner of a section.
+
+        Args:
+            file: the section.
+            footprint: that it names.
+            start: of the snake.
+            world: what is in the way, and the goal.
+
+        Raises:
+            InputError: a turn tighter than the footprint has, edges that are too wide, no goal.
+        """
+        reduced = checked(footprint.reduced(file.turn_share, file.margin_m))
+        arcs = getattr(file, "primitives", None)
+        goal = file.goal(start, world.goal, reduced)
+        return cls(file, footprint, Problem(start, goal, world, reduced, arcs.build() if arcs else None))
+
+    def plan(self) -> Plan:
+        """Return the plan, made once: both plants and the report ask for the same.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+        return _plan(self)
+
+    def plan_anew(self) -> Plan:
+        """Return the plan, made now: its time is that of this machine now; raises as `plan`."""
+        return self.file.find(self.problem)
+
+    def plan_from(self, pose: Pose) -> Plan:
+        """Return a plan from another pose, without a run-up; raises as `plan`."""
+        file = self.file.model_copy(update={"run_up_m": 0.0})
+        return _plan(replace(self, file=file, problem=replace(self.problem, start=pose)))
+
+
+@lru_cache(maxsize=16)
+def _plan(planner: RoutePlanner) -> Plan:
+    return planner.plan_anew()

@@ -1,0 +1,154 @@
+"""World of a scenario: where the snake lies, what surrounds it, and what is drawn by a seed."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from srs_twin.planning.fields import fig54_world, strewn
+from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+
+Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]
+Radius = Annotated[float, Field(ge=0.001, le=100.0)]
+
+
+class StartFile(Section):
+    """Where the snake lies at first, straight and at rest."""
+
+    constructors = (Pose,)
+
+    x_m: float = quantity("x of the centre of mass", -1000.0, 1000.0, 0.0)
+    y_m: float = quantity("y of the centre of mass", -1000.0, 1000.0, 0.0)
+    heading_rad: float = quantity("Mean heading, counter-clockwise from x", -6.3, 6.3, 0.0)
+
+
+class ObstacleFile(Section):
+    """A round obstacle."""
+
+    constructors = (Circle,)
+
+    x_m: float = quantity("x of the centre", -1000.0, 1000.0)
+    y_m: float = quantity("y of the centre", -1000.0, 1000.0)
+    radius_m: float = quantity("Radius", 0.001, 100.0)
+
+
+class PolygonFile(Section):
+    """An obstacle with straight sides."""
+
+    constructors = (Polygon,)
+
+    corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)] = section(
+        "[x, y] of each corner, m; the last is joined to the first, sides do not cross."
+    )
+
+    @field_validator("corners_m")
+    @classmethod
+    def _simple(cls, corners: tuple[Pair, ...]) -> tuple[Pair, ...]:
+        from shapely import Polygon
+
+        if not Polygon(corners).is_valid:
+            raise ValueError("these corners do not bound an area: sides cross or fall on each other")
+        return corners
+
+
+class BoundsFile(Section):
+    """The rectangle that the snake is to stay in."""
+
+    constructors = (Bounds,)
+
+    x_m: Pair = section("Lowest and highest x, m.")
+    y_m: Pair = section("Lowest and highest y, m.")
+
+    @field_validator("x_m", "y_m")
+    @classmethod
+    def _ordered(cls, ends: Pair) -> Pair:
+        if not ends[0] < ends[1]:
+            raise ValueError(f"the lowest comes first, but {ends[0]:g} is not below {ends[1]:g}")
+        return ends
+
+
+class GoalFile(Section):
+    """Where the centre of mass is to arrive."""
+
+    constructors = (Goal,)
+
+    x_m: float = quantity("x", -1000.0, 1000.0)
+    y_m: float = quantity("y", -1000.0, 1000.0)
+    heading_rad: float | None = quantity("Heading on arrival (default: any)", -6.3, 6.3, None)
+    radius_m: float = quantity("How near is near enough", 0.001, 100.0, 0.05)
+    heading_tolerance_rad: float = quantity("How near that heading is near enough", 0.0, 3.14)
+
+
+class RandomFile(Section):
+    """Round obstacles drawn by a seed."""
+
+    constructors = (strewn,)
+
+    kind: Literal["strewn", "fig54"] = section(
+        "strewn: uniformly over a rectangle; fig54: of the 18 sites of planning.fields.", "strewn"
+    )
+    count: int = quantity("Number of circles", 0, 1000)
+    seed: int | None = quantity("Of the draw (default: the scenario's)", 0, 2**32 - 1, None)
+    area: BoundsFile | None = section("Where their centres lie (strewn; default: the bounds).", None)
+    radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = section(
+        "Smallest and largest radius (strewn), m."
+    )
+    gap_m: float = quantity("Least distance between two (strewn)", 0.0, 100.0)
+    clear_m: float = quantity("No circle is so near to start or goal (strewn)", 0.0, 100.0, 0.3)
+
+    @field_validator("radius_m")
+    @classmethod
+    def _ordered(cls, ends: tuple[float, ...]) -> tuple[float, ...]:
+        if not ends[0] <= ends[1]:
+            raise ValueError(f"the smallest comes first, but {ends[0]:g} is above {ends[1]:g}")
+        return ends
+
+    def draw(self, bounds: BoundsFile | None, seed: int, places: list[Pose | Goal]) -> tuple[Circle, ...]:
+        """Return the circles.
+
+        Args:
+            bounds: where they lie if the section does not say.
+            seed: of the draw if the section does not say.
+            places: start and goal, which stay clear.
+
+        Raises:
+            InputError: they do not fit.
+        """
+        seed = seed if self.seed is None else self.seed
+        if self.kind == "fig54":
+            return fig54_world(self.count, seed).obstacles
+        area = self.area or bounds
+        clear = tuple((each.x, each.y, self.clear_m) for each in places)
+        given = self.arguments() | {"seed": seed, "clear": clear}
+        return strewn(bounds=area.build(), **given) if area else ()
+
+
+class WorldFile(Section):
+    """What surrounds the snake."""
+
+    obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = section("Round obstacles.", [])
+    polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = section(
+        "Obstacles with straight sides.", []
+    )
+    random: RandomFile | None = section("More round obstacles, drawn by a seed.", None)
+    bounds: BoundsFile | None = section("The rectangle to stay in.", None)
+    goal: GoalFile | None = section("Where to arrive.", None)
+
+    def surroundings(self, start: Pose, seed: int) -> World:
+        """Return what surrounds a snake that lies at `start`.
+
+        Raises:
+            InputError: circles that are to be drawn do not fit.
+        """
+        goal = self.goal.build() if self.goal else None
+        places = [start, goal] if goal else [start]
+        drawn = self.random.draw(self.bounds, seed, places) if self.random else ()
+        return World(
+            obstacles=tuple(each.build() for each in self.obstacles) + drawn,
+            bounds=self.bounds.build() if self.bounds else None,
+            goal=goal,
+            polygons=tuple(each.build() for each in self.polygons),
+        )
