@@ -1,8 +1,7 @@
 """An experiment in a run folder: simulate, measure, compare, write, read back.
 
-The way of the data in one place: scenario → plants → trajectories → metrics → comparison → files.
-
-A run that is over, read back from its folder: for what is looked at later.
+The way of the data in one place: scenario → plants → trajectories → metrics → comparison → files. A run that
+is over is read back from its folder, for what is looked at later.
 """
 
 from __future__ import annotations
@@ -10,14 +9,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.comparison.compare import Comparison, MeasuredDifference, compare
+from srs_twin.comparison.compare import MeasuredDifference, compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
@@ -27,13 +26,13 @@ from srs_twin.plants.base import Plant
 from srs_twin.provenance import versions
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, load_scenario
+from srs_twin.scenario.plants import PLANTS
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Attribution
 
 
-PLANTS = ("analytical", "twin")
 METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
 REPORT, RECORDING = "report.html", "recording.rrd"
 MEASURED = "measured"
@@ -80,11 +79,6 @@ class PreparedRun:
     folder: Path
     parts: Mapping[str, tuple[Plant, Controller]]
 
-    @property
-    def complete(self) -> bool:
-        """Whether the folder holds a whole run."""
-        return (self.folder / METRICS).is_file()
-
     def execute(self, progress: Progress | None = None, *, explain: Explain | None = None) -> RunResult:
         """Simulate every plant, measure, compare and write the files, metrics.json last.
 
@@ -98,59 +92,50 @@ class PreparedRun:
         Raises:
             InputError: a file cannot be written, or the difference cannot be explained.
         """
+        scenario = self.scenario
         trajectories: dict[str, Trajectory] = {}
         walls: dict[str, float] = {}
         diverged: list[DivergedError] = []
-        for kind in self.parts:
-            self._warm_up(kind)
+        for kind, (plant, controller) in self.parts.items():
+            # Kernels that are not compiled yet are no part of a run's time.
+            plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
+            watch = _percents(partial(progress, kind) if progress else None, scenario.duration)
             start = time.perf_counter()
             try:
-                trajectories[kind] = self._drive(kind, progress)
+                trajectories[kind] = rollout(
+                    plant,
+                    controller,
+                    scenario.duration,
+                    pose=scenario.pose,
+                    seed=scenario.seed,
+                    record_hz=scenario.record_hz,
+                    progress=watch,
+                )
+                watch(scenario.duration)
             except DivergedError as error:
-                diverged.append(self._located(kind, error))
+                kept = shown(self.folder / f"{kind}.parquet")
+                error.args = (f"{scenario.name}: {error}; what it did up to there is in {kept}",)
+                diverged.append(error)
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
         attribution, unexplained = None, []
         if explain is not None and not diverged:
-            told = None if progress is None else partial(progress, "why they differ")
+            explaining = partial(progress, "why they differ") if progress else None
             try:
-                attribution = explain(self.scenario, trajectories, progress=told)
+                attribution = explain(scenario, trajectories, progress=explaining)
             except DivergedError as error:
                 unexplained.append(error)
         # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
         with replaced(self.folder, _OF_REPLAYS) as fresh:
-            (fresh / RESOLVED).write_text(dump_yaml(self.scenario.document), "utf-8")
+            (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
                 trajectory.to_parquet(fresh / f"{kind}.parquet")
-            if (measured := self.scenario.measured) is not None:
-                measured.to_parquet(fresh / f"{MEASURED}.parquet")
+            if scenario.measured is not None:
+                scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
-                return RunResult(self.scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-            result = self._measure(fresh, trajectories, walls, attribution)
-        return replace(result, unexplained=tuple(unexplained))
-
-    def _warm_up(self, kind: str) -> None:
-        """Let a plant vent for a tick: kernels that are not compiled yet are no part of a run's time."""
-        plant, _ = self.parts[kind]
-        plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
-
-    def _drive(self, kind: str, progress: Progress | None) -> Trajectory:
-        plant, controller = self.parts[kind]
-        scenario = self.scenario
-        watcher = None if progress is None else _Watcher(kind, scenario.duration, progress)
-        trajectory = rollout(
-            plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed,
-            record_hz=scenario.record_hz, progress=watcher,
-        )  # fmt: skip
-        if progress is not None:
-            progress(kind, 1.0)
-        return trajectory
-
-    def _located(self, kind: str, error: DivergedError) -> DivergedError:
-        """Say in the message which scenario it was and where its trajectory is kept."""
-        kept = shown(self.folder / f"{kind}.parquet")
-        error.args = (f"{self.scenario.name}: {error}; what it did up to there is in {kept}",)
-        return error
+                return RunResult(scenario.name, self.folder, trajectories, diverged=tuple(diverged))
+            metrics = self._measure(fresh, trajectories, walls, attribution)
+        return RunResult(scenario.name, self.folder, trajectories, metrics, unexplained=tuple(unexplained))
 
     def _measure(
         self,
@@ -158,16 +143,19 @@ class PreparedRun:
         trajectories: Mapping[str, Trajectory],
         walls: Mapping[str, float],
         attribution: Attribution | None,
-    ) -> RunResult:
+    ) -> dict[str, Any]:
+        """Write report, recording and metrics into a folder; return the metrics."""
         # rerun alone takes half a second to import: not before there is something to show.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 
-        scenario = self.scenario
+        scenario, measured = self.scenario, self.scenario.measured
         # The plants' own robot: a scenario may have taken its gaps away.
         spec = [plant.spec for plant, _ in self.parts.values()][-1]
-        both = all(plant in trajectories for plant in PLANTS)
-        comparison = _compare(scenario, trajectories) if both else None
+        comparison = None
+        if all(plant in trajectories for plant in PLANTS):
+            factor = scenario.file.comparison.gap_factor
+            comparison = compare(*(trajectories[plant] for plant in PLANTS), gap_factor=factor)
         metrics: dict[str, Any] = {
             "scenario": scenario.name,
             "robot": scenario.robot.name,
@@ -175,30 +163,29 @@ class PreparedRun:
             "comparison": comparison.metrics if comparison else None,
             "events": {k: _notable(t) for k, t in trajectories.items()},
         }
-        differences: dict[str, MeasuredDifference] = {}
-        if scenario.measured is not None:
-            differences = {k: MeasuredDifference.of(scenario.measured, t) for k, t in trajectories.items()}
+        drawn, differences = dict(trajectories), {}
+        if measured is not None:
+            drawn[MEASURED] = measured
+            differences = {k: MeasuredDifference.of(measured, t) for k, t in trajectories.items()}
             for kind, difference in differences.items():
                 metrics["plants"][kind] |= difference.metrics
-            metrics["plants"][MEASURED] = plant_metrics(scenario.measured)
+            metrics["plants"][MEASURED] = plant_metrics(measured)
             metrics["residuals"] = {k: difference.document() for k, difference in differences.items()}
         if attribution is not None:
             metrics["attribution"] = attribution.document()
         metrics["expectations"] = [each.check(metrics) for each in scenario.expect]
         metrics["versions"] = versions()
-        drawn = dict(trajectories)
-        if scenario.measured is not None:
-            drawn[MEASURED] = scenario.measured
-        write_report(
-            fresh / REPORT, scenario_title=scenario.title, spec=spec, trajectories=drawn,
-            metrics=metrics, comparison=comparison, attribution=attribution, measured=differences,
-        )  # fmt: skip
-        write_recording(
-            fresh / RECORDING, spec=spec, trajectories=drawn, comparison=comparison,
-            title=scenario.title, world=scenario.world, measured=differences,
-        )  # fmt: skip
+        shared: dict[str, Any] = {
+            "spec": spec,
+            "trajectories": drawn,
+            "comparison": comparison,
+            "measured": differences,
+        }
+        title = scenario.title
+        write_report(fresh / REPORT, scenario_title=title, metrics=metrics, attribution=attribution, **shared)
+        write_recording(fresh / RECORDING, title=title, world=scenario.world, **shared)
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
-        return RunResult(scenario.name, self.folder, trajectories, metrics)
+        return metrics
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -210,24 +197,19 @@ def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
     return told
 
 
-def _compare(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> Comparison:
-    analytical, twin = (trajectories[plant] for plant in PLANTS)
-    return compare(analytical, twin, gap_factor=scenario.file.comparison.gap_factor)
+def _percents(progress: Callable[[float], None] | None, duration: float) -> Callable[[float], None]:
+    """Return what reports the part of a run that is done, once a percent, given the simulated time (s)."""
+    reported = -1
 
+    def watch(time: float) -> None:
+        nonlocal reported
+        percent = int(100 * time / duration + 1e-9)
+        if progress is not None and percent > reported:
+            reported = percent
+            progress(percent / 100)
 
-class _Watcher:
-    """Reports a rollout's progress, a hundred times at most."""
-
-    def __init__(self, kind: str, duration: float, progress: Progress) -> None:
-        self._kind, self._duration, self._progress = kind, duration, progress
-        self._told = 0
-        progress(kind, 0.0)
-
-    def __call__(self, time: float) -> None:
-        part = time / self._duration
-        if self._told < int(100 * part) < 100:
-            self._told = int(100 * part)
-            self._progress(self._kind, part)
+    watch(0.0)
+    return watch
 
 
 def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None) -> PreparedRun:
@@ -248,6 +230,18 @@ def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = Non
     return PreparedRun(scenario, out, parts)
 
 
+def check_run(scenario: Scenario, out: Path) -> None:
+    """See that a scenario can run into a folder, before anything is built or simulated.
+
+    Raises:
+        InputError: the folder cannot be written, or nothing can be planned.
+    """
+    open_folder(out, _OF_REPLAYS)
+    if scenario.planner is not None:
+        with scenario.named_in_errors():
+            scenario.planner.plan()
+
+
 def run_scenario(
     scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None, progress: Progress | None = None
 ) -> RunResult:
@@ -259,10 +253,6 @@ def run_scenario(
     return prepare(scenario, out, plants=plants).execute(progress)
 
 
-KINDS = (*PLANTS, "measured")
-"""Whose trajectories a folder may hold."""
-
-
 @dataclass(frozen=True)
 class FinishedRun:
     """What a run left.
@@ -270,7 +260,7 @@ class FinishedRun:
     Attributes:
         folder: where it lies.
         scenario: what was run, defaults and robot written out.
-        trajectories: plant → what it did, in the order of `KINDS`.
+        trajectories: plant → what it did, the plants' before what was measured.
     """
 
     folder: Path
@@ -293,13 +283,11 @@ def load_run(run: str | Path) -> FinishedRun:
         InputError: there is none, or its files are not what a run leaves.
     """
     folder = find_run(run)
-    found = {kind: folder / f"{kind}.parquet" for kind in KINDS if (folder / f"{kind}.parquet").is_file()}
+    paths = {kind: folder / f"{kind}.parquet" for kind in (*PLANTS, MEASURED)}
+    found = {kind: Trajectory.from_parquet(path) for kind, path in paths.items() if path.is_file()}
     if not found:
         raise InputError(f"{shown(folder)}: holds no trajectory; `srs-twin run SCENARIO` leaves them")
-    scenario = load_scenario(folder / RESOLVED)
-    return FinishedRun(
-        folder, scenario, {kind: Trajectory.from_parquet(path) for kind, path in found.items()}
-    )
+    return FinishedRun(folder, load_scenario(folder / RESOLVED), found)
 
 
 def find_run(run: str | Path) -> Path:

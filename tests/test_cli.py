@@ -114,6 +114,7 @@ def start(monkeypatch, capsys, tmp_path):
             return Job(scenario.name, folder, log, endings[scenario.name])
 
         monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
+        monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
         monkeypatch.setattr("srs_twin.parallel.each", last_first)
         with pytest.raises(SystemExit) as left:

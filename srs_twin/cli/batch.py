@@ -1,7 +1,4 @@
-"""Runs scenarios, one here or several in worker processes: what `run` and `compare` share.
-
-One scenario of a batch: where it is from, where its files go, and what came of it.
-"""
+"""Runs scenarios, one here or several in worker processes: what `run`, `compare` and `replay` share."""
 
 from __future__ import annotations
 
@@ -21,14 +18,11 @@ from srs_twin.cli.progress import Counting, Progress
 from srs_twin.errors import DivergedError, InputError, SrsError
 
 if TYPE_CHECKING:
+    from srs_twin.experiment import RunResult
     from srs_twin.scenario import Scenario
 
-
-if TYPE_CHECKING:
-    from srs_twin.experiment import Explain, Progress, RunResult
-    from srs_twin.scenario import Scenario
-
-    Order = tuple[Scenario, Path]
+EXPECTATION_FAILED = 1
+RUNS = Path("runs")
 
 
 @dataclass(frozen=True)
@@ -79,16 +73,10 @@ class Case:
         """What it is called: the scenario's name, or its file's where there is none."""
         return Path(self.source).stem if self.scenario is None else self.scenario.name
 
-    @property
-    def order(self) -> Order:
-        """What `simulate` needs to know."""
-        assert self.scenario is not None
-        return self.scenario, self.folder
-
 
 def simulate(
-    order: Order,
-    progress: Progress | None = None,
+    order: tuple[Scenario, Path],
+    progress: Callable[[str, float], None] | None = None,
     *,
     plants: Sequence[str] | None = None,
     explain: bool = False,
@@ -104,7 +92,11 @@ def simulate(
     from srs_twin.experiment import prepare
 
     start = time.perf_counter()
-    asked: dict[str, Any] = {"explain": _explainer()} if explain else {}
+    asked: dict[str, Any] = {}
+    if explain:
+        from srs_twin.attribution import explain as explanation
+
+        asked["explain"] = explanation
     result: RunResult | None = None
     errors: tuple[SrsError, ...] = ()
     try:
@@ -114,27 +106,12 @@ def simulate(
         result = replace(result, trajectories={}, diverged=(), unexplained=())
     except InputError as error:
         errors = (error,)
-    return Ended(result, tuple(map(_light, errors)), time.perf_counter() - start)
+    for each in errors:
+        if isinstance(each, DivergedError):
+            # The file that it names holds them.
+            each.trajectory = each.history = None
+    return Ended(result, errors, time.perf_counter() - start)
 
-
-def _light(error: SrsError) -> SrsError:
-    """Drop what an error carries beside its words: the file that it names holds it."""
-    if isinstance(error, DivergedError):
-        error.trajectory = error.history = None
-    return error
-
-
-def _explainer() -> Explain:
-    from srs_twin.attribution import explain
-
-    return explain
-
-
-EXPECTATION_FAILED = 1
-RUNS = Path("runs")
-
-Task = Callable[..., Ended]
-Runs = Generator[tuple[Case, Ended], None, None]
 
 OutOption = Annotated[
     str | None,
@@ -161,7 +138,7 @@ def failing(*, check: bool, strict: bool) -> frozenset[str]:
 
 
 def run_all(
-    given: Sequence[str],
+    cases: Sequence[Case],
     *,
     out: str | None,
     fails: frozenset[str],
@@ -176,11 +153,11 @@ def run_all(
     What is printed keeps to the order in which the scenarios were given.
 
     Args:
-        given: shipped names, files, folders of files.
+        cases: the scenarios, loaded or not.
         out: where the files go; the folder itself for one scenario, a folder in it for each of several.
         fails: the verdicts that decide the exit code, see `failing`.
         quiet: print errors only.
-        jobs: how many scenarios at once, in worker processes; 1: here, one after the other; default one a
+        jobs: how many scenarios at once, in worker processes; 1: here, one after the other; None: one a
             processor.
         junit: a file for what came of each scenario and expectation, as JUnit XML.
         plants: which plants; None takes those that each scenario names.
@@ -192,58 +169,46 @@ def run_all(
     """
     from srs_twin.cli.junit import report_path, write_junit
 
-    cases = [Case(source) for source in _expand(given)]
     report = None if junit is None else report_path(junit)
     if report is not None:
         # Found out now that it cannot be written; and whatever ends this process, no old report is left.
         write_junit(report, cases, fails)
     try:
-        _load_all(cases, out, plants)
-        task = partial(simulate, plants=plants, explain=explain)
-        code = _run_all(cases, task, jobs, fails=fails, quiet=quiet)
+        to_do = _load(cases, out, quiet)
+        with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
+            for case in run:
+                _report(case, fails=fails, quiet=quiet)
+    except KeyboardInterrupt:
+        complete = [str(case.folder) for case in cases if case.ended and case.ended.metrics]
+        say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
+        raise typer.Exit(INTERRUPTED) from None
     finally:
         if report is not None:
             write_junit(report, cases, fails)
-    if code:
+    if fails and not quiet:
+        from srs_twin.scenario.expectation import tally
+
+        verdicts = sum((case.ended.verdicts for case in to_do if case.ended), Counter())
+        say(f"expectations: {tally(verdicts)}")
+    if code := max((_exit_code(case, fails=fails) for case in cases), default=0):
         raise typer.Exit(code)
 
 
-def run_loaded(scenario: Scenario, folder: Path, *, fails: frozenset[str], quiet: bool) -> None:
-    """Run one scenario that is loaded already.
-
-    Args:
-        scenario: what to run.
-        folder: for its files.
-        fails: the verdicts that decide the exit code, see `failing`.
-        quiet: print errors only.
-
-    Raises:
-        InputError: a plant, a controller or the folder cannot be had; nothing was simulated.
-        typer.Exit: with the exit code, where it is not 0.
-    """
-    from srs_twin.experiment import prepare
-
-    case = Case(scenario.name, scenario, folder)
-    prepare(*case.order)
-    code = _run_all([case], simulate, 1, fails=fails, quiet=quiet)
-    if code:
-        raise typer.Exit(code)
-
-
-def _expand(given: Sequence[str]) -> list[str]:
-    """Put the files of a folder in its place, sorted by name; a shipped scenario goes before a folder."""
+def cases_of(given: Sequence[str]) -> list[Case]:
+    """Return a case for each scenario: shipped names, files, and the files of folders, sorted by name."""
     from srs_twin.io.files import shipped_names
 
     found: list[str] = []
     for each in given:
+        # A shipped scenario goes before a folder of its name.
         files = [] if each in shipped_names("scenario") else sorted(map(str, Path(each).glob("*.yaml")))
         found += files or [each]
-    return list(dict.fromkeys(found))
+    return [Case(each) for each in dict.fromkeys(found)]
 
 
-def _load_all(cases: Sequence[Case], out: str | None, plants: Sequence[str] | None) -> None:
-    """Load every scenario and see that it can run; say what is wrong with the bad ones."""
-    from srs_twin.experiment import prepare
+def _load(cases: Sequence[Case], out: str | None, quiet: bool) -> list[Case]:
+    """Load every scenario and see that it can run; say what is wrong with the bad ones, return the others."""
+    from srs_twin.experiment import check_run
     from srs_twin.io.files import open_folder
     from srs_twin.scenario import load_scenario
 
@@ -251,7 +216,7 @@ def _load_all(cases: Sequence[Case], out: str | None, plants: Sequence[str] | No
     taken: set[Path] = set()
     for case in cases:
         with _ending(case):
-            case.scenario = scenario = load_scenario(case.source)
+            case.scenario = scenario = case.scenario or load_scenario(case.source)
             case.folder = base if out and len(cases) == 1 else base / scenario.name
             if case.folder in taken:
                 raise InputError(
@@ -264,8 +229,13 @@ def _load_all(cases: Sequence[Case], out: str | None, plants: Sequence[str] | No
         open_folder(base)
     for case in good:
         with _ending(case):
-            # Built to see that it can be, and again where it runs: plants do not travel between processes.
-            prepare(*case.order, plants=plants)
+            assert case.scenario is not None
+            check_run(case.scenario, case.folder)
+    good = [case for case in good if case.ended is None]
+    for case in () if quiet else good:
+        for warning in case.scenario.warnings if case.scenario else ():
+            say(f"warning: {warning}")
+    return good
 
 
 @contextmanager
@@ -278,58 +248,32 @@ def _ending(case: Case) -> Iterator[None]:
         case.ended = Ended(None, (error,))
 
 
-def _run_all(
-    cases: Sequence[Case], task: Task, jobs: int | None, *, fails: frozenset[str], quiet: bool
-) -> int:
-    """Run what has not ended yet; return the exit code."""
-    to_do = [case for case in cases if case.ended is None]
-    for case in () if quiet else to_do:
-        for warning in case.scenario.warnings if case.scenario else ():
-            say(f"warning: {warning}")
-    from srs_twin.parallel import processors
-
-    workers = min(jobs or processors(), len(to_do))
-    run = _run_here(to_do, task, quiet) if workers <= 1 else _run_in_workers(to_do, task, workers, quiet)
-    try:
-        with closing(run):
-            for case, ended in run:
-                _report(case, ended, fails=fails, quiet=quiet)
-    except KeyboardInterrupt:
-        complete = [str(case.folder) for case in to_do if case.ended and case.ended.metrics]
-        say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
-        return INTERRUPTED
-    if fails and not quiet:
-        from srs_twin.scenario.expectation import tally
-
-        verdicts = sum((case.ended.verdicts for case in to_do if case.ended), Counter())
-        say(f"expectations: {tally(verdicts)}")
-    return max((_exit_code(case, fails=fails) for case in cases), default=0)
+Finished = Generator[Case, None, None]
 
 
-def _run_here(cases: Sequence[Case], task: Task, quiet: bool) -> Runs:
-    """Run scenarios in this process, one after the other; yield each when it has ended."""
-    for case in cases:
-        with Progress(case.name, quiet=quiet) as progress:
-            case.ended = ended = task(case.order, progress)
-        yield case, ended
+def _run(cases: Sequence[Case], task: Callable[..., Ended], jobs: int | None, quiet: bool) -> Finished:
+    """Run scenarios here or in worker processes; yield each when it and all before it have ended."""
+    from srs_twin.parallel import each, processors
 
-
-def _run_in_workers(cases: Sequence[Case], task: Task, workers: int, quiet: bool) -> Runs:
-    """Run scenarios in worker processes; yield each when it and all before it have ended."""
-    from srs_twin.parallel import each
-
+    workers, orders = min(jobs or processors(), len(cases)), [(case.scenario, case.folder) for case in cases]
+    if workers <= 1:
+        for case, order in zip(cases, orders, strict=True):
+            with Progress(case.name, quiet=quiet) as progress:
+                case.ended = task(order, progress)
+            yield case
+        return
     shown = 0
     with (
         Counting("scenarios", len(cases), quiet=quiet) as counting,
-        closing(each(task, [case.order for case in cases], workers=workers)) as run,
+        closing(each(task, orders, workers=workers)) as run,
     ):
         for done in run:
             case = cases[done.number]
             case.ended = done.result or Ended(None, (_named(case, done.error),))
             counting(failed=bool(case.ended.errors))
             with counting.aside():
-                while shown < len(cases) and (ended := cases[shown].ended) is not None:
-                    yield cases[shown], ended
+                while shown < len(cases) and cases[shown].ended is not None:
+                    yield cases[shown]
                     shown += 1
 
 
@@ -340,10 +284,12 @@ def _named(case: Case, error: Exception | None) -> SrsError:
     return error
 
 
-def _report(case: Case, ended: Ended, *, fails: frozenset[str], quiet: bool) -> None:
+def _report(case: Case, *, fails: frozenset[str], quiet: bool) -> None:
     """Show what a run gave."""
     from srs_twin.cli.table import asks_why, expectation_lines, show
 
+    ended = case.ended
+    assert ended is not None, "it has ended"
     if ended.result is not None and ended.metrics:
         if not quiet:
             show(ended.result)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli import say
-from srs_twin.cli.batch import RUNS, CheckOption, QuietOption, StrictOption, failing, run_loaded
+from srs_twin.cli.batch import RUNS, Case, CheckOption, QuietOption, StrictOption, failing, run_all
 from srs_twin.cli.fitting import (
     FrequencyOption,
     GapOption,
@@ -108,7 +108,7 @@ def replay(
     if pressure is not None:
         document["supply"] = {"pressure_kpa": pressure}
     scenario = parse_scenario(document, name="replay")
-    run_loaded(scenario, Path(out) if out else RUNS / name, fails=fails, quiet=quiet)
+    run_all([Case(scenario.name, scenario)], out=out or str(RUNS / name), fails=fails, quiet=quiet)
 
 
 def _given(**settings: object) -> dict[str, Any]:

@@ -1,9 +1,4 @@
-"""`srs-twin run` and `compare`: scenarios on the plants that each names, or on both.
-
-`srs-twin compare`: both plants under the same valves, and how far apart they are.
-
-`srs-twin run`: one scenario or many, on the plants that each names.
-"""
+"""`srs-twin run`: scenarios on the plants that each names; `compare`: on both, and how far apart they are."""
 
 from __future__ import annotations
 
@@ -17,6 +12,7 @@ from srs_twin.cli.batch import (
     OutOption,
     QuietOption,
     StrictOption,
+    cases_of,
     failing,
     run_all,
 )
@@ -33,15 +29,8 @@ def compare(
     ] = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference."""
-    both = ("analytical", "twin")
-    run_all(
-        [scenario],
-        out=out,
-        fails=failing(check=check, strict=strict),
-        quiet=quiet,
-        plants=both,
-        explain=explain,
-    )
+    cases, fails, both = cases_of([scenario]), failing(check=check, strict=strict), ("analytical", "twin")
+    run_all(cases, out=out, fails=fails, quiet=quiet, plants=both, explain=explain)
 
 
 def run(
@@ -72,6 +61,5 @@ def run(
     quiet: QuietOption = False,
 ) -> None:
     """Run scenarios on the plants they name."""
-    run_all(
-        scenarios, out=out, fails=failing(check=check, strict=strict), quiet=quiet, jobs=jobs, junit=junit
-    )
+    cases, fails = cases_of(scenarios), failing(check=check, strict=strict)
+    run_all(cases, out=out, fails=fails, quiet=quiet, jobs=jobs, junit=junit)

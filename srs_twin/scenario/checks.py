@@ -9,6 +9,7 @@ from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError, TimeStepError, whole_steps
 from srs_twin.identification.takes import pressures, starts_at_rest
 from srs_twin.io.documents import Document
+from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.recordings.recording import Recording
 from srs_twin.robot.file import RobotFile
@@ -91,6 +92,12 @@ def check_controller(
         why = "; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"
         text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}{why}"
         document.report(("valves", "layout"), text)
+    try:
+        chambers = file.pneumatics.chambers(spec, supply_pa, layout)
+    except InputError as error:
+        document.report(("pneumatics",), str(error))
+    else:
+        _check_felt(document, file, chambers)
     for kind in PLANTS:
         if getattr(file.plants, kind) is not None:
             try:
@@ -98,6 +105,17 @@ def check_controller(
             except InputError as error:
                 document.report(("controller",), f"on the {kind} plant: {error}")
     return layout, warnings
+
+
+def _check_felt(document: Document, file: ScenarioFile, chambers: Pneumatics) -> None:
+    """Chambers that feel how segments bend take turns with the bodies."""
+    twin = file.plants.twin
+    if twin is not None and chambers.feels_bend and twin.timestep_s > chambers.felt_s * (1 + 1e-9):
+        document.report(
+            ("plants", "twin", "timestep_s"),
+            f"{twin.timestep_s:g} s is too long for these chambers, which feel how the segments bend; it "
+            f"must be {chambers.felt_s:g} s or less",
+        )
 
 
 def check_recording(document: Document, file: ScenarioFile, recording: Recording) -> list[str]:

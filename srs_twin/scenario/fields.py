@@ -90,13 +90,17 @@ class Section(Strict):
     """A block of keys of a file.
 
     Attributes:
-        constructors: whose parameters the keys set; `build` calls the first.
+        constructors: whose parameters the keys set, the first's before the others'; `build` calls the first.
+        parameters: of the constructors, by name in small letters.
     """
 
     constructors: ClassVar[tuple[Callable[..., Any], ...]] = ()
+    parameters: ClassVar[dict[str, inspect.Parameter]] = {}
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        signatures = [inspect.signature(each).parameters for each in reversed(cls.constructors)]
+        cls.parameters = {name.lower(): each for known in signatures for name, each in known.items()}
         for key, given in list(vars(cls).items()):
             if isinstance(given, _Key):
                 setattr(cls, key, given.field(key, cls.parameter(key)))
@@ -104,11 +108,7 @@ class Section(Strict):
     @classmethod
     def parameter(cls, key: str) -> inspect.Parameter | None:
         """Return the parameter that a key sets, by its whole name or by that without its unit."""
-        known: dict[str, inspect.Parameter] = {}
-        for constructor in cls.constructors:
-            for name, each in inspect.signature(constructor).parameters.items():
-                known.setdefault(name.lower(), each)
-        return known.get(key) or known.get(split_unit(key)[0])
+        return cls.parameters.get(key) or cls.parameters.get(split_unit(key)[0])
 
     def arguments(self) -> dict[str, Any]:
         """Return what the keys set, by parameter, in SI; None leaves a default alone."""
