@@ -67,7 +67,7 @@ def main() -> None:
             rows.append([
                 layout + ", columns shuffled" * shuffled, str(count), f"{path.stat().st_size / 1e6:.1f}",
                 f"{np.median(took):.0f}", f"{took[0]:.0f}", str(found.summary.frames_kept),
-                str(found.summary.moves), str(found.summary.samples_filled), *errors(found, truth),
+                str(found.summary.markers.moves), str(found.summary.samples_filled), *errors(found, truth),
             ])  # fmt: skip
     head = ["layout", "markers", "MB", "ms", "first, ms", "frames kept", "moves", "filled"]
     head += ["bends measured: rms, max mrad", "filled: rms, max mrad"]

@@ -13,9 +13,10 @@ import numpy as np
 
 from srs_twin.errors import one_of
 from srs_twin.io.files import atomic_write
+from srs_twin.recordings.csv_table import LENGTHS
 from srs_twin.recordings.floor import MAPS
 from srs_twin.recordings.layout import LAYOUTS
-from srs_twin.recordings.tables import LENGTHS, MOTIVE_LENGTHS
+from srs_twin.recordings.motion_files import MOTIVE_LENGTHS
 from srs_twin.trajectory import Trajectory
 
 

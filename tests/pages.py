@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -107,7 +108,8 @@ class Page:
         self.save_files(folder)
         (folder / "example.py").write_text(self.script, "utf-8")
         words = [sys.executable, "example.py"]
-        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=600)
+        paths = os.environ | {"PYTHONPATH": str(ROOT / "benchmarks")}
+        done = subprocess.run(words, cwd=folder, env=paths, capture_output=True, text=True, timeout=600)
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
         return done.stdout
 

@@ -66,8 +66,8 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) > 0.9 * len(motion())
     assert place[measured].max() < 8 * NOISE
-    assert found.summary.moves >= 15
-    assert 0.03 < found.summary.samples_filled / found.summary.samples_seen < 0.08
+    assert found.summary.markers.moves >= 15
+    assert 0.03 < found.summary.samples_filled / found.summary.markers.samples_seen < 0.08
     assert 0 < (~measured).mean() < 0.15
 
 
@@ -76,7 +76,7 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
 def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
     found = recorded(tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed))
     place, _, _, measured = errors(found, motion())
-    assert found.summary.columns > 12
+    assert found.summary.markers.columns > 12
     assert place[measured].max() < 8 * NOISE
 
 
@@ -86,7 +86,7 @@ def test_columns_that_mean_nothing(tmp_path, layout):
     truth = motion(8.0)
     found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
     place, _, _, measured = errors(found, truth)
-    assert found.summary.moves > 2000 and len(found.trajectory) > 0.9 * len(truth)
+    assert found.summary.markers.moves > 2000 and len(found.trajectory) > 0.9 * len(truth)
     assert place[measured].max() < 8 * NOISE
 
 
@@ -114,7 +114,7 @@ def test_axes_and_units_make_no_difference(tmp_path, up, unit):
     """Found, not given: every map is a rotation, so no bend changes its sign."""
     found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))
     place, bend, _, _ = errors(found, motion())
-    assert found.summary.up == up
+    assert found.summary.markers.up == up
     assert place.max() < 1e-5
     assert np.abs(bend).max() < 0.002
     assert any("converted" in each for each in found.summary.corrections) == (unit != "m")
@@ -179,7 +179,7 @@ def test_the_head_is_where_it_is_said_to_be(tmp_path):
     guessed, told = (recorded(tmp_path, take, backwards, head=head) for head in (None, "snake:1"))
     near(told.trajectory["x_1"], backwards["x_1"], 1e-6)
     near(guessed.trajectory["x_5"], backwards["x_1"], 1e-6)
-    assert told.summary.head == "marker 'snake:1'" and "crawled" in guessed.summary.head
+    assert told.summary.markers.head == "marker 'snake:1'" and "crawled" in guessed.summary.markers.head
     with pytest.raises(InputError, match="unknown marker 'snake:9'"):
         recorded(tmp_path, take, backwards, head="snake:9")
     with pytest.raises(InputError, match="marker 'snake:3' is at neither end of the body"):
@@ -204,7 +204,7 @@ def test_long_gaps_cut_the_recording_and_nothing_is_invented(tmp_path):
     assert len(bridged.trajectory) == len(motion())
     flags = bridged.trajectory.stack("filled")
     assert flags.sum() == 50 and flags.sum(axis=0).max() == 50
-    assert bridged.summary.longest_filled_s == pytest.approx(0.51)
+    assert bridged.summary.markers.longest_filled_s == pytest.approx(0.51)
 
 
 @pytest.mark.parametrize("fill", ["spline", "linear"])
@@ -226,8 +226,8 @@ def test_reflections_are_left_out_and_counted(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("\n".join(lines))
     found = read_motion(path, SPEC)
-    assert found.summary.layout == "single"
-    assert found.summary.samples_other == len(motion()) + len(range(40, len(lines) - 1, 40))
+    assert found.summary.markers.layout == "single"
+    assert found.summary.markers.samples_other == len(motion()) + len(range(40, len(lines) - 1, 40))
     place, _, _, measured = errors(found, motion())
     assert measured.all() and place.max() < 1e-3
 
@@ -244,7 +244,7 @@ def test_rows_may_be_shuffled_doubled_and_missing(tmp_path):
     found = read_motion(path, SPEC)
     said = "; ".join(found.summary.corrections)
     assert "sorted" in said and "2 rows repeat the time" in said and "3 frames missing in the file" in said
-    assert found.summary.frames_missing == 3 and found.summary.header_frames == len(rows)
+    assert found.summary.markers.frames_missing == 3 and found.summary.markers.header_frames == len(rows)
     assert "where the header says 401" in found.summary.text()
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
@@ -269,7 +269,7 @@ def test_plain_csv(tmp_path, unit, scale):
     found = read_motion(path, SPEC)
     near(found.trajectory.position, motion().position, 1e-6)
     near(found.trajectory.stack("bend"), motion().stack("bend"), 0.03)
-    assert found.summary.head == "connector 1 of the file"
+    assert found.summary.markers.head == "connector 1 of the file"
 
 
 def test_plain_csv_in_another_unit_than_it_says(tmp_path):
@@ -349,5 +349,5 @@ def test_summary_counts_every_sample(tmp_path):
     """What was seen is kept, or rejected, or of another marker, or outside the frames that are kept."""
     found = recorded(tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)).summary
     kept = found.frames_kept * 5 - found.samples_filled
-    gone = found.samples_rejected + found.samples_other
-    assert 0 <= found.samples_seen - kept - gone <= 5 * (found.frames_read - found.frames_kept)
+    gone = found.markers.samples_rejected + found.markers.samples_other
+    assert 0 <= found.markers.samples_seen - kept - gone <= 5 * (found.frames_read - found.frames_kept)

@@ -94,7 +94,7 @@ def test_standard_error_covers_what_noise_does(true, gain, seed):
 
     measured = gain * bend(time) + 0.02 * random.standard_normal((len(time), 1))
     log_time = np.arange(0, 8, 0.002)
-    found = estimate_offset("x", time, measured, log_time + true, bend(log_time))
+    found = estimate_offset(time, measured, log_time + true, bend(log_time))
     assert abs(found.seconds + true) < 5 * found.error + 1e-3
     assert found.error < 0.02 / gain
 

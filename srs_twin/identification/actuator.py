@@ -33,10 +33,9 @@ from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.recordings.csv_table import ANGLES, PRESSURES, first_line_names, read_file, read_table
 from srs_twin.recordings.logs import SIDES, ValveLog
 from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.source import read_source
-from srs_twin.recordings.tables import PRESSURES, Column, read_columns, read_rows
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -219,8 +218,6 @@ def _sides(trajectory: Trajectory, name: str) -> np.ndarray:
     return np.stack([trajectory.stack(f"{name}_{side}") for side in SIDES], axis=-1)
 
 
-_ANGLES = {"rad": 1.0, "deg": math.pi / 180}
-_KNOWN = {"pressure_plus": PRESSURES, "pressure_minus": PRESSURES, "bend": _ANGLES}
 _MOST_PRESSURE = 2e6  # Pa
 _MOST_BEND = 2 * math.pi
 _NOISE = 0.01  # rad
@@ -254,8 +251,7 @@ def is_static(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: the file cannot be read.
     """
-    names = "".join(read_source(path).head(1)).lower().split(",")
-    return any(name.strip().startswith("bend_") for name in names)
+    return any(name.startswith("bend_") for name in first_line_names(path))
 
 
 def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
@@ -264,40 +260,29 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     Raises:
         InputError: no such file, no bends, columns of other segments, or values that no robot has.
     """
-    source = read_source(path)
-    columns, width, _ = read_columns(source, _KNOWN)
-    found = {(each.name, each.number): each for each in columns}
-    for each in columns:
-        if not 1 <= each.number <= spec.segments or each.which:
-            raise source.error(
-                f"{each.text}: {spec.name} has segments 1 to {spec.segments}", 1, each.place + 1
-            )
-    if not any(name == "bend" for name, _ in found):
-        raise source.error(
-            "no column 'bend_1'; a static table has pressure_plus_1,pressure_minus_1,bend_1,…", 1
-        )
-    order = sorted(columns, key=lambda each: each.place)
-    rows = read_rows(source, 1, [each.place for each in order], width)
-    place = {(each.name, each.number): k for k, each in enumerate(order)}
-
-    def column(name: str, number: int, missing: float) -> np.ndarray:
-        if (name, number) not in place:
-            return np.full(len(rows.values), missing)
-        with np.errstate(over="ignore"):  # refused below
-            return np.asarray(rows.values[:, place[name, number]] * _factor(found[name, number]))
-
-    numbers = range(1, spec.segments + 1)
-    pressure = np.stack(
-        [np.stack([column(f"pressure_{side}", j, 0.0) for side in SIDES], axis=-1) for j in numbers], axis=1
-    )
-    bend = np.stack([column("bend", j, math.nan) for j in numbers], axis=1)
+    names = [*(f"pressure_{side}" for side in SIDES), "bend"]
+    table = read_table(read_file(path), dict.fromkeys(names[:2], PRESSURES) | {"bend": ANGLES})
+    for each in table.columns:
+        if not 1 <= each.number <= spec.segments or each.letter:
+            raise table.error(each, f"{each.text}: {spec.name} has segments 1 to {spec.segments}")
+    if not any(each.name == "bend" for each in table.columns):
+        example = "pressure_plus_1,pressure_minus_1,bend_1,…"
+        raise table.file.error(f"no column 'bend_1'; a static table has {example}", 1)
+    given, _ = table.read(table.columns)
+    values = np.zeros((len(given), spec.segments, 3))
+    values[..., 2] = np.nan
+    for each, column in zip(table.columns, given.T, strict=True):
+        values[:, each.number - 1, names.index(each.name)] = column
+    pressure, bend = values[..., :2], values[..., 2]
     if not (np.abs(pressure) <= _MOST_PRESSURE).all():
-        raise source.error(
+        raise table.file.error(
             f"pressures from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa are wanted, in every row"
         )
     if not np.isfinite(bend).any() or (np.abs(bend) > _MOST_BEND).any():
-        raise source.error(f"bends up to {_MOST_BEND:.3g} rad are wanted; is the unit right (bend_1_deg)?")
-    return StaticTable(source.name, source.sha256, pressure, bend)
+        raise table.file.error(
+            f"bends up to {_MOST_BEND:.3g} rad are wanted; is the unit right (bend_1_deg)?"
+        )
+    return StaticTable(table.file.name, table.file.sha256, pressure, bend)
 
 
 def fit_static(
@@ -349,8 +334,3 @@ def _static_bends_compared(table: StaticTable, spec: RobotSpec, noise: float, ro
         Residual(f"{table.name} bend_{j + 1}", "rad", column[np.isfinite(column)], noise, role)
         for j, column in enumerate(off.T)
     ]
-
-
-def _factor(column: Column) -> float:
-    units = _KNOWN[column.name]
-    return units[column.unit or ("pa" if units is PRESSURES else "rad")]

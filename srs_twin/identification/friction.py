@@ -37,8 +37,14 @@ from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, ke
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, unknowns
 from srs_twin.plants.analytical.floor import slide, spin_share
-from srs_twin.recordings.source import Source, read_source
-from srs_twin.recordings.tables import LENGTHS, Column, Rows, read_columns, read_rows
+from srs_twin.recordings.csv_table import (
+    LENGTHS,
+    CsvColumn,
+    CsvTable,
+    first_line_names,
+    read_file,
+    read_table,
+)
 from srs_twin.recordings.trajectories import moving_slope
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -161,12 +167,9 @@ def _parameter(k: int, values: np.ndarray, mean: float, own: float, error: float
     return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), max(mean - reach, 0.0), mean + reach)
 
 
-WAYS = ("along", "across")
-_SPRING, _MASS = "spring_n_per_m", "mass_kg"
-_SPRING_ERROR, _MASS_ERROR = "spring_error_n_per_m", "mass_error_kg"
-_KNOWN = {way: LENGTHS for way in WAYS} | {
-    name: {} for name in (_SPRING, _MASS, _SPRING_ERROR, _MASS_ERROR)
-}  # fmt: skip
+_CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
+"""Columns of what all pulls of a table share; the errors may be left out."""
+
 _LONGEST = 10.0  # m: no spring of a scale deforms that much
 _EXAMPLE = "along_mm,across_mm,spring_n_per_m,mass_kg"
 
@@ -177,8 +180,8 @@ def is_pulls(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: the file cannot be read.
     """
-    names = (cell.strip().lower() for cell in "".join(read_source(path).head(1)).split(","))
-    return any(name == way or name.startswith((f"{way}_", f"{way} ")) for name in names for way in WAYS)
+    names = first_line_names(path)
+    return any(name == way or name.startswith((f"{way}_", f"{way} ")) for name in names for way in _WAYS)
 
 
 def read_pulls(path: str | os.PathLike[str]) -> Pulls:
@@ -187,69 +190,49 @@ def read_pulls(path: str | os.PathLike[str]) -> Pulls:
     Raises:
         InputError: no such file, columns missing or of other units, cells that are no such number.
     """
-    source = read_source(path)
-    columns, width, _ = read_columns(source, _KNOWN)
-    found = {each.name: each for each in columns}
-    for each in columns:
-        if each.number or each.which:
-            raise source.error(f"{each.text}: these columns have no numbers; {_EXAMPLE}", 1, each.place + 1)
-    if not any(way in found for way in WAYS):
-        raise source.error(f"neither 'along' nor 'across'; a table of pulls has {_EXAMPLE}", 1)
-    for name in (_SPRING, _MASS):
+    known: dict[str, dict[str, float]] = dict.fromkeys(_WAYS, LENGTHS)
+    table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
+    found = {each.name: each for each in table.columns}
+    for each in table.columns:
+        if each.number or each.letter:
+            raise table.error(each, f"{each.text}: these columns have no numbers; {_EXAMPLE}")
+    if not found.keys() & set(_WAYS):
+        raise table.file.error(f"neither 'along' nor 'across'; a table of pulls has {_EXAMPLE}", 1)
+    for name in _CONSTANTS[:2]:
         if name not in found:
-            raise source.error(f"no column '{name}'; a table of pulls has {_EXAMPLE}", 1)
-    order = sorted(columns, key=lambda each: each.place)
-    rows = read_rows(source, 1, [each.place for each in order], width)
-    place = {each.name: k for k, each in enumerate(order)}
-
-    def pulled(way: str) -> list[float]:
-        return _pulled(source, rows, found[way], place[way]) if way in found else []
-
-    def constant(name: str) -> float:
-        return _constant(source, rows, found[name], place[name]) if name in found else 0.0
-
-    return Pulls(
-        along=pulled("along"),
-        across=pulled("across"),
-        stiffness=constant(_SPRING),
-        mass=constant(_MASS),
-        stiffness_error=constant(_SPRING_ERROR),
-        mass_error=constant(_MASS_ERROR),
-        name=source.name,
-        sha256=source.sha256,
+            raise table.file.error(f"no column '{name}'; a table of pulls has {_EXAMPLE}", 1)
+    rows, _ = table.read(table.columns)
+    values = {each.name: column for each, column in zip(table.columns, rows.T, strict=True)}
+    along, across = (_deformations(table, found[way], values[way]) if way in found else [] for way in _WAYS)
+    stiffness, mass, stiffness_error, mass_error = (
+        _constant(table, found[name], values[name]) if name in found else 0.0 for name in _CONSTANTS
     )
+    file = table.file
+    return Pulls(along, across, stiffness, mass, stiffness_error, mass_error, file.name, file.sha256)
 
 
-def _pulled(source: Source, rows: Rows, column: Column, place: int) -> list[float]:
+def _deformations(table: CsvTable, column: CsvColumn, values: np.ndarray) -> list[float]:
     """Return the deformations in a column, m, without its blank cells."""
-    values = rows.values[:, place] * LENGTHS[column.unit or "m"]
     wrong = np.flatnonzero((values < 0) | (values > _LONGEST))
     if wrong.size:
         row = int(wrong[0])
-        raise source.error(
-            f"{column.text}: {rows.values[row, place]:g} is not allowed; a deformation of 0 to "
-            f"{_LONGEST / LENGTHS[column.unit or 'm']:g} {column.unit or 'm'}",
-            rows.first_line + row,
-            column.place + 1,
-        )
+        given = f"{column.text}: {values[row] / column.factor:g} is not allowed"
+        allowed = f"a deformation of 0 to {_LONGEST / column.factor:g} {column.unit or 'm'}"
+        raise table.error(column, f"{given}; {allowed}", row)
     return [float(each) for each in values if np.isfinite(each)]
 
 
-def _constant(source: Source, rows: Rows, column: Column, place: int) -> float:
+def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
     """Return the one number that a column holds."""
-    values = rows.values[:, place]
     given = np.flatnonzero(np.isfinite(values))
     if not given.size:
-        raise source.error(f"{column.text}: no number in it", rows.first_line, column.place + 1)
+        raise table.error(column, f"{column.text}: no number in it", 0)
     first = float(values[given[0]])
     other = given[values[given] != first]
     if other.size:
         row = int(other[0])
-        raise source.error(
-            f"{column.text}: {values[row]:g} here and {first:g} before; one file, one spring and one mass",
-            rows.first_line + row,
-            column.place + 1,
-        )
+        what = f"{values[row]:g} here and {first:g} before; one file, one spring and one mass"
+        raise table.error(column, f"{column.text}: {what}", row)
     return first
 
 

@@ -1,6 +1,4 @@
-r"""Joining a captured motion and a log of its air on one clock.
-
-Clock: by how much one recording's clock is ahead of another's, from the bends that both tell of.
+r"""Joining a captured motion and a log of its air on one clock, from the bends that both tell of.
 
 The log's valves drive the chambers of the robot (or its pressures the free bends), which gives bends b̂_j.
 Against the measured b_j, shifted by τ, with a gain a_j > 0 and an offset c_j of each segment's own,
@@ -24,7 +22,7 @@ from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.gaps import LEAST_FRAMES
 from srs_twin.recordings.logs import SIDES, ValveLog
-from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.recording import Recording, naming
 from srs_twin.recordings.trajectories import numbered
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -61,12 +59,11 @@ class Offset:
 
 
 def estimate_offset(
-    name: str, time: np.ndarray, measured: np.ndarray, log_time: np.ndarray, driven: np.ndarray
+    time: np.ndarray, measured: np.ndarray, log_time: np.ndarray, driven: np.ndarray
 ) -> Offset:
     """Estimate what to add to a log's times.
 
     Args:
-        name: of the log, for messages.
         time: of the motion, ascending, shape (frames,), s.
         measured: bends, shape (frames, segments), rad.
         log_time: of the log, evenly spaced, shape (rows,), s.
@@ -81,25 +78,25 @@ def estimate_offset(
         step = sum(spans) / _MOST
     least = int(LEAST_OVERLAP * min(spans) / step)
     if least < 8:
-        raise InputError(f"{name}: too short to find its offset; give offset")
+        raise InputError("too short to find its offset; give offset")
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
-        raise InputError(f"{name}: nothing moves, so its offset cannot be found; give offset")
+        raise InputError("nothing moves, so its offset cannot be found; give offset")
     loss, lags, count = _losses(bends, model, least)
     best = int(np.argmin(loss))
     explained = 1 - float(loss[best])
     zero = time[0] - log_time[0]
     if explained < EXPLAINED:
         raise InputError(
-            f"{name}: no offset explains the bends (the best {100 * explained:.0f} % of their variance, "
+            f"no offset explains the bends (the best {100 * explained:.0f} % of their variance, "
             f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give offset"
         )
-    _refuse_ambiguous(name, loss, lags * step + zero, best)
+    _refuse_ambiguous(loss, lags * step + zero, best)
     curve, shift = _parabola(loss, best)
     error = float("inf")
     if curve > 0:
-        residual = bends_residual(bends, model, int(lags[best]))
+        residual = _residual(bends, model, int(lags[best]))
         independent = max(1.0, count[best] * bends.shape[1] * _independent(residual))
         error = float(step * np.sqrt(2 * loss[best] / independent / curve))
     return Offset(float(zero + (lags[best] + shift) * step), error, explained, True)
@@ -112,14 +109,10 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 
 def _losses(bends: np.ndarray, model: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return S over the variance, the lags (steps by which the model comes later), and samples in common."""
-    size = len(bends) + len(model) - 1
-    padded = 1 << (size - 1).bit_length()
+    from scipy.signal import fftconvolve
 
     def against(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        product = np.fft.irfft(
-            np.fft.rfft(a, padded, axis=0) * np.conj(np.fft.rfft(b, padded, axis=0)), padded, axis=0
-        )
-        return np.concatenate([product[padded - len(model) + 1 :], product[: len(bends)]])
+        return np.asarray(fftconvolve(a, b[::-1], axes=0))
 
     bends, model = bends - bends.mean(axis=0), model - model.mean(axis=0)
     ones, other_ones = np.ones((len(bends), 1)), np.ones((len(model), 1))
@@ -140,29 +133,24 @@ def _losses(bends: np.ndarray, model: np.ndarray, least: int) -> tuple[np.ndarra
     return np.maximum(loss, 1e-12), lags, count
 
 
-def _refuse_ambiguous(name: str, loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
+def _refuse_ambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
     """Refuse where another minimum is nearly as low."""
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
-    inner = [int(k) for k in np.flatnonzero(low) + 1]
     # What noise and the grid may hide of the lowest is not told from it.
     limit = CLEAR * loss[best] + 1e-6
-    rivals = [k for k in inner if loss[k] < limit and k != best and _between(loss, best, k) > limit]
+
+    def barred(k: int) -> bool:
+        return bool(loss[min(k, best) : max(k, best) + 1].max() > limit)
+
+    rivals = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best and barred(int(k))]
     if rivals:
-        near = sorted(
-            {float(offsets[k]) for k in [*rivals, best]}, key=lambda each: abs(each - offsets[best])
-        )[:5]
-        listed = ", ".join(f"{each:.4g}" for each in sorted(near))
+        nearest = sorted(offsets[[best, *rivals]], key=lambda each: abs(each - offsets[best]))[:5]
+        listed = ", ".join(f"{each:.4g}" for each in sorted(nearest))
         raise InputError(
-            f"{name}: the offset of its clock is ambiguous, {len(rivals) + 1} fit about equally well "
-            f"({listed} s, …): "
-            "a gait repeats itself, and neither its start nor its end is in view; give offset, or a longer "
+            f"the offset of its clock is ambiguous, {len(rivals) + 1} fit about equally well ({listed} s, …)"
+            ": a gait repeats itself, and neither its start nor its end is in view; give offset, or a longer "
             "recording"
         )
-
-
-def _between(loss: np.ndarray, a: int, b: int) -> float:
-    """Return the highest S between two offsets."""
-    return float(loss[min(a, b) : max(a, b) + 1].max())
 
 
 def _parabola(loss: np.ndarray, best: int) -> tuple[float, float]:
@@ -174,7 +162,7 @@ def _parabola(loss: np.ndarray, best: int) -> tuple[float, float]:
     return curve, float(np.clip((left - right) / (2 * curve), -0.5, 0.5)) if curve > 0 else 0.0
 
 
-def bends_residual(bends: np.ndarray, model: np.ndarray, lag: int) -> np.ndarray:
+def _residual(bends: np.ndarray, model: np.ndarray, lag: int) -> np.ndarray:
     """Return what is left of bends at a lag (steps), shape (samples in common, segments)."""
     first, last = max(0, lag), min(len(bends), lag + len(model))
     b, m = bends[first:last], model[first - lag : last - lag]
@@ -220,7 +208,8 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         )
     if offset is None:
         clock, driven = driven_bends(log, spec)
-        found = estimate_offset(log.source, trajectory.time, trajectory.stack("bend"), clock, driven)
+        with naming(log.source):
+            found = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
     elif np.isfinite(offset):
         found = Offset(float(offset), 0.0, 1.0, False)
     else:
@@ -231,8 +220,8 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     if covered.sum() < LEAST_FRAMES:
         raise InputError(
             f"{log.source}: with an offset of {found.seconds:g} s it goes from {moved.time[0]:g} to "
-            f"{moved.time[-1]:g} "
-            f"s, the motion from {time[0]:g} to {time[-1]:g} s: {int(covered.sum())} frames in common"
+            f"{moved.time[-1]:g} s, the motion "
+            f"from {time[0]:g} to {time[-1]:g} s: {int(covered.sum())} frames in common"
         )
     columns = {name: column[covered] for name, column in trajectory.columns.items()}
     values = moved.at(columns["time"])
@@ -246,7 +235,7 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         frames_kept=len(joined),
         start=float(joined.time[0]),
         end=float(joined.time[-1]),
-        corrections=(*recording.summary.corrections, *_said(log, found, covered)),
+        corrections=(*recording.summary.corrections, *_notes(log, found, covered)),
     )
     return Recording(joined, summary, moved)
 
@@ -262,16 +251,12 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     clock = step * np.arange(int(span / step + 1e-9) + 1)
     if log.kind == "pressure":
         # Bends follow pressures by τ₂, which for what is slower is a delay.
-        return log.time[0] + clock + spec.actuator.tau_mode, np.asarray(
-            air_bend(spec, log.at(log.time[0] + clock))
-        )
+        bends = air_bend(spec, log.at(log.time[0] + clock))
+        return log.time[0] + clock + spec.actuator.tau_mode, np.asarray(bends)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal, layout="in_out")
     trace = chambers.advance(log.schedule(), clock)
-    forgotten = (
-        0.0
-        if (log.values[0] == -1).all()
-        else _FORGOTTEN * max(spec.actuator.tau_fill, spec.actuator.tau_vent)
-    )
+    empty = (log.values[0] == -1).all()
+    forgotten = 0.0 if empty else _FORGOTTEN * max(spec.actuator.tau_fill, spec.actuator.tau_vent)
     known = clock >= forgotten
     if known.sum() < LEAST_FRAMES:
         raise InputError(f"{log.source}: {span:g} s are too short to find its offset; give offset")
@@ -293,9 +278,9 @@ def _metadata(trajectory: Trajectory, log: ValveLog, found: Offset, covered: np.
     return {**trajectory.metadata, "duration_s": float(time[-1] - time[0]), "valve_log": about}
 
 
-def _said(log: ValveLog, found: Offset, covered: np.ndarray) -> list[str]:
+def _notes(log: ValveLog, found: Offset, covered: np.ndarray) -> list[str]:
     how = f"± {1e3 * found.error:.2g} ms, estimated" if found.estimated else "as given"
-    said = [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
+    notes = [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
     if not covered.all():
-        said.append(f"{int((~covered).sum())} frames that the log does not cover left out")
-    return said + [f"{log.source}: {each}" for each in log.corrections]
+        notes.append(f"{int((~covered).sum())} frames that the log does not cover left out")
+    return notes + [f"{log.source}: {each}" for each in log.corrections]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.errors import InputError, one_of
+from srs_twin.errors import InputError
 
 MAPS = {
     "z": ((0, 1), (1, 1), (2, 1)), "y": ((0, 1), (2, -1), (1, 1)), "x": ((1, 1), (2, 1), (0, 1)),
@@ -36,7 +36,7 @@ _STEEPEST = np.radians(30.0)
 
 
 @dataclass(frozen=True)
-class Floor:
+class FloorPlane:
     """Markers over the floor.
 
     Attributes:
@@ -52,48 +52,46 @@ class Floor:
     corrections: tuple[str, ...]
 
 
-def on_floor(name: str, points: np.ndarray, up: str, usual: str) -> Floor:
+def on_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
     """Map markers to the floor.
 
     Args:
-        name: of the file.
         points: shape (frames, columns, 3) or (…, 2), m.
         up: one of `UPS`.
         usual: the axis that such files have upwards, taken where the markers do not tell.
 
     Raises:
-        InputError: an unknown axis, one that a plane does not have, or no way to tell.
+        InputError: an axis that a plane does not have, or no way to tell.
     """
-    one_of("up", up, UPS)
     if points.shape[-1] == 2:
-        return _flat(name, points, up)
-    said: list[str] = []
+        return _flat(points, up)
+    notes: list[str] = []
     if up == "auto":
-        up, points, said = _found(name, points, usual)
+        up, points, notes = _found(points, usual)
     turned = np.stack([sign * points[..., axis] for axis, sign in MAPS[up]], axis=-1)
     (a, sign_a), (b, sign_b), _ = MAPS[up]
     if up != "z":
-        said.append(f"axes turned: floor x is {_axis(a, sign_a)}, floor y is {_axis(b, sign_b)} of the file")
-    return Floor(up, turned[..., :2], turned[..., 2], tuple(said))
+        notes.append(f"axes turned: floor x is {_axis(a, sign_a)}, floor y is {_axis(b, sign_b)} of the file")
+    return FloorPlane(up, turned[..., :2], turned[..., 2], tuple(notes))
 
 
 def _axis(number: int, sign: int) -> str:
     return ("−" if sign < 0 else "") + "XYZ"[number]
 
 
-def _flat(name: str, points: np.ndarray, up: str) -> Floor:
+def _flat(points: np.ndarray, up: str) -> FloorPlane:
     if up not in ("auto", "z", "-z"):
-        raise InputError(f"{name}: a file with x and y alone has up z or -z (y runs down), not {up}")
-    said = ("y reversed, as up -z asks",) if up == "-z" else ()
+        raise InputError(f"a file with x and y alone has up z or -z (y runs down), not {up}")
+    notes = ("y reversed, as up -z asks",) if up == "-z" else ()
     plane = points * [1.0, -1.0] if up == "-z" else points
-    return Floor("-z" if up == "-z" else "z", plane, np.zeros(points.shape[:-1]), said)
+    return FloorPlane("-z" if up == "-z" else "z", plane, np.zeros(points.shape[:-1]), notes)
 
 
-def _found(name: str, points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
+def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
     seen = points[np.isfinite(points).all(axis=-1)]
     seen = seen[:: len(seen) // _SAMPLED + 1]
     if len(seen) < 3:
-        raise InputError(f"{name}: too few markers to find the floor")
+        raise InputError("too few markers to find the floor")
     centre, spread, axes = _plane(seen)
     axis = int(np.argmax(np.abs(axes[:, 0])))
     if spread[1] < _PLAIN * spread[0] + 1e-3:
@@ -101,7 +99,7 @@ def _found(name: str, points: np.ndarray, usual: str) -> tuple[str, np.ndarray, 
         across = np.median(np.abs(seen[:, common] - np.median(seen[:, common])))
         if across > 2 * spread[0] + 1e-3:
             raise InputError(
-                f"{name}: which way is up cannot be told, the markers spread {1e3 * spread[0]:.0f} mm and "
+                f"which way is up cannot be told, the markers spread {1e3 * spread[0]:.0f} mm and "
                 f"{1e3 * spread[1]:.0f} mm in two directions; give up=x, y or z"
             )
         return usual, points, [f"up taken as {usual}, usual for such files: markers do not tell the plane"]
@@ -109,23 +107,20 @@ def _found(name: str, points: np.ndarray, usual: str) -> tuple[str, np.ndarray, 
     tilt = float(np.arccos(min(1.0, normal[axis])))
     if tilt > _STEEPEST:
         raise InputError(
-            f"{name}: the plane of the markers lies {np.degrees(tilt):.0f}° from all axes; turn the "
-            "recording, or "
+            f"the plane of the markers lies {np.degrees(tilt):.0f}° from all axes; turn the recording, or "
             "give up=x, y or z"
         )
     # On the floor's side of the markers lies the origin, where a calibration square lay.
     mean = float(np.median(seen[:, axis]))
     up = ("-" if mean < -1e-3 else "") + "xyz"[axis]
-    said = [
-        f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane, {np.degrees(tilt):.1f}° from "
-        "it"
-    ]
+    plane = f"{1e3 * spread[0]:.1f} mm of a plane, {np.degrees(tilt):.1f}° from it"
+    notes = [f"up is {up}: markers stay within {plane}"]
     if abs(mean) <= 1e-3:
-        said.append(f"markers lie at height 0: that {up} points up, not down, is assumed")
+        notes.append(f"markers lie at height 0: that {up} points up, not down, is assumed")
     if tilt > _LEVEL:
         points = (points - centre) @ _turn(normal, axis).T + centre
-        said.append(f"levelled by {np.degrees(tilt):.1f}°")
-    return up, points, said
+        notes.append(f"levelled by {np.degrees(tilt):.1f}°")
+    return up, points, notes
 
 
 def _plane(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

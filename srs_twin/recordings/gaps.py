@@ -1,8 +1,6 @@
-"""Frames in order, outliers taken out of tracks, short gaps filled.
+"""Frames in the order of time, outliers taken out of tracks, short gaps filled.
 
-Frames in order: rows sorted, duplicates dropped, missing ones put in as empty.
-
-Outliers taken out of tracks, and short gaps filled.
+Errors raised here do not name the file; `read_motion` puts its name before them.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.errors import InputError, one_of
+from srs_twin.errors import InputError
 
 LEAST_FRAMES = 12
 """One more than the moving line takes."""
@@ -22,7 +20,7 @@ _LONGEST = 1e7  # s
 
 
 @dataclass(frozen=True)
-class Frames:
+class FrameGrid:
     """Frames that follow each other.
 
     Attributes:
@@ -38,61 +36,64 @@ class Frames:
     corrections: tuple[str, ...]
 
 
-def in_order(name: str, time: np.ndarray) -> Frames:
+def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Return the order of rows by their times, and what is to be noted of it."""
+    moved = int((np.diff(time) < 0).sum())
+    notes = [f"rows were not in the order of time ({moved} steps back): sorted"] if moved else []
+    return np.argsort(time, kind="stable"), notes
+
+
+def in_order(time: np.ndarray) -> FrameGrid:
     """Bring rows into the order of their times.
 
     Args:
-        name: of the file.
         time: one a row, finite, shape (rows,), s.
 
     Raises:
         InputError: too few frames, or times that no recording has.
     """
     if np.abs(time).max() > _LONGEST:
-        raise InputError(f"{name}: times up to {np.abs(time).max():.3g} s; is the unit right?")
-    said = []
-    order = np.argsort(time, kind="stable")
-    moved = int((np.diff(time) < 0).sum())
-    if moved:
-        said.append(f"rows were not in the order of time ({moved} steps back): sorted")
+        raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
+    order, notes = time_order(time)
     ordered = time[order]
     step = np.diff(ordered)
     period = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     kept = np.concatenate([[True], step > 1e-3 * period])
     if not kept.all():
-        said.append(f"{int((~kept).sum())} rows repeat the time of another: the first of each kept")
+        notes.append(f"{int((~kept).sum())} rows repeat the time of another: the first of each kept")
     rows, ordered = order[kept], ordered[kept]
     if len(rows) < LEAST_FRAMES:
-        raise InputError(f"{name}: {len(rows)} frames; a recording has {LEAST_FRAMES} or more")
-    return _on_grid(name, ordered, rows, period, said)
+        raise InputError(f"{len(rows)} frames; a recording has {LEAST_FRAMES} or more")
+    return _on_grid(ordered, rows, period, notes)
 
 
-def _on_grid(name: str, time: np.ndarray, rows: np.ndarray, period: float, said: list[str]) -> Frames:
+def _on_grid(time: np.ndarray, rows: np.ndarray, period: float, notes: list[str]) -> FrameGrid:
     steps = np.diff(time)
     whole = np.rint(steps / period)
     if np.abs(steps - whole * period).max() > _GRID * period:
         if np.abs(steps / period - 1).max() > _GRID:
-            said.append("frames are not evenly spaced in time: left as they are")
-        return Frames(time, rows, period, tuple(said))
+            notes.append("frames are not evenly spaced in time: left as they are")
+        return FrameGrid(time, rows, period, tuple(notes))
     index = np.concatenate([[0.0], np.cumsum(whole)])
     count = int(index[-1]) + 1
     if count > _MOST_MISSING * len(rows):
         worst = int(np.argmax(steps))
         raise InputError(
-            f"{name}: from {time[worst]:g} s to {time[worst + 1]:g} s nothing was recorded, and little "
-            "elsewhere "
+            f"from {time[worst]:g} s to {time[worst + 1]:g} s nothing was recorded, and little elsewhere "
             f"({len(rows)} frames of {count}); cut the recording"
         )
     if count == len(rows):
-        return Frames(time, rows, period, tuple(said))
-    said.append(f"{count - len(rows)} frames missing in the file: put in as frames in which nothing was seen")
+        return FrameGrid(time, rows, period, tuple(notes))
+    notes.append(
+        f"{count - len(rows)} frames missing in the file: put in as frames in which nothing was seen"
+    )
     places = index.astype(int)
     full_rows = np.full(count, -1)
     full_rows[places] = rows
-    return Frames(np.interp(np.arange(count), places, time), full_rows, period, tuple(said))
+    return FrameGrid(np.interp(np.arange(count), places, time), full_rows, period, tuple(notes))
 
 
-def taken(values: np.ndarray, frames: Frames) -> np.ndarray:
+def taken(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
     """Return a value for every frame, NaN where it was missing."""
     picked = values[frames.rows]
     picked[frames.rows < 0] = np.nan
@@ -175,11 +176,7 @@ def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
         time: shape (frames,), s.
         points: shape (frames, tracks, 2), m.
         way: "spline" (cubic, twice continuously differentiable) or "linear".
-
-    Raises:
-        InputError: another way.
     """
-    one_of("fill", way, WAYS)
     whole = points.copy()
     for track in range(points.shape[1]):
         missing = np.isnan(points[:, track, 0])

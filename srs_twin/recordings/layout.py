@@ -1,14 +1,14 @@
-"""Layout: how many markers a robot carries and where, and which marker is at which connector.
+"""Which markers are the robot's, and which of them is at which connector.
 
-``single``: one at each connector. ``head``: one more ahead of the head's, so that its heading is measured.
-``pair``: two at each connector, along or across the body, as the dissertation's first and third robots had
-them (Sections 2.3.1 and 2.3.2).
-
-Chain: which marker is at which connector, from the distances between them.
+Layouts: ``single``, one marker at each connector; ``head``, one more ahead of the head's, so that its heading
+is measured; ``pair``, two at each connector, along or across the body, as the dissertation's first and third
+robots had them (Sections 2.3.1 and 2.3.2).
 
 Neighbours along the body are never farther apart than a straight segment is long, others sometimes are: the
 tree that joins all markers over the least of their largest distances is the body. Markers of one rigid part
 keep their distance.
+
+Errors raised here do not name the file; `read_motion` puts its name before them.
 """
 
 from __future__ import annotations
@@ -18,40 +18,41 @@ from itertools import pairwise
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.recordings.tables import LENGTHS
+from srs_twin.errors import InputError
+from srs_twin.recordings.csv_table import LENGTHS
+from srs_twin.recordings.tracking import distances
 
 LAYOUTS = ("auto", "single", "head", "pair")
 
+LONGEST, SHORTEST = 1.15, 0.75
+"""Of a straight segment's length: largest distance of neighbours over time that is one."""
+
 _SOLID = 0.2  # of the frames a marker of the robot is seen on, or more
 _APART = 2.0  # times the length of a segment: farther from all others nothing is on the robot
+_TINY = 0.1  # of the body's length: no body curls up so far
+_SAMPLED = 2000  # frames that distances are taken from
+_NEAR_SAMPLED = 300
 
 
 @dataclass(frozen=True)
-class Chosen:
+class RobotMarkers:
     """Tracks that are the robot's markers.
 
     Attributes:
         layout: one of `LAYOUTS`, not "auto".
         tracks: their numbers.
-        left: samples of other tracks, which were left out.
+        left_out: samples of other tracks.
     """
 
     layout: str
     tracks: np.ndarray
-    left: int
+    left_out: int
 
 
-def markers_of(layout: str, connectors: int) -> int:
-    """Return how many markers a layout has."""
-    return {"single": connectors, "head": connectors + 1, "pair": 2 * connectors}[layout]
-
-
-def choose(name: str, points: np.ndarray, connectors: int, pitch: float, layout: str) -> Chosen:
+def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str) -> RobotMarkers:
     """Choose the robot's markers.
 
     Args:
-        name: of the file.
         points: of all tracks, shape (frames, tracks, 2), m.
         connectors: N.
         pitch: length of a straight segment, m.
@@ -59,15 +60,12 @@ def choose(name: str, points: np.ndarray, connectors: int, pitch: float, layout:
 
     Raises:
         InputError: too few or too many markers.
-        UnknownNameError: another layout.
     """
-    if layout not in LAYOUTS:
-        raise UnknownNameError("layout", layout, LAYOUTS)
     seen = ~np.isnan(points[..., 0])
     share = seen.mean(axis=0)
     solid = np.flatnonzero(share >= _SOLID)
     solid = solid[_near_others(points[:, solid], _APART * pitch)] if len(solid) > connectors else solid
-    layouts = {each: markers_of(each, connectors) for each in LAYOUTS[1:]}
+    layouts = {"single": connectors, "head": connectors + 1, "pair": 2 * connectors}
     if layout == "auto":
         # At once: a marker that was lost for long may have become two tracks.
         together = int(np.quantile(seen[:, solid].sum(axis=1), 0.95, method="lower")) if solid.size else 0
@@ -77,30 +75,18 @@ def choose(name: str, points: np.ndarray, connectors: int, pitch: float, layout:
         listed = ", ".join(f"{count} ({each})" for each, count in layouts.items())
         shares = ", ".join(f"{100 * each:.0f} %" for each in sorted(share, reverse=True)[:12])
         raise InputError(
-            f"{name}: {len(solid)} markers that could be the robot's; {connectors} connectors carry "
-            f"{listed}. "
+            f"{len(solid)} markers that could be the robot's; {connectors} connectors carry {listed}. "
             f"Seen on these shares of the frames: {shares}. Give layout, or export without the others"
         )
     tracks = np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
-    return Chosen(layout, tracks, int(seen.sum() - seen[:, tracks].sum()))
+    return RobotMarkers(layout, tracks, int(seen.sum() - seen[:, tracks].sum()))
 
 
 def _near_others(points: np.ndarray, limit: float) -> np.ndarray:
     """Say which tracks have another one near, on most frames."""
-    some = points[:: len(points) // 300 + 1]
-    apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-    apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
-    with np.errstate(invalid="ignore"):
-        near = (apart < limit).any(axis=2)
-    there = ~np.isnan(some[..., 0])
+    near = (distances(points, _NEAR_SAMPLED) < limit).any(axis=2)
+    there = ~np.isnan(points[:: len(points) // _NEAR_SAMPLED + 1, :, 0])
     return np.asarray(near.sum(axis=0) > 0.5 * there.sum(axis=0))
-
-
-LONGEST, SHORTEST = 1.15, 0.75
-"""Of a straight segment's length: largest distance of neighbours over time that is one."""
-
-_TINY = 0.1  # of the body's length: no body curls up so far
-_SAMPLED = 2000
 
 
 def some_frames(points: np.ndarray) -> np.ndarray:
@@ -108,43 +94,33 @@ def some_frames(points: np.ndarray) -> np.ndarray:
     return points[:: len(points) // _SAMPLED + 1]
 
 
-def largest_distances(points: np.ndarray) -> np.ndarray:
-    """Return the largest distance of each two markers but on a few frames, (markers, markers), m."""
-    return np.asarray(np.quantile(_apart(points), 0.98, axis=0))
-
-
-def body_order(name: str, points: np.ndarray) -> np.ndarray:
+def body_order(points: np.ndarray) -> np.ndarray:
     """Return markers in their order along the body, from one of its ends.
 
     Args:
-        name: of the file.
         points: shape (frames, markers, 2), m.
 
     Raises:
         InputError: they do not lie along one line.
     """
-    distance = largest_distances(points)
-    edges = _tree(distance)
-    neighbours: dict[int, list[int]] = {k: [] for k in range(len(distance))}
-    for a, b in edges:
-        neighbours[a].append(b)
-        neighbours[b].append(a)
-    ends = [k for k, near in neighbours.items() if len(near) == 1]
-    if len(distance) > 1 and len(ends) != 2:
-        raise InputError(f"{name}: the markers do not lie along one body: {len(ends)} of them are at an end")
-    order = [ends[0] if ends else 0]
-    while len(order) < len(distance):
-        order.append(next(k for k in neighbours[order[-1]] if k not in order))
-    return np.array(order)
+    from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
+
+    # The largest but on a few frames. To a sparse graph 0 would be no edge.
+    tree = minimum_spanning_tree(np.quantile(distances(points, _SAMPLED), 0.98, axis=0) + 1.0)
+    neighbours = np.bincount(np.concatenate(tree.nonzero()), minlength=points.shape[1])
+    ends = np.flatnonzero(neighbours == 1)
+    if len(ends) != 2:
+        raise InputError(f"the markers do not lie along one body: {len(ends)} of them are at an end")
+    return np.asarray(depth_first_order(tree, ends[0], directed=False, return_predecessors=False))
 
 
-def rigid_pairs(name: str, points: np.ndarray, connectors: int) -> np.ndarray:
+def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     """Return which markers form pairs of constant distance, shape (connectors, 2).
 
     Raises:
         InputError: no such pairs.
     """
-    mean, spread = _distances(points)
+    mean, spread = _median_and_spread(points)
     score = spread + 0.02 * mean
     pairs: list[tuple[int, int]] = []
     free = set(range(points.shape[1]))
@@ -157,38 +133,41 @@ def rigid_pairs(name: str, points: np.ndarray, connectors: int) -> np.ndarray:
     worst = max(spread[a, b] / max(mean[a, b], 1e-9) for a, b in pairs)
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(
-            f"{name}: no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} "
-            "%); "
+            f"no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} %); "
             "are there two at each connector? Give layout"
         )
     return np.array(pairs)
 
 
-def head_marker(name: str, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+def head_marker(points: np.ndarray, order: np.ndarray) -> np.ndarray:
     """Return the order from the marker ahead of the head on: the end of the body that keeps its distance.
 
     Raises:
         InputError: both ends do, or none.
     """
-    mean, spread = _distances(points)
+    mean, spread = _median_and_spread(points)
     ends = [(order[0], order[1]), (order[-1], order[-2])]
     change = np.array([spread[end] / max(mean[end], 1e-9) for end in ends])
     first, other = np.sort(change)
     if other < 2 * first + 1e-4:
         raise InputError(
-            f"{name}: which end has the second marker of the head cannot be told, the distances of the last "
-            "two "
+            "which end has the second marker of the head cannot be told, the distances of the last two "
             f"change by {100 * change[0]:.2g} % and {100 * change[1]:.2g} %; give layout single, or a run "
             "with motion"
         )
     return order if change[0] == first else order[::-1]
 
 
-def check_spacing(name: str, points: np.ndarray, pitch: float, robot: str) -> np.ndarray:
+def _median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return medians and spreads of the distances; a few frames that are wrong do not count."""
+    low, middle, high = np.quantile(distances(points, _SAMPLED), [0.25, 0.5, 0.75], axis=0)
+    return middle, 0.74 * (high - low)
+
+
+def check_spacing(points: np.ndarray, pitch: float, robot: str) -> np.ndarray:
     """Return the largest distance of each two neighbours, head first, shape (segments,), m.
 
     Args:
-        name: of the file.
         points: connectors in order, shape (frames, N, 2), m.
         pitch: length of a straight segment, m.
         robot: its name.
@@ -203,18 +182,16 @@ def check_spacing(name: str, points: np.ndarray, pitch: float, robot: str) -> np
     if bad.size:
         k = int(bad[0])
         raise InputError(
-            f"{name}: markers {k + 1} and {k + 2} from the head come as far as {1e3 * largest[k]:.4g} mm "
-            "apart, the "
+            f"markers {k + 1} and {k + 2} from the head come as far as {1e3 * largest[k]:.4g} mm apart, the "
             f"connectors of {robot} {1e3 * pitch:.4g} mm{_unit_hint(float(np.median(ratio)))}"
         )
     return np.asarray(largest)
 
 
-def check_scale(name: str, points: np.ndarray, pitch: float, segments: int, robot: str) -> None:
+def check_scale(points: np.ndarray, pitch: float, segments: int, robot: str) -> None:
     """Refuse markers that are as far from each other as those of no such robot, before any is followed.
 
     Args:
-        name: of the file.
         points: in slots, shape (frames, slots, 2), m.
         pitch: length of a straight segment, m.
         segments: how many there are.
@@ -223,17 +200,14 @@ def check_scale(name: str, points: np.ndarray, pitch: float, segments: int, robo
     Raises:
         InputError: the nearest two are farther apart than neighbours can be, or all of them hardly apart.
     """
-    apart = _apart(points)
-    apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
-    apart = apart.reshape(len(apart), -1)
+    apart = distances(points, _SAMPLED).reshape(len(some_frames(points)), -1)
     apart = apart[np.isfinite(apart).sum(axis=1) >= 2]
     if not len(apart):
-        raise InputError(f"{name}: never two markers at once; {segments + 1} or more are wanted")
+        raise InputError(f"never two markers at once; {segments + 1} or more are wanted")
     nearest, farthest = np.median(np.nanmin(apart, axis=1)), np.median(np.nanmax(apart, axis=1))
     if nearest > 2 * LONGEST * pitch or farthest < _TINY * segments * pitch:
         raise InputError(
-            f"{name}: markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
-            f"{robot} "
+            f"markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of {robot} "
             f"{1e3 * pitch:.4g} mm{_unit_hint(float(farthest / (segments * pitch)))}"
         )
 
@@ -246,29 +220,6 @@ def _unit_hint(ratio: float) -> str:
     return "; is it this robot?"
 
 
-def _apart(points: np.ndarray) -> np.ndarray:
-    some = some_frames(points)
-    return np.asarray(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
-
-
-def _distances(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and spreads of the distances; a few frames that are wrong do not count."""
-    low, middle, high = np.quantile(_apart(points), [0.25, 0.5, 0.75], axis=0)
-    return middle, 0.74 * (high - low)
-
-
-def _tree(distance: np.ndarray) -> list[tuple[int, int]]:
-    """Return the edges of the tree with the least sum of distances (Prim)."""
-    inside, edges = [0], []
-    outside = set(range(1, len(distance)))
-    while outside:
-        a, b = min(((i, j) for i in inside for j in outside), key=lambda edge: distance[edge])
-        edges.append((a, b))
-        inside.append(b)
-        outside.remove(b)
-    return edges
-
-
 def forward_distance(period: float, points: np.ndarray) -> float:
     """Return how far markers moved towards the first of them, m; below 0 away from it.
 
@@ -277,9 +228,7 @@ def forward_distance(period: float, points: np.ndarray) -> float:
         points: in order along the body, shape (frames, N, 2), m.
     """
     stride = max(1, round(0.25 / period))
-    some = points[::stride]
-    if len(some) < 2:
-        some = points[[0, -1]]
+    some = points[::stride] if len(points) > stride else points[[0, -1]]
     centre, along = some.mean(axis=1), some[:, 0] - some[:, -1]
     along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
     return float(

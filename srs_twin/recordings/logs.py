@@ -1,19 +1,15 @@
-"""Logs of a robot: what its sensors said, what was commanded of its valves or measured in its chambers.
+"""Logs of a robot: what its sensors measured, what was commanded of its valves or measured in its chambers.
 
-Bend log: what the sensors of a robot on a bench said, ``time,bend_1,…`` in a plain CSV file.
+A bend log has ``time,bend_1,…`` of a robot on a bench. Angles are in rad, or in the unit of the name
+(``bend_1_deg``); positive where the front end heads to the left of the rear end. Where the body is follows
+from its bends and from where its head is held.
 
-Angles are in rad, or in the unit of the name: ``bend_1_deg``; positive where the front end heads to the left
-of the rear end. Where the body is follows from its bends and from where its head is held.
+A valve log has ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1 fill, 0 hold, −1 vent) or
+``pressure_plus_1, pressure_minus_1, …`` (gauge; Pa, or the unit in the name: ``pressure_plus_1_kpa``), on a
+clock of its own.
 
-Valve log: what was commanded of the valves, or measured in the chambers, on a clock of its own.
-
-A plain CSV file with ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1 fill, 0 hold, −1 vent) or
-``pressure_plus_1, pressure_minus_1, …`` (gauge; Pa, or the unit in the name: ``pressure_plus_1_kpa``).
-
-Bench: a captured motion of a robot that is held at its head, in the frame of the clamp.
-
-Plants on a bench are held where the head of a straight body lies whose centre of mass is at the origin. A
-recording is turned and moved so that its head is held there.
+`on_bench` moves a recording into the frame of its clamp: plants on a bench are held where the head of a
+straight body lies whose centre of mass is at the origin.
 """
 
 from __future__ import annotations
@@ -26,18 +22,31 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.pneumatics import Schedule
-from srs_twin.recordings.gaps import LEAST_FRAMES, filled, in_order, longest_whole, taken
-from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.source import Source, read_source
-from srs_twin.recordings.summary import BendSummary
-from srs_twin.recordings.tables import ANGLES, PRESSURES, TIMES, Column, read_columns, read_rows
-from srs_twin.recordings.trajectories import metadata, moving_slope, numbered
+from srs_twin.recordings.csv_table import (
+    ANGLES,
+    CLOCK,
+    PRESSURES,
+    CsvColumn,
+    CsvTable,
+    first_line_names,
+    read_file,
+    read_table,
+)
+from srs_twin.recordings.gaps import LEAST_FRAMES, filled, in_order, longest_whole, taken, time_order
+from srs_twin.recordings.recording import Recording, naming
+from srs_twin.recordings.summary import LogSummary
+from srs_twin.recordings.trajectories import measured, moving_slope, numbered
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
-_KIND = "bend log"
-_KNOWN = {"time": TIMES, "t": TIMES, "bend": ANGLES}
+SIDES = ("plus", "minus")
+
 _LARGEST = 2 * np.pi  # rad: no segment is a full circle
+_HIGHEST = 2e6  # Pa: no chamber holds more
+_LOWEST = -1.1e5
+_LATEST = 1e9  # s
+_MOVED = 0.05  # of a segment's length
+_TURNED = np.radians(5.0)
 
 
 def is_bend_log(path: str | os.PathLike[str]) -> bool:
@@ -46,8 +55,7 @@ def is_bend_log(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    names = (cell.strip().lower() for cell in read_source(path).head(1)[0].split(","))
-    return any(name.startswith("bend_1") for name in names)
+    return any(name.startswith("bend_1") for name in first_line_names(path))
 
 
 def read_bends(
@@ -71,98 +79,65 @@ def read_bends(
     Raises:
         InputError: the file cannot be used; says where and what would do.
     """
-    source = read_source(path)
-    columns, width, others = read_columns(source, _KNOWN)
-    clock = next((each for each in columns if each.name in ("time", "t")), None)
-    if clock is None:
-        raise source.error("no column 'time'; a bend log has time,bend_1,…", 1)
-    chosen = _chosen(source, columns, spec)
-    order = sorted([clock, *chosen], key=lambda each: each.place)
-    rows = read_rows(source, 1, [each.place for each in order], width)
-    place = {each.text: k for k, each in enumerate(order)}
-    time = rows.values[:, place[clock.text]] * TIMES[clock.unit or "s"]
-    missing = np.flatnonzero(np.isnan(time))
-    if missing.size:
-        raise source.error("a row without a time", rows.first_line + int(missing[0]), clock.place + 1)
-    bend = np.stack([rows.values[:, place[c.text]] * ANGLES[c.unit or "rad"] for c in chosen], axis=1)
-    _believable(source, chosen, bend, rows.first_line)
-    frames = in_order(source.name, time)
-    # Gaps are those of tracks in a plane; bends lie on its first axis.
-    tracks = np.stack([taken(bend, frames), np.zeros((len(frames.time), len(chosen)))], axis=-1)
-    tracks[np.isnan(tracks[..., 0])] = np.nan
-    kept = longest_whole(frames.time, tracks, longest_gap_s)
-    if kept.stop - kept.start < LEAST_FRAMES:
-        raise source.error(f"no {LEAST_FRAMES} rows on end in which all bends are known; give longest_gap_s")
-    unknown = np.isnan(tracks[kept][..., 0])
-    bends, clock_kept = filled(frames.time[kept], tracks[kept], "linear")[..., 0], frames.time[kept]
-    said = [*rows.corrections, *frames.corrections]
-    if not any(each.unit for each in chosen):
-        said.append("bends without a unit taken as rad")
-    if others:
-        said.append(
-            f"{len(others)} columns not used: {', '.join(others[:5])}{', …' if len(others) > 5 else ''}"
-        )
-    summary = BendSummary(
-        source.name, source.sha256, len(time), 1 / frames.period, int(unknown.sum()), len(clock_kept),
-        float(clock_kept[0]), float(clock_kept[-1]), tuple(said),
-    )  # fmt: skip
-    return Recording(_trajectory(clock_kept, bends, unknown, spec, summary, gait_frequency_hz), summary)
-
-
-def _chosen(source: Source, columns: list[Column], spec: RobotSpec) -> list[Column]:
-    """Return the columns of the bends, head first."""
-    found = {each.number: each for each in columns if each.name == "bend"}
-    for segment in range(1, spec.segments + 1):
-        if segment not in found:
-            raise source.error(f"bend_{segment} is missing; {spec.name} has {spec.segments} segments", 1)
-    extra = next((each for number, each in found.items() if not 1 <= number <= spec.segments), None)
-    if extra is not None:
-        raise source.error(f"{extra.text}: {spec.name} has {spec.segments} segments", 1, extra.place + 1)
-    return [found[segment] for segment in range(1, spec.segments + 1)]
-
-
-def _believable(source: Source, chosen: list[Column], bend: np.ndarray, first_line: int) -> None:
-    """Refuse bends that no segment has."""
+    table = read_table(read_file(path), CLOCK | {"bend": ANGLES})
+    clock = table.clock("no column 'time'; a bend log has time,bend_1,…")
+    chosen = table.per_segment(["bend"], spec.name, spec.segments)
+    time, bend, notes = table.read_timed(clock, chosen)
     wrong = np.argwhere(np.abs(bend) > _LARGEST)
     if wrong.size:
         row, k = (int(each) for each in wrong[0])
-        raise source.error(
-            f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed; at most {_LARGEST:.4g} "
-            "(bend_1_deg, where they are degrees)",
-            first_line + row,
-            chosen[k].place + 1,
+        allowed = f"at most {_LARGEST:.4g} (bend_1_deg, where they are degrees)"
+        what = f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed; {allowed}"
+        raise table.error(chosen[k], what, row)
+    with naming(table.file.name):
+        frames = in_order(time)
+    # Gaps are those of tracks in a plane; bends lie on its first axis.
+    bend = taken(bend, frames)
+    tracks = np.stack([bend, np.where(np.isnan(bend), np.nan, 0.0)], axis=-1)
+    kept = longest_whole(frames.time, tracks, longest_gap_s)
+    if kept.stop - kept.start < LEAST_FRAMES:
+        raise table.file.error(
+            f"no {LEAST_FRAMES} rows on end in which all bends are known; give longest_gap_s"
         )
+    kept_time, unknown = frames.time[kept], int(np.isnan(bend[kept]).sum())
+    notes += frames.corrections
+    if not any(each.unit for each in chosen):
+        notes.append("bends without a unit taken as rad")
+    summary = LogSummary(
+        source=table.file.name,
+        sha256=table.file.sha256,
+        kind="bend log",
+        frames_read=len(time),
+        rate_hz=1 / frames.period,
+        samples_filled=unknown,
+        frames_kept=len(kept_time),
+        start=float(kept_time[0]),
+        end=float(kept_time[-1]),
+        corrections=(*notes, *table.unused_columns()),
+    )
+    columns = _bent_body(kept_time, filled(kept_time, tracks[kept], "linear")[..., 0], spec)
+    return Recording(measured(columns, spec, summary, gait_frequency_hz), summary)
 
 
-def _trajectory(
-    time: np.ndarray, bend: np.ndarray, unknown: np.ndarray, spec: RobotSpec, summary: BendSummary,
-    gait_frequency_hz: float | None,
-) -> Trajectory:  # fmt: skip
+def _bent_body(time: np.ndarray, bend: np.ndarray, spec: RobotSpec) -> dict[str, np.ndarray]:
+    """Return the columns of a body that bends with its head held at the origin, heading along x."""
     geometry = spec.geometry
     shape = body_shape(bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap) @ [1, 1j]
     relative = relative_headings(bend)
     theta = relative - relative[:, :1]
     place = (shape - shape[:, :1]) * np.exp(-1j * relative[:, :1])
     com = -shape[:, 0] * np.exp(-1j * relative[:, 0])
-    rates = moving_slope(time, bend)
-    columns = {
-        "time": time, "com_x": com.real, "com_y": com.imag, "heading": theta.mean(axis=1),
-        **numbered("x", place.real), **numbered("y", place.imag), **numbered("theta", theta),
-        **numbered("bend", bend), **numbered("bend_rate", rates),
-    }  # fmt: skip
-    units = {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
-    about = metadata(spec, summary, gait_frequency_hz, {"kind": _KIND, "samples_filled": int(unknown.sum())})
-    about["bends_only"] = True
-    return Trajectory(columns, units, metadata=about)
-
-
-SIDES = ("plus", "minus")
-_VALVE_LOG_KNOWN = {
-    "time": TIMES, "t": TIMES, "valve_plus": {}, "valve_minus": {}, "pressure_plus": PRESSURES,
-    "pressure_minus": PRESSURES,
-}  # fmt: skip
-_HIGHEST = 2e6  # Pa: no chamber holds more
-_LOWEST = -1.1e5
+    return {
+        "time": time,
+        "com_x": com.real,
+        "com_y": com.imag,
+        "heading": theta.mean(axis=1),
+        **numbered("x", place.real),
+        **numbered("y", place.imag),
+        **numbered("theta", theta),
+        **numbered("bend", bend),
+        **numbered("bend_rate", moving_slope(time, bend)),
+    }
 
 
 @dataclass(frozen=True)
@@ -190,11 +165,8 @@ class ValveLog:
         """Return the same log on a clock that shows `offset` (s) more."""
         return replace(self, time=self.time + offset)
 
-    def schedule(self, span: float | None = None) -> Schedule:
-        """Return the valve states as a schedule from the first row on.
-
-        Args:
-            span: its length, s; None: to the last row.
+    def schedule(self) -> Schedule:
+        """Return the valve states as a schedule from the first row to the last.
 
         Raises:
             InputError: pressures are no valve states.
@@ -203,8 +175,9 @@ class ValveLog:
             raise InputError(f"{self.source}: a log of pressures has no schedule of valves")
         states = self.values.astype(np.int8)
         changes = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
-        length = float(self.time[-1] - self.time[0]) if span is None else span
-        return Schedule(length, self.time[changes] - self.time[0], states[changes])
+        return Schedule(
+            float(self.time[-1] - self.time[0]), self.time[changes] - self.time[0], states[changes]
+        )
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Return the values at times within the log, shape (times, segments, 2)."""
@@ -222,106 +195,50 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec) -> ValveLog:
     Raises:
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
-    source = read_source(path)
-    columns, width, others = read_columns(source, _VALVE_LOG_KNOWN)
-    clock = next((each for each in columns if each.name in ("time", "t")), None)
-    if clock is None:
-        raise source.error("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures", 1)
-    kind, chosen = _valve_log_chosen(source, columns, spec)
-    order = sorted([clock, *chosen], key=lambda each: each.place)
-    rows = read_rows(source, 1, [each.place for each in order], width)
-    place = {each.text: k for k, each in enumerate(order)}
-    time = rows.values[:, place[clock.text]] * TIMES[clock.unit or "s"]
-    factor = [PRESSURES[each.unit or "pa"] if kind == "pressure" else 1.0 for each in chosen]
-    values = np.stack([rows.values[:, place[each.text]] for each in chosen], axis=1) * factor
-    _check(source, kind, clock, chosen, time, values, rows.first_line)
-    said = [*rows.corrections]
+    valves: dict[str, dict[str, float]] = {f"valve_{side}": {} for side in SIDES}
+    table = read_table(read_file(path), CLOCK | valves | {f"pressure_{side}": PRESSURES for side in SIDES})
+    clock = table.clock("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures")
+    kinds = sorted({each.name.partition("_")[0] for each in table.columns if "_" in each.name})
+    if len(kinds) != 1:
+        given = "both" if kinds else "neither"
+        raise table.file.error(f"valve_plus_1,… or pressure_plus_1,… are wanted; {given} given", 1)
+    (kind,) = kinds
+    chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
+    time, values, notes = table.read_timed(clock, chosen)
+    _check_values(table, kind, chosen, values)
+    if np.abs(time).max() > _LATEST:
+        raise table.file.error(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
     if kind == "valve" and not (values == -1).any() and (values == 0).any():
         values = np.where(values == 0, -1.0, values)
-        said.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
+        notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
     if kind == "pressure" and not any(each.unit for each in chosen):
-        said.append("pressures without a unit taken as Pa")
-    if others:
-        said.append(
-            f"{len(others)} columns not used: {', '.join(others[:5])}{', …' if len(others) > 5 else ''}"
-        )
-    time, values = _ordered(source, time, values, said)
-    shaped = values.reshape(len(time), spec.segments, 2)
-    return ValveLog(kind, time, shaped, source.name, source.sha256, tuple(said))
-
-
-def _valve_log_chosen(source: Source, columns: list[Column], spec: RobotSpec) -> tuple[str, list[Column]]:
-    """Return what the log is of, and its columns: segment by segment, + before −."""
-    kinds = sorted({each.name.partition("_")[0] for each in columns if "_" in each.name})
-    if len(kinds) != 1:
-        given = "neither" if not kinds else "both"
-        raise source.error(f"valve_plus_1,… or pressure_plus_1,… are wanted; {given} given", 1)
-    (kind,) = kinds
-    found = {(each.name, each.number): each for each in columns}
-    chosen = []
-    for segment in range(1, spec.segments + 1):
-        for side in SIDES:
-            column = found.pop((f"{kind}_{side}", segment), None)
-            if column is None:
-                raise source.error(
-                    f"{kind}_{side}_{segment} is missing; {spec.name} has {spec.segments} segments", 1
-                )
-            chosen.append(column)
-    extra = next((each for (name, _), each in found.items() if name.startswith(kind)), None)
-    if extra is not None:
-        raise source.error(f"{extra.text}: {spec.name} has {spec.segments} segments", 1, extra.place + 1)
-    return kind, chosen
-
-
-def _check(
-    source: Source,
-    kind: str,
-    clock: Column,
-    chosen: list[Column],
-    time: np.ndarray,
-    values: np.ndarray,
-    first_line: int,
-) -> None:
-    """Refuse blanks and what no valve or chamber does."""
-    bad = np.flatnonzero(~(np.abs(time) < 1e9))
-    if bad.size:
-        raise source.error("a row without a time", first_line + int(bad[0]), clock.place + 1)
-    if kind == "valve":
-        allowed, words = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)"
-    else:
-        allowed = (values >= _LOWEST) & (values <= _HIGHEST)
-        words = f"gauge pressures from {_LOWEST:g} to {_HIGHEST:g} Pa"
-    wrong = np.argwhere(~allowed)
-    if wrong.size:
-        row, column = wrong[0]
-        value = values[row, column]
-        given = "nothing" if np.isnan(value) else f"{value:g}" + (" Pa" if kind == "pressure" else "")
-        raise source.error(
-            f"{chosen[column].text}: {given} is not allowed; {words}",
-            first_line + int(row),
-            chosen[column].place + 1,
-        )
-
-
-def _ordered(
-    source: Source, time: np.ndarray, values: np.ndarray, said: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    order = np.argsort(time, kind="stable")
-    moved = int((np.diff(time) < 0).sum())
-    if moved:
-        said.append(f"rows were not in the order of time ({moved} steps back): sorted")
+        notes.append("pressures without a unit taken as Pa")
+    notes += table.unused_columns()
+    order, moved = time_order(time)
     time, values = time[order], values[order]
     # Of rows at one time the last holds, as it would on the valve.
     kept = np.append(np.diff(time) > 0, True)
+    notes += moved
     if not kept.all():
-        said.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
+        notes.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
     if kept.sum() < 2:
-        raise source.error("a log has 2 rows or more")
-    return time[kept], values[kept]
+        raise table.file.error("a log has 2 rows or more")
+    shaped = values[kept].reshape(-1, spec.segments, 2)
+    return ValveLog(kind, time[kept], shaped, table.file.name, table.file.sha256, tuple(notes))
 
 
-_MOVED = 0.05  # of a segment's length
-_TURNED = np.radians(5.0)
+def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: np.ndarray) -> None:
+    """Refuse blanks and what no valve or chamber does."""
+    if kind == "valve":
+        allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
+    else:
+        allowed, unit = (values >= _LOWEST) & (values <= _HIGHEST), " Pa"
+        words = f"gauge pressures from {_LOWEST:g} to {_HIGHEST:g} Pa"
+    wrong = np.argwhere(~allowed)
+    if wrong.size:
+        row, k = (int(each) for each in wrong[0])
+        given = "nothing" if np.isnan(values[row, k]) else f"{values[row, k]:g}{unit}"
+        raise table.error(chosen[k], f"{chosen[k].text}: {given} is not allowed; {words}", row)
 
 
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
@@ -344,22 +261,23 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
         )
     mass = spec.mass.array()
     ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
-    return replace(recording, trajectory=_moved(trajectory, held, heading, ahead))
+    return replace(recording, trajectory=_clamped(trajectory, held, heading, ahead))
 
 
-def _moved(trajectory: Trajectory, held: np.ndarray, heading: float, ahead: float) -> Trajectory:
+def _clamped(trajectory: Trajectory, held: np.ndarray, heading: float, ahead: float) -> Trajectory:
     """Return a motion turned by −heading about a point, which then lies ahead on the x axis."""
     back, origin = np.exp(-1j * heading), held @ [1, 1j]
-
-    def placed(points: np.ndarray) -> np.ndarray:
-        return np.asarray((points @ [1, 1j] - origin) * back + ahead)
-
-    com, place = placed(trajectory.com), placed(trajectory.position)
-    columns = dict(trajectory.columns) | {
-        "com_x": com.real, "com_y": com.imag, "heading": trajectory["heading"] - heading,
-        **numbered("x", place.real), **numbered("y", place.imag),
+    com = (trajectory.com @ [1, 1j] - origin) * back + ahead
+    place = (trajectory.position @ [1, 1j] - origin) * back + ahead
+    columns = {
+        **trajectory.columns,
+        "com_x": com.real,
+        "com_y": com.imag,
+        "heading": trajectory["heading"] - heading,
+        **numbered("x", place.real),
+        **numbered("y", place.imag),
         **numbered("theta", trajectory.stack("theta") - heading),
-    }  # fmt: skip
+    }
     if "com_velocity_x" in columns:
         velocity = (columns["com_velocity_x"] + 1j * columns["com_velocity_y"]) * back
         columns |= {"com_velocity_x": velocity.real, "com_velocity_y": velocity.imag}

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.errors import InputError
-from srs_twin.recordings.body import body_of
-from srs_twin.recordings.floor import Floor, on_floor
+from srs_twin.errors import InputError, UnknownNameError, one_of
+from srs_twin.recordings.body import CapturedMarkers, tracked_body
+from srs_twin.recordings.floor import UPS, FloorPlane, on_floor
 from srs_twin.recordings.gaps import (
     LEAST_FRAMES,
-    Frames,
+    WAYS,
+    FrameGrid,
     filled,
     in_order,
     longest_whole,
@@ -21,13 +24,11 @@ from srs_twin.recordings.gaps import (
     runs,
     taken,
 )
-from srs_twin.recordings.layout import check_scale, choose
-from srs_twin.recordings.motive import FIRST, parse_motive
-from srs_twin.recordings.plain_csv import parse_plain
-from srs_twin.recordings.source import read_source
-from srs_twin.recordings.summary import BendSummary, LogSummary
+from srs_twin.recordings.layout import LAYOUTS, check_scale, robot_markers
+from srs_twin.recordings.motion_files import read_markers
+from srs_twin.recordings.summary import LogSummary, MarkerCounts
 from srs_twin.recordings.tracking import MOST, MarkerTable, follow, packed
-from srs_twin.recordings.trajectories import trajectory_of
+from srs_twin.recordings.trajectories import body_trajectory
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -56,20 +57,19 @@ class Recording:
     """
 
     trajectory: Trajectory
-    summary: LogSummary | BendSummary
-    valves: ValveLog | None = field(default=None)
+    summary: LogSummary
+    valves: ValveLog | None = None
 
 
-def read_markers(path: str | os.PathLike[str]) -> MarkerTable:
-    """Read a Motive export or a plain CSV file as it is.
-
-    Raises:
-        InputError: with file, line and column, and what is allowed.
-    """
-    source = read_source(path)
-    if source.raw.startswith(FIRST.encode()):
-        return parse_motive(source)
-    return parse_plain(source)
+@contextmanager
+def naming(file: str) -> Iterator[None]:
+    """Put a file's name before the messages of a block; names that are unknown are not the file's fault."""
+    try:
+        yield
+    except UnknownNameError:
+        raise
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
 
 
 def read_motion(
@@ -103,91 +103,99 @@ def read_motion(
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s")
+    one_of("up", up, UPS)
+    one_of("fill", fill, WAYS)
+    if layout not in LAYOUTS:
+        raise UnknownNameError("layout", layout, LAYOUTS)
     table = read_markers(path)
-    frames = in_order(table.name, table.time)
-    floor = on_floor(table.name, table.points, up, "y" if table.kind.startswith("Motive") else "z")
-    plane, high = _without_high(floor)
-    slots, columns = _slots(table, taken(plane, frames), len(frames.time))
-    gap_frames = max(1, round(longest_gap_s / frames.period))
+    with naming(table.name):
+        return _recording(table, spec, up, layout, head, longest_gap_s, fill, gait_frequency_hz)
+
+
+def _recording(
+    table: MarkerTable,
+    spec: RobotSpec,
+    up: str,
+    layout: str,
+    head: str | None,
+    longest_gap_s: float,
+    fill: str,
+    gait_frequency_hz: float | None,
+) -> Recording:
+    """Return the recording of a table; arguments as in `read_motion`."""
     geometry = spec.geometry
-    check_scale(table.name, slots, geometry.pitch, spec.segments, spec.name)
-    tracks = follow(table.name, slots, columns, gap_frames, _REACH * geometry.pitch)
-    chosen = choose(table.name, tracks.points, geometry.connectors, geometry.pitch, layout)
+    frames = in_order(table.time)
+    floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
+    plane, high = _without_high(floor)
+    slots, columns = _slots(table, taken(plane, frames))
+    gap_frames = max(1, round(longest_gap_s / frames.period))
+    check_scale(slots, geometry.pitch, spec.segments, spec.name)
+    tracks = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
+    chosen = robot_markers(tracks.points, geometry.connectors, geometry.pitch, layout)
     points = tracks.points[:, chosen.tracks]
     jumps = outliers(points, _JUMP * geometry.pitch)
     points[jumps] = np.nan
     kept = longest_whole(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
-        raise InputError(_torn(table.name, frames, points, longest_gap_s))
+        raise InputError(_torn(frames, points, longest_gap_s))
     time = frames.time[kept]
-    missing = np.isnan(points[kept][..., 0])
-    origin = np.where(missing, -1, tracks.columns[kept][:, chosen.tracks])
-    body = body_of(table, time, filled(time, points[kept], fill), origin, chosen.layout, spec, head)
-    summary = LogSummary(
-        source=table.name,
-        sha256=table.sha256,
-        kind=table.kind,
-        frames_read=int((frames.rows >= 0).sum()),
+    origin = np.where(np.isnan(points[kept][..., 0]), -1, tracks.columns[kept][:, chosen.tracks])
+    markers = CapturedMarkers(table, chosen.layout, time, filled(time, points[kept], fill), origin)
+    body = tracked_body(markers, spec, head)
+    gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
+    counts = MarkerCounts(
         header_frames=table.header_frames,
         frames_missing=int((frames.rows < 0).sum()),
-        rate_hz=1 / frames.period,
         columns=len(table.labels),
         layout=chosen.layout,
         head=body.head,
         up=floor.up,
         samples_seen=int((~np.isnan(taken(floor.plane, frames)[..., 0])).sum()),
-        samples_other=high + chosen.left + tracks.dropped,
+        samples_other=high + chosen.left_out + tracks.dropped,
         samples_rejected=int(jumps.sum()),
-        samples_filled=int(missing.sum()),
-        longest_filled_s=_longest(time, missing),
-        moves=_moves(origin),
+        longest_filled_s=float(max(gaps, default=0.0)),
+        moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in origin.T),
+        spacing_m=tuple(float(each) for each in body.spacing),
+        residual_m=float(np.sqrt((body.residual**2).mean())),
+    )
+    summary = LogSummary(
+        source=table.name,
+        sha256=table.sha256,
+        kind=table.kind,
+        frames_read=int((frames.rows >= 0).sum()),
+        rate_hz=1 / frames.period,
+        samples_filled=int(markers.missing.sum()),
         frames_kept=len(time),
         start=float(time[0]),
         end=float(time[-1]),
-        spacing_m=tuple(float(each) for each in body.spacing),
-        residual_m=float(np.sqrt((body.residual**2).mean())),
         corrections=(*table.corrections, *frames.corrections, *floor.corrections, *body.corrections),
+        markers=counts,
     )
-    return Recording(trajectory_of(body, missing, time, spec, summary, gait_frequency_hz), summary)
+    return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
 
 
-def _without_high(floor: Floor) -> tuple[np.ndarray, int]:
+def _without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
     """Return the plane without what lies well over or under the robot, and how many samples those were."""
-    height = floor.height
-    with np.errstate(invalid="ignore"):
-        off = (
-            np.abs(height - np.nanmedian(height)) > _HIGHEST
-            if np.isfinite(height).any()
-            else np.zeros(height.shape)
-        )
-    off = off.astype(bool)
-    return np.where(off[..., None], np.nan, floor.plane), int(off.sum())
+    if not np.isfinite(floor.height).any():
+        return floor.plane, 0
+    high = np.abs(floor.height - np.nanmedian(floor.height)) > _HIGHEST
+    return np.where(high[..., None], np.nan, floor.plane), int(high.sum())
 
 
-def _slots(table: MarkerTable, plane: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray]:
+def _slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in slots; columns with connectors' names stay where they are."""
-    if not table.connectors:
-        return packed(table.name, plane)
-    if len(table.connectors) > MOST:
-        raise InputError(f"{table.name}: {len(table.connectors)} markers; at most {MOST} are followed")
-    return plane, np.broadcast_to(np.arange(len(table.connectors)), (frames, len(table.connectors)))
+    count = len(table.connectors)
+    if not count:
+        return packed(plane)
+    if count > MOST:
+        raise InputError(f"{count} markers; at most {MOST} are followed")
+    return plane, np.broadcast_to(np.arange(count), (len(plane), count))
 
 
-def _moves(origin: np.ndarray) -> int:
-    """Return how often a marker goes on in another column."""
-    return sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in origin.T)
-
-
-def _longest(time: np.ndarray, missing: np.ndarray) -> float:
-    gaps = [time[end] - time[begin - 1] for column in missing.T for begin, end in runs(column)]
-    return float(max(gaps, default=0.0))
-
-
-def _torn(name: str, frames: Frames, points: np.ndarray, longest_gap_s: float) -> str:
+def _torn(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> str:
     together = (~np.isnan(points[..., 0])).all(axis=1).mean()
     return (
-        f"{name}: no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps "
-        "up to "
+        f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps up to "
         f"{longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers seen on "
         f"{100 * together:.0f} % of them); give longest_gap_s"
     )

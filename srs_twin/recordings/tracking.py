@@ -1,31 +1,22 @@
-r"""Tracking: the table of markers, and how each keeps its identity through swaps and gaps.
+r"""Markers over time, and how each keeps its identity through swaps and gaps.
 
-MarkerTable: what a motion capture file says before anything is made of it.
+1. *Slots*: a take in which markers came and went has a column for each appearance; columns that were never
+   seen at the same time are laid side by side into one.
+2. *Untangling*, where a file lists its markers in another order on every frame: a marker goes on in the slot
+   whose sample is nearest to where it was, if each is the other's nearest and within the gate.
+3. *Tracklets*: stretches of one slot in which nothing but one marker can have been seen. From one sample to
+   the next a marker is expected at
 
-Slots: columns in which markers were never seen at the same time, laid side by side into one.
+   $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-A take in which markers came and went has a column for each appearance; a few slots hold them all.
+   and the link is sure where the sample lies nearer to it than the gate, and twice as near as any other.
+4. *Tracks*: in the order of time, each moment's new tracklets are assigned to the markers lost before it so
+   that the sum of distances to where these are expected is least (Hungarian method). Over a few frames a
+   marker is expected to go on as it did; over more either to be where it was or to have moved with the
+   markers around it, whichever is nearer, and to keep within the distances from the others that it has had
+   before.
 
-Untangling: slots of a file that lists its markers in another order on every frame, put back in line.
-
-A marker goes on in the slot whose sample is nearest to where it was, if each is the other's nearest and
-within the gate. Velocities are not needed: this is a first pass, and what it leaves to be told is left to
-tracking.
-
-Tracklets: stretches of one slot in which nothing but one marker can have been seen.
-
-From one sample of a slot to its next a marker is expected at
-
-$$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
-
-and the link is sure where the sample lies nearer to it than the gate, and twice as near as any other.
-
-Tracking: tracklets joined to markers that keep their identity through swaps and gaps.
-
-In the order of time, each moment's new tracklets are assigned to the markers lost before it so that the sum
-of distances to where these are expected is least (Hungarian method). Over a few frames a marker is expected
-to go on as it did; over more either to be where it was or to have moved with the markers around it, whichever
-is nearer, and to keep within the distances from the others that it has had before.
+Errors raised here do not name the file; `read_motion` puts its name before them.
 """
 
 from __future__ import annotations
@@ -40,6 +31,25 @@ from srs_twin.errors import InputError
 
 FARTHEST = 1e3
 """Markers farther than this from the origin are no marker positions, m."""
+
+MOST = 64
+"""Slots: markers and reflections at the same time."""
+
+GATE = 0.4
+"""Of the distance of the two closest markers: how far from its expected place a marker surely is itself."""
+
+MOST_PIECES = 10_000
+_AT_ONCE = 2000  # frames that are untangled at once
+_SAMPLED = 500  # frames that tell how close markers come
+_TANGLED = 2000  # pieces: so many come of a file whose columns mean nothing
+_JUMPING = "markers jump from frame to frame, none can be followed"
+_SHORT = 3  # frames: fewer samples than these are joined last, where they fit between others
+_RARE = 0.03  # of all samples: as many in short tracklets are no outliers
+_ALONE = 4  # frames over which a marker is expected to go on as it did
+_FARTHEST = 6.0  # times as far as usual a marker may come back after a long time
+_REMEMBERED = 100  # samples of the past that tell how far from each other two markers may be
+_BODY = 3.0  # what a distance that two markers never had counts against one from where a marker is expected
+_NEVER = 1e6
 
 
 @dataclass(frozen=True)
@@ -69,7 +79,7 @@ class MarkerTable:
     corrections: tuple[str, ...]
 
 
-def believable(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return points without those that lie beyond any room or lack a coordinate, and words on them."""
     partly = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
     with np.errstate(invalid="ignore"):
@@ -82,15 +92,10 @@ def believable(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.where((partly | far)[..., None], np.nan, points), tuple(said)
 
 
-MOST = 64
-"""Slots: markers and reflections at the same time."""
-
-
-def packed(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def packed(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in as few slots as there were columns in use at the same time.
 
     Args:
-        name: of the file.
         points: shape (frames, columns, 2), m.
 
     Returns:
@@ -102,7 +107,7 @@ def packed(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     seen = ~np.isnan(points[..., 0])
     used = np.flatnonzero(seen.any(axis=0))
     if not used.size:
-        raise InputError(f"{name}: no marker was seen on any frame")
+        raise InputError("no marker was seen on any frame")
     first = seen[:, used].argmax(axis=0)
     last = len(seen) - 1 - seen[::-1, used].argmax(axis=0)
     # (last frame, slot) of those in use; the slot that is free the longest comes first.
@@ -116,7 +121,7 @@ def packed(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         slot_of[k] = slot
         heapq.heappush(ends, (int(last[k]), slot))
     if len(ends) > MOST:
-        raise InputError(f"{name}: {len(ends)} markers at the same time; at most {MOST} are followed")
+        raise InputError(f"{len(ends)} markers at the same time; at most {MOST} are followed")
     slots = np.full((len(points), len(ends), 2), np.nan)
     columns = np.full((len(points), len(ends)), -1)
     for k, slot in enumerate(slot_of):
@@ -124,9 +129,6 @@ def packed(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         slots[stretch, slot] = points[stretch, used[k]]
         columns[stretch, slot] = used[k]
     return slots, columns
-
-
-_AT_ONCE = 2000  # frames
 
 
 def untangled(points: np.ndarray, columns: np.ndarray, gate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -170,12 +172,6 @@ def _following(points: np.ndarray, gate: float) -> np.ndarray:
     return np.asarray(np.where(mutual & (apart.min(axis=2) < gate), ahead, -1))
 
 
-GATE = 0.4
-"""Of the distance of the two closest markers: how far from its expected place a marker surely is itself."""
-
-_SAMPLED = 500  # frames
-
-
 @dataclass(frozen=True)
 class Tracklet:
     """One stretch of one slot.
@@ -199,13 +195,21 @@ class Tracklet:
         return int(self.frames[-1])
 
 
+def distances(points: np.ndarray, frames: int) -> np.ndarray:
+    """Return the distances of each two points on some frames evenly spread, (frames, points, points), m.
+
+    NaN between a point and itself, and where one was not seen.
+    """
+    some = points[:: len(points) // frames + 1]
+    apart = np.asarray(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
+    apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
+    return apart
+
+
 def closest(points: np.ndarray) -> float:
     """Return how near two markers come, but for a few frames, m; infinite where there is one."""
-    some = points[:: len(points) // _SAMPLED + 1]
-    apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-    apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
-    apart = np.where(np.isnan(apart), np.inf, apart)
-    nearest = apart.min(axis=(1, 2))
+    apart = distances(points, _SAMPLED)
+    nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=(1, 2))
     nearest = nearest[np.isfinite(nearest)]
     return float(np.quantile(nearest, 0.05)) if nearest.size else np.inf
 
@@ -250,18 +254,6 @@ def _sure(points: np.ndarray, slot: int, seen: np.ndarray, gate: float, longest:
     return np.asarray((away < gate) & (2 * away < nearest) & (step <= longest))
 
 
-MOST_PIECES = 10_000
-_TANGLED = 2000  # pieces: so many come of a file whose columns mean nothing
-_WILD = "markers jump from frame to frame, none can be followed"
-_SHORT = 3  # frames: fewer samples than these are joined last, where they fit between others
-_RARE = 0.03  # of all samples: as many in short tracklets are no outliers
-_ALONE = 4  # frames over which a marker is expected to go on as it did
-_FARTHEST = 6.0  # times as far as usual a marker may come back after a long time
-_REMEMBERED = 100  # samples of the past that tell how far from each other two markers may be
-_BODY = 3.0  # what a distance that two markers never had counts against one from where a marker is expected
-_NEVER = 1e6
-
-
 @dataclass(frozen=True)
 class Tracks:
     """Markers over time.
@@ -277,11 +269,10 @@ class Tracks:
     dropped: int
 
 
-def follow(name: str, points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
+def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
     """Follow markers through frames.
 
     Args:
-        name: of the file.
         points: in slots, shape (frames, slots, 2), m.
         columns: from which column of the file each comes, shape (frames, slots).
         longest: frames over which a link inside a slot may go.
@@ -300,31 +291,27 @@ def follow(name: str, points: np.ndarray, columns: np.ndarray, longest: int, rea
         points, columns = untangled(points, columns, gate)
         pieces = tracklets(points, gate, longest)
     if len(pieces) > MOST_PIECES:
-        raise InputError(
-            f"{name}: {_WILD} ({len(pieces)} pieces of their ways; at most {MOST_PIECES} are joined)"
-        )
-    book = _Book(points, longest, reach)
+        raise InputError(f"{_JUMPING} ({len(pieces)} pieces of their ways; at most {MOST_PIECES} are joined)")
+    known = _KnownTracks(points, longest, reach)
     short = [each for each in pieces if len(each.frames) < _SHORT]
     if sum(len(each.frames) for each in short) > _RARE * np.count_nonzero(columns >= 0):
         # Few frames a second: markers go far from frame to frame, and pieces are short without being wrong.
         short = []
     apart = {id(each) for each in short}
     for _, group in groupby((each for each in pieces if id(each) not in apart), key=lambda each: each.start):
-        book.join(list(group))
-        if len(book.tracks) > MOST:
-            raise InputError(
-                f"{name}: {_WILD} (over {MOST} tracks); is the unit of length or of time another?"
-            )
-    dropped = sum(len(each.frames) for each in short if not book.fits(each, gate))
-    if not book.tracks:
+        known.join(list(group))
+        if len(known.tracks) > MOST:
+            raise InputError(f"{_JUMPING} (over {MOST} tracks); is the unit of length or of time another?")
+    dropped = sum(len(each.frames) for each in short if not known.fits(each, gate))
+    if not known.tracks:
         return Tracks(np.full((len(points), 1, 2), np.nan), np.full((len(points), 1), -1), dropped)
-    tracks, slots = np.stack(book.tracks, axis=1), np.stack(book.slots, axis=1)
+    tracks, slots = np.stack(known.tracks, axis=1), np.stack(known.slots, axis=1)
     origin = np.take_along_axis(columns, np.maximum(slots, 0), axis=1)
     return Tracks(tracks, np.where(slots < 0, -1, origin), dropped)
 
 
-class _Book:
-    """Tracks as far as they are known."""
+class _KnownTracks:
+    """Tracks up to the frame that has been reached."""
 
     def __init__(self, points: np.ndarray, longest: int, reach: float) -> None:
         self._points, self._longest, self._reach = points, longest, reach
@@ -334,13 +321,15 @@ class _Book:
 
     def join(self, pieces: list[Tracklet]) -> None:
         """Give tracklets that begin on the same frame to tracks that ended before it, or to new ones."""
+        from scipy.optimize import linear_sum_assignment
+
         start = pieces[0].start
         free = [k for k, end in enumerate(self._ends) if end < start]
         targets: list[int | None] = [None] * len(pieces)
         if free:
             begins = np.stack([self._points[start, each.slot] for each in pieces])
             distance = np.stack([self._distance(k, start, begins) for k in free], axis=1)
-            for row, column in _assigned(distance):
+            for row, column in zip(*linear_sum_assignment(distance), strict=True):
                 if distance[row, column] < _NEVER:
                     targets[row] = free[column]
         for piece, target in zip(pieces, targets, strict=True):
@@ -429,15 +418,3 @@ def _carried(point: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.nda
     turn = turn / abs(turn) if abs(turn) > 0 else 1.0
     place = turn * complex(*(point - centre))
     return np.asarray(target + [place.real, place.imag])
-
-
-def _assigned(distance: np.ndarray) -> list[tuple[int, int]]:
-    """Return pairs (row, column) with the least sum of distances."""
-    if distance.shape == (1, 1):
-        return [(0, 0)]
-    if distance.shape[0] == 1:
-        return [(0, int(distance[0].argmin()))]
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(distance)
-    return [(int(row), int(column)) for row, column in zip(rows, columns, strict=True)]

@@ -1,8 +1,7 @@
-r"""Columns of a captured motion, with the names a plant's trajectory has.
+r"""Columns and metadata of a measured trajectory, with the names a plant's has.
 
-Velocity as the slope of a moving line (Section 3.4.1).
-
-It is the least-squares line through a sample and n before and after it, n = 5 in the text,
+Velocity is the slope of a moving line (Section 3.4.1), the least-squares line through a sample and n before
+and after it, n = 5 in the text,
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
@@ -19,8 +18,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from srs_twin.recordings.body import Body
-from srs_twin.recordings.summary import BendSummary, LogSummary
+from srs_twin.recordings.body import CapturedMarkers, TrackedBody
+from srs_twin.recordings.summary import LogSummary
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -59,44 +58,36 @@ MEASURED = "measured"
 """Stands for the plant in the metadata."""
 
 
-def trajectory_of(
-    body: Body,
-    missing: np.ndarray,
-    time: np.ndarray,
+def body_trajectory(
+    body: TrackedBody,
+    markers: CapturedMarkers,
     spec: RobotSpec,
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return a body over time as a trajectory.
-
-    Args:
-        body: the connectors.
-        missing: where markers were filled in, shape (frames, markers).
-        time: shape (frames,), s.
-        spec: the robot; the masses of its connectors give the centre of mass.
-        summary: goes into the metadata.
-        gait_frequency_hz: as well.
-    """
+    """Return a captured body over time as a trajectory; its masses give the centre of mass."""
     share = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", share, body.position)
     heading = body.theta.mean(axis=1)
-    rates = moving_slope(time, np.column_stack([com, heading, body.bend]))
-    filled = np.stack([missing[:, list(group)].any(axis=1) for group in body.members], axis=1)
+    rates = moving_slope(markers.time, np.column_stack([com, heading, body.bend]))
+    filled = np.stack([markers.missing[:, list(group)].any(axis=1) for group in body.members], axis=1)
     columns = {
-        "time": time, "com_x": com[:, 0], "com_y": com[:, 1], "heading": heading,
-        **numbered("x", body.position[..., 0]), **numbered("y", body.position[..., 1]),
-        **numbered("theta", body.theta), **numbered("bend", body.bend),
-        "com_velocity_x": rates[:, 0], "com_velocity_y": rates[:, 1], "yaw_rate": rates[:, 2],
-        **numbered("bend_rate", rates[:, 3:]), **numbered("filled", filled.astype(float)),
+        "time": markers.time,
+        "com_x": com[:, 0],
+        "com_y": com[:, 1],
+        "heading": heading,
+        **numbered("x", body.position[..., 0]),
+        **numbered("y", body.position[..., 1]),
+        **numbered("theta", body.theta),
+        **numbered("bend", body.bend),
+        "com_velocity_x": rates[:, 0],
+        "com_velocity_y": rates[:, 1],
+        "yaw_rate": rates[:, 2],
+        **numbered("bend_rate", rates[:, 3:]),
+        **numbered("filled", filled.astype(float)),
         "residual": np.sqrt((body.residual**2).mean(axis=1)),
-    }  # fmt: skip
-    units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
-    units |= {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
-    source = {
-        "kind": summary.kind, "layout": summary.layout, "up": summary.up,
-        "samples_filled": summary.samples_filled, "samples_rejected": summary.samples_rejected,
-    }  # fmt: skip
-    return Trajectory(columns, units, metadata=metadata(spec, summary, gait_frequency_hz, source))
+    }
+    return measured(columns, spec, summary, gait_frequency_hz)
 
 
 def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -104,22 +95,37 @@ def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}_{i}": np.ascontiguousarray(column) for i, column in enumerate(values.T, start=1)}
 
 
-def metadata(
+def measured(
+    columns: Mapping[str, np.ndarray],
     spec: RobotSpec,
-    summary: LogSummary | BendSummary,
+    summary: LogSummary,
     gait_frequency_hz: float | None,
-    source: Mapping[str, object],
-) -> dict[str, object]:
-    """Return what a measured trajectory says of itself.
+) -> Trajectory:
+    """Return measured columns as a trajectory.
 
     Args:
+        columns: by name.
         spec: the robot.
         summary: of what was read.
         gait_frequency_hz: None where it is not known.
-        source: what is to be said of the file besides its name, hash and corrections.
     """
+    units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
+    units |= {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
+    source: dict[str, object] = {
+        "file": summary.source.replace("\\", "/").rpartition("/")[2],
+        "sha256": summary.sha256,
+        "kind": summary.kind,
+        "samples_filled": summary.samples_filled,
+        "corrections": list(summary.corrections),
+    }
+    about: dict[str, object] = {}
+    if summary.markers is None:
+        about["bends_only"] = True
+    else:
+        found = summary.markers
+        source |= {"layout": found.layout, "up": found.up, "samples_rejected": found.samples_rejected}
     geometry = spec.geometry
-    return {
+    about |= {
         "plant": MEASURED,
         "robot": spec.name,
         "record_hz": summary.rate_hz,
@@ -130,10 +136,6 @@ def metadata(
         "mass_kg": spec.mass.total,
         "gait_frequency_hz": gait_frequency_hz,
         "velocity_half_width": HALF_WIDTH,
-        "source": {
-            "file": summary.source.replace("\\", "/").rpartition("/")[2],
-            "sha256": summary.sha256,
-            **source,
-            "corrections": list(summary.corrections),
-        },
+        "source": source,
     }
+    return Trajectory(columns, units, metadata=about)

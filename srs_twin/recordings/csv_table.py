@@ -1,0 +1,385 @@
+"""Recorded CSV files: bytes within bounds, a header with units, rows of numbers, errors with their place.
+
+A plain table names its columns in the first line: ``x_1``, ``x_1_mm``, ``pressure_plus_2 (kPa)``,
+``time_ms``. What has no unit is in SI. Numbers are read by Arrow.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.io.files import existing, shown
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+ANGLES = {"rad": 1.0, "deg": 0.017453292519943295}
+PRESSURES = {"pa": 1.0, "kpa": 1e3, "bar": 1e5, "psi": 6894.757}
+CLOCK = {"time": TIMES, "t": TIMES}
+"""Names of the column that holds the time."""
+
+MAX_BYTES = 256 << 20
+"""An hour of ten markers at 120 Hz has half as many."""
+
+MAX_HEADER_BYTES = 4 << 20
+"""A take in which thousands of markers came and went has a header of one megabyte."""
+
+MAX_VALUES = 1 << 26
+"""Rows times columns: half a gigabyte of numbers."""
+
+MAX_COLUMNS = 20_000
+
+BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
+"""What stands where nothing was seen."""
+
+_BLOCK = 8 << 20  # bytes that Arrow takes at a time; no line is longer
+_LISTED = 5  # columns that a message lists
+
+
+@dataclass(frozen=True)
+class RecordedFile:
+    """A recorded file as it was read.
+
+    Attributes:
+        name: as messages show it.
+        data: its bytes.
+    """
+
+    name: str
+    data: bytes
+
+    @cached_property
+    def raw(self) -> bytes:
+        """The bytes without a byte order mark."""
+        return self.data.removeprefix(b"\xef\xbb\xbf")
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the file, hexadecimal."""
+        return hashlib.sha256(self.data).hexdigest()
+
+    def error(self, what: str, line: int | None = None, column: int | None = None) -> InputError:
+        """Return an error that names the place, both counted from 1; a column is a cell's number."""
+        place = "".join(f":{number}" for number in (line, column) if number is not None)
+        return InputError(f"{self.name}{place}: {what}")
+
+    def head(self, lines: int) -> list[list[str]]:
+        """Return the cells of up to that many first lines.
+
+        Raises:
+            InputError: the lines are longer than any header, or are no CSV.
+        """
+        found = self.raw[:MAX_HEADER_BYTES].split(b"\n", lines)
+        if len(found) <= lines and len(self.raw) > MAX_HEADER_BYTES:
+            raise self.error(f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB", len(found))
+        return [self._cells(k, line) for k, line in enumerate(found[:lines], start=1)]
+
+    def _cells(self, number: int, line: bytes) -> list[str]:
+        try:
+            return next(csv.reader([line.decode("utf-8", "replace").rstrip("\r")], strict=True), [])
+        except csv.Error as error:
+            raise self.error(f"no line of a CSV file ({error})", number) from error
+
+    def rows(self, header_lines: int, columns: Sequence[int], width: int) -> tuple[np.ndarray, list[str]]:
+        """Read the rows below a header.
+
+        A last line without a line end may be cut anywhere, also inside a number: it is left out, and said so.
+
+        Args:
+            header_lines: how many lines the header has.
+            columns: which columns to read, counted from 0.
+            width: how many cells a row has.
+
+        Returns:
+            Shape (rows, columns), NaN where a cell is blank or not finite; what was left out, in words.
+
+        Raises:
+            InputError: no rows, too many values, a row with more or fewer cells, a cell that is no number.
+        """
+        raw, start, notes = self.raw, 0, []
+        for _ in range(header_lines):
+            start = raw.find(b"\n", start) + 1 or len(raw)
+        stop = max(start, raw.rfind(b"\n") + 1)
+        if stop < len(raw):
+            line = raw.count(b"\n", 0, stop) + 1
+            notes.append(f"line {line}, the last, has no line end and may be cut: left out")
+        # The first row alone, before all others are looked at.
+        first = raw[start : max(raw.find(b"\n", start, stop), start)]
+        cells = first.count(b",") + 1
+        if first.strip() and b'"' not in first and cells != width:
+            raise self.error(f"{cells} cells where the header has {width}", header_lines + 1)
+        count = raw.count(b"\n", start, stop)
+        if width > MAX_COLUMNS or count * width > MAX_VALUES:
+            most = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
+            raise self.error(f"{count} rows of {width} cells; {most}")
+        values = self._numbers(start, stop, header_lines, columns, width) if count else np.empty((0, 0))
+        if not len(values):
+            raise self.error("a header and no rows below it", header_lines + 1)
+        infinite = np.isinf(values)
+        if infinite.any():
+            notes.append(f"{int(infinite.sum())} infinite numbers: taken as not seen")
+            values[infinite] = np.nan
+        return values, notes
+
+    def _numbers(
+        self, start: int, stop: int, header_lines: int, columns: Sequence[int], width: int
+    ) -> np.ndarray:
+        import pyarrow as pa
+        from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
+
+        names = [str(k) for k in range(width)]
+        chosen = [names[k] for k in columns]
+        uneven: list[Any] = []
+
+        def refuse(row: Any) -> str:
+            uneven.append(row)
+            return "error"
+
+        try:
+            table = read_csv(
+                pa.py_buffer(memoryview(self.raw)[start:stop]),
+                # One thread: only then does Arrow know on which row a fault lies.
+                ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK),
+                ParseOptions(invalid_row_handler=refuse, newlines_in_values=False),
+                ConvertOptions(
+                    column_types=dict.fromkeys(chosen, pa.float64()),
+                    include_columns=chosen,
+                    null_values=BLANK,
+                    quoted_strings_can_be_null=True,
+                ),
+            )
+        except (pa.ArrowException, OSError) as error:
+            if uneven:
+                what = f"{uneven[0].actual_columns} cells where the header has {width}"
+                raise self.error(what, header_lines + (uneven[0].number or 0)) from error
+            lines = self.raw[start:stop].split(b"\n")
+            raise self._not_a_number(lines, header_lines + 1, columns, str(error)) from error
+        return np.stack([column.to_numpy() for column in table.columns], axis=1)
+
+    def _not_a_number(
+        self, lines: Sequence[bytes], first: int, columns: Sequence[int], reported: str
+    ) -> InputError:
+        """Return an error at the first cell that is no number; Arrow does not tell its line."""
+        for number, line in enumerate(lines, start=first):
+            cells = line.decode("utf-8", "replace").rstrip("\r").split(",")
+            for column in columns:
+                text = cells[column].strip('"') if column < len(cells) else ""
+                if text not in BLANK and not _is_number(text):
+                    what = f"'{text[:60]}' is no number; a number or nothing is wanted"
+                    return self.error(what, number, column + 1)
+        return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def read_file(path: str | os.PathLike[str]) -> RecordedFile:
+    """Read a recorded file.
+
+    Raises:
+        InputError: missing, no regular file, not readable, empty, too large, or not UTF-8 text.
+    """
+    place = existing(Path(path), suffix=".csv")
+    name = shown(place)
+    try:
+        megabytes = place.stat().st_size / (1 << 20)
+        if megabytes > MAX_BYTES >> 20:
+            limit = f"at most {MAX_BYTES >> 20} MB are read (export a shorter take)"
+            raise InputError(f"{name}: {megabytes:.0f} MB; {limit}")
+        file = RecordedFile(name, place.read_bytes())
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+    if not file.raw.strip():
+        raise file.error("empty; a recording has a header and rows of numbers")
+    # A byte order mark of UTF-16, or a zero byte anywhere: neither stands in a CSV file.
+    zero = file.data.find(b"\0")
+    if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise file.error(f"not text (byte {zero + 1} is 0x00); a CSV file is wanted")
+    try:
+        if not file.data.isascii():
+            file.data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        byte = f"byte {error.start + 1} is 0x{file.data[error.start]:02x}"
+        raise file.error(f"not UTF-8 text ({byte}); save it as UTF-8") from error
+    return file
+
+
+def first_line_names(path: str | os.PathLike[str]) -> list[str]:
+    """Return the cells of a file's first line in lower case.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    first = read_file(path).raw[:MAX_HEADER_BYTES].split(b"\n", 1)[0]
+    return [cell.strip().lower() for cell in first.decode("utf-8", "replace").split(",")]
+
+
+_NAME = re.compile(
+    r"\s*([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3})([a-z])?)?(?:_([A-Za-z]+)|\s*[(\[]\s*(\w+)\s*[)\]])?\s*"
+)
+
+
+@dataclass(frozen=True)
+class CsvColumn:
+    """One column of a plain table.
+
+    Attributes:
+        place: counted from 0.
+        name: base name, e.g. "x".
+        number: 1 and on; 0 where the name has none.
+        letter: behind the number ("a", "b" for two markers), or empty.
+        unit: as the name gives it, lower case; empty where it gives none.
+        factor: to SI.
+        text: the whole name.
+    """
+
+    place: int
+    name: str
+    number: int
+    letter: str
+    unit: str
+    factor: float
+    text: str
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """A plain table whose header was read.
+
+    Attributes:
+        file: it stands in.
+        columns: that are known.
+        width: cells in a row.
+        unused: names of the other columns.
+    """
+
+    file: RecordedFile
+    columns: tuple[CsvColumn, ...]
+    width: int
+    unused: tuple[str, ...]
+
+    def error(self, column: CsvColumn, what: str, row: int | None = None) -> InputError:
+        """Return an error at a column's name, or at its cell in a row counted from 0."""
+        return self.file.error(what, 1 if row is None else row + 2, column.place + 1)
+
+    def clock(self, otherwise: str) -> CsvColumn:
+        """Return the column of the time.
+
+        Raises:
+            InputError: there is none; with the message `otherwise`.
+        """
+        for column in self.columns:
+            if column.name in CLOCK:
+                return column
+        raise self.file.error(otherwise, 1)
+
+    def per_segment(self, names: Sequence[str], robot: str, segments: int) -> list[CsvColumn]:
+        """Return the columns of these names, segment by segment from the head.
+
+        Raises:
+            InputError: one is missing, or there is one of another segment.
+        """
+        found = {(column.name, column.number): column for column in self.columns if column.name in names}
+        wanted = [(name, segment) for segment in range(1, segments + 1) for name in names]
+        for name, segment in wanted:
+            if (name, segment) not in found:
+                raise self.file.error(f"{name}_{segment} is missing; {robot} has {segments} segments", 1)
+        for key, column in found.items():
+            if key not in wanted:
+                raise self.error(column, f"{column.text}: {robot} has {segments} segments")
+        return [found[key] for key in wanted]
+
+    def read(self, columns: Sequence[CsvColumn]) -> tuple[np.ndarray, list[str]]:
+        """Return the numbers of columns in SI, shape (rows, columns), and what was left out, in words.
+
+        Raises:
+            InputError: as `RecordedFile.rows`.
+        """
+        values, notes = self.file.rows(1, [column.place for column in columns], self.width)
+        with np.errstate(over="ignore"):  # callers refuse what is too large
+            return values * [column.factor for column in columns], notes
+
+    def read_timed(
+        self, clock: CsvColumn, columns: Sequence[CsvColumn]
+    ) -> tuple[np.ndarray, np.ndarray, list[str]]:
+        """Return times (rows,), s, the numbers of columns in SI, and what was left out, in words.
+
+        Raises:
+            InputError: as `read`, or a row without a time.
+        """
+        values, notes = self.read([clock, *columns])
+        missing = np.flatnonzero(np.isnan(values[:, 0]))
+        if missing.size:
+            raise self.error(clock, "a row without a time", int(missing[0]))
+        return values[:, 0], values[:, 1:], notes
+
+    def unused_columns(self) -> list[str]:
+        """Return which columns were not used, in words; empty where all were."""
+        if not self.unused:
+            return []
+        listed = ", ".join(self.unused[:_LISTED]) + (", …" if len(self.unused) > _LISTED else "")
+        return [f"{len(self.unused)} columns not used: {listed}"]
+
+
+def read_table(file: RecordedFile, known: Mapping[str, Mapping[str, float]]) -> CsvTable:
+    """Read the header of a plain table.
+
+    Args:
+        file: the table.
+        known: base name → its units (name → factor to SI); empty for what has no unit.
+
+    Raises:
+        InputError: no header, another separator, a name twice, or a unit that is not known.
+    """
+    (cells,) = file.head(1)
+    for separator, called in ((";", "semicolons"), ("\t", "tabs")):
+        if len(cells) == 1 and separator in cells[0]:
+            raise file.error(
+                f"cells are separated by {called}; save it with commas, and points in numbers", 1
+            )
+    columns = [_column(file, place, text, known) for place, text in enumerate(cells)]
+    seen: dict[tuple[str, int, str], str] = {}
+    for column in columns:
+        if column is None:
+            continue
+        key = (column.name, column.number, column.letter)
+        if key in seen:
+            raise file.error(f"{cells[column.place]}: the same as column '{seen[key]}'", 1, column.place + 1)
+        seen[key] = cells[column.place]
+    unused = [cell.strip()[:40] for cell, column in zip(cells, columns, strict=True) if column is None]
+    return CsvTable(file, tuple(each for each in columns if each), len(cells), tuple(unused))
+
+
+def _column(
+    file: RecordedFile, place: int, text: str, known: Mapping[str, Mapping[str, float]]
+) -> CsvColumn | None:
+    match = _NAME.fullmatch(text)
+    if match is None:
+        return None
+    name, number, letter, trailing, bracketed = match.groups()
+    unit = (trailing or bracketed or "").lower()
+    if name.lower() not in known and trailing and number is None:
+        name, unit = f"{name}_{trailing}", ""  # no unit: the name's own last word
+    units = known.get(name.lower())
+    if units is None:
+        return None
+    if unit and unit not in units:
+        allowed = ", ".join(units) or "none"
+        raise file.error(f"{text}: unit '{unit}' is not known; allowed: {allowed}", 1, place + 1)
+    factor = units.get(unit, 1.0)
+    return CsvColumn(place, name.lower(), int(number or 0), letter or "", unit, factor, text.strip())
