@@ -1,7 +1,4 @@
-"""`srs-twin calibrate`: numbers from runs and measurements, written as files with their source.
-
-`srs-twin calibrate friction`, `actuator`, `locomotion`: numbers of a robot from its own recordings.
-"""
+"""`srs-twin calibrate`: numbers of a robot from its recordings and from runs, written with their source."""
 
 from __future__ import annotations
 
@@ -12,27 +9,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, console, say
+from srs_twin.cli import INTERRUPTED, say
 from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.fitting import (
     FilesArgument,
     FindOption,
+    FitDestination,
+    FitOptions,
     FrequencyOption,
-    GapOption,
-    HeadOption,
-    LayoutOption,
-    NameOption,
     OffsetOption,
-    OutOption,
-    OverwriteOption,
-    Place,
     PressureOption,
+    ReadingOptions,
     RobotOption,
-    UpOption,
     ValidateOption,
     ValvesOption,
     names_in,
-    reading,
+    option,
+    print_table,
+    with_options,
 )
 from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
@@ -41,40 +35,51 @@ from srs_twin.io.files import shown
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import Measured
     from srs_twin.identification.takes import Reading
+    from srs_twin.planning.footprint import Transient
     from srs_twin.recordings.recording import Recording
     from srs_twin.robot.spec import RobotSpec
 
 
+FOOTPRINTS = "calibration/footprints"
+
 _LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m"
+_FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
+_AS_FOUND, _BESIDE = ReadingOptions(), FitOptions()
+
+app = typer.Typer(
+    rich_markup_mode=None, no_args_is_help=True, help="Numbers of a robot from recordings and runs."
+)
 
 
+@app.callback()
+def calibrate() -> None:
+    """Find numbers of a robot from its recordings, and what files hold from runs."""
+
+
+@app.command()
+@with_options
 def friction(
     context: typer.Context,
     files: FilesArgument,
     robot: RobotOption,
     validate: ValidateOption = None,
     law: Annotated[
-        str, typer.Option("--law", metavar="NAME", help="Of sliding throws: wheel, axis or ellipse (skids).")
+        str, option("--law", "NAME", "Of sliding throws: wheel, axis or ellipse (skids).")
     ] = "wheel",
     wheel_inertia: Annotated[
         bool, typer.Option("--wheel-inertia/--no-wheel-inertia", help="Whether throws spin wheels up.")
     ] = True,
-    up: UpOption = "auto",
-    layout: LayoutOption = "auto",
-    head: HeadOption = None,
-    longest_gap: GapOption = None,
-    name: NameOption = None,
-    out: OutOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
+    markers: ReadingOptions = _AS_FOUND,
+    fit: FitOptions = _BESIDE,
 ) -> None:
     """Find mu_t and mu_n from pulls or from throws.
 
     Pulls are a table of deflections of a spring car, throws recordings.
     """
-    place = Place.of(context, "friction", robot, name, out, overwrite=overwrite, quiet=quiet)
+    place = FitDestination.of(context, "friction", robot, fit)
     from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
+    from srs_twin.identification.takes import Reading
     from srs_twin.robot.spec import load_robot
 
     spec, kept = load_robot(robot), validate or []
@@ -86,22 +91,22 @@ def friction(
         title = f"Friction of {spec.name} from pulls"
         place.finish(found, title=title, robot=robot, method="pulls", data=data_sets([pulls], others))
         return
-    how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap)
+    how = Reading(**markers.given())
 
     def throw(path: str) -> Coasting:
         recording = how.motion(path, spec)
-        say(recording.summary.text(), quiet=quiet)
+        say(recording.summary.text(), quiet=fit.quiet)
         return Coasting.of(recording.trajectory, path)
 
     throws, held = [throw(each) for each in files], [throw(each) for each in kept]
     with place.searching() as watch:
-        found = fit_coasting(
-            throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch
-        )  # fmt: skip
+        found = fit_coasting(throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch)
     title = f"Friction of {spec.name} from throws"
     place.finish(found, title=title, robot=robot, method="coasting", data=data_sets(throws, held))
 
 
+@app.command()
+@with_options
 def actuator(
     context: typer.Context,
     files: FilesArgument,
@@ -111,23 +116,18 @@ def actuator(
     pressure: PressureOption = None,
     find: FindOption = None,
     offset: OffsetOption = None,
-    starts: Annotated[int, typer.Option("--starts", metavar="N", min=1, max=100, help="Searches.")] = 1,
-    up: UpOption = "auto",
-    layout: LayoutOption = "auto",
-    head: HeadOption = None,
-    longest_gap: GapOption = None,
-    name: NameOption = None,
-    out: OutOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
+    starts: Annotated[int, option("--starts", "N", "Searches.", min=1, max=100)] = 1,
+    markers: ReadingOptions = _AS_FOUND,
+    fit: FitOptions = _BESIDE,
 ) -> None:
     """Find time constants, gains and biases of free segments.
 
     From recordings of step responses, or gains alone from tables of held pressures.
     """
-    place = Place.of(context, "actuator", robot, name, out, overwrite=overwrite, quiet=quiet)
+    place = FitDestination.of(context, "actuator", robot, fit)
     from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
     from srs_twin.identification.fit_file import data_sets
+    from srs_twin.identification.takes import Reading
     from srs_twin.robot.spec import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find)
@@ -139,9 +139,9 @@ def actuator(
         title = f"Actuators of {spec.name} from held pressures"
         place.finish(found, title=title, robot=robot, method="static", data=data_sets(tables, others))
         return
-    how = reading(up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset)
+    how = Reading(**markers.given(), offset_s=offset)
     supply = _supply(spec, pressure)
-    takes = _takes([*files, *kept], valves, how, spec, quiet)
+    takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
     responses = [Response.of_recording(take, path, supply) for path, take in takes]
     fitted, held = responses[: len(files)], responses[len(files) :]
     with place.searching() as watch:
@@ -150,6 +150,8 @@ def actuator(
     place.finish(found, title=title, robot=robot, method="actuator", data=data_sets(fitted, held))
 
 
+@app.command()
+@with_options
 def locomotion(
     context: typer.Context,
     files: FilesArgument,
@@ -159,81 +161,67 @@ def locomotion(
     pressure: PressureOption = None,
     find: FindOption = _LOCOMOTION,
     plant: Annotated[
-        str, typer.Option("--plant", metavar="NAME", help="Stands for the robot: analytical or twin.")
+        str, option("--plant", "NAME", "Stands for the robot: analytical or twin.")
     ] = "analytical",
     model: Annotated[
-        str | None,
-        typer.Option("--model", metavar="NAME", help="Of the analytical plant. [default: complete]"),
+        str | None, option("--model", "NAME", "Of the analytical plant. [default: complete]")
     ] = None,
     law: Annotated[
-        str | None,
-        typer.Option("--law", metavar="NAME", help="Of the analytical plant's floor. [default: wheel]"),
+        str | None, option("--law", "NAME", "Of the analytical plant's floor. [default: wheel]")
     ] = None,
     against: Annotated[
-        str, typer.Option("--against", metavar="WHAT", help="What is compared: averages, shapes or both.")
+        str, option("--against", "WHAT", "What is compared: averages, shapes or both.")
     ] = "both",
     starts: Annotated[
         int | None,
-        typer.Option(
-            "--starts",
-            metavar="N",
-            min=1,
-            max=100,
-            help="Searches. [default: 3; 1 where the twin's shapes lead]",
-        ),
+        option("--starts", "N", "Searches. [default: 3; 1 where the twin's shapes lead]", min=1, max=100),
     ] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
-    up: UpOption = "auto",
-    layout: LayoutOption = "auto",
-    head: HeadOption = None,
-    longest_gap: GapOption = None,
-    name: NameOption = None,
-    out: OutOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
+    markers: ReadingOptions = _AS_FOUND,
+    fit: FitOptions = _BESIDE,
 ) -> None:
     """Find friction, gap, masses or stiffness from crawling runs."""
-    place = Place.of(context, "locomotion", robot, name, out, overwrite=overwrite, quiet=quiet)
+    place = FitDestination.of(context, "locomotion", robot, fit)
     from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
-    from srs_twin.identification.takes import gait_run, starts_at_rest
+    from srs_twin.identification.takes import Reading, gait_run, starts_at_rest
     from srs_twin.robot.spec import load_robot
 
     spec, kept = load_robot(robot), validate or []
     stands = PlantModel(plant, _plant_settings(plant, model, law))
-    how = reading(
-        up=up, layout=layout, head=head, longest_gap=longest_gap, offset=offset, frequency=frequency
-    )  # fmt: skip
+    how = Reading(**markers.given(), offset_s=offset, gait_frequency_hz=frequency)
     supply = _supply(spec, pressure)
-    takes = _takes([*files, *kept], valves, how, spec, quiet)
+    takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
     for path, take in takes:
         if not starts_at_rest(take):
-            say(
-                f"warning: {path}: it begins while chambers fill; the plants begin with empty ones",
-                quiet=quiet,
-            )
+            warning = f"warning: {path}: it begins while chambers fill; the plants begin with empty ones"
+            say(warning, quiet=fit.quiet)
     runs = [gait_run(take, path, supply) for path, take in takes]
     fitted, held = runs[: len(files)], runs[len(files) :]
     searches = starts or (1 if plant == "twin" and against != "averages" else 3)
     with place.searching() as watch:
         found = fit_locomotion(
-            fitted, spec, names_in(find) or [], model=stands, against=against, validation=held,
-            starts=searches, watch=watch,
-        )  # fmt: skip
+            fitted,
+            spec,
+            names_in(find) or [],
+            model=stands,
+            against=against,
+            validation=held,
+            starts=searches,
+            watch=watch,
+        )
     title = f"Locomotion of {spec.name} against the {plant} plant"
     place.finish(found, title=title, robot=robot, method="locomotion", data=data_sets(fitted, held))
 
 
+@app.command()
 def robot(
     fits: Annotated[
         list[str], typer.Argument(metavar="FIT", help="Fit files of one robot; later ones count.")
     ],
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the new robot and its file.")],
-    out: Annotated[
-        str | None,
-        typer.Option("--out", metavar="FILE.yaml", help="[default: robots/NAME.yaml]"),
-    ] = None,
+    name: Annotated[str, option("--name", "NAME", "Of the new robot and its file.")],
+    out: Annotated[str | None, option("--out", "FILE.yaml", "[default: robots/NAME.yaml]")] = None,
     weak: Annotated[
         bool, typer.Option("--weak/--no-weak", help="Take what is only weakly identified as well.")
     ] = True,
@@ -303,69 +291,34 @@ def _needless(given: object, option: str, why: str) -> None:
         raise InputError(f"{option}: take it out; {why}")
 
 
-FOOTPRINTS = "calibration/footprints"
-_WIDTH = 100
-_FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
-
-app = typer.Typer(
-    rich_markup_mode=None, no_args_is_help=True, help="Numbers of a robot from recordings and runs."
-)
-app.command("friction")(friction)
-app.command("actuator")(actuator)
-app.command("locomotion")(locomotion)
-app.command("robot")(robot)
-
-
-@app.callback()
-def calibrate() -> None:
-    """Find numbers of a robot from its recordings, and what files hold from runs."""
-
-
 @app.command()
 def footprint(
     robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A shipped robot or a file.")],
     controller: Annotated[
-        str,
-        typer.Option("--controller", metavar="NAME", help="gait (open loop) or ilc (iterative learning)."),
+        str, option("--controller", "NAME", "gait (open loop) or ilc (iterative learning).")
     ] = "gait",
     frequency: Annotated[
-        float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: 2; ilc: 1.5]")
+        float | None, option("--frequency", "HZ", "Of the gait. [default: 2; ilc: 1.5]")
     ] = None,
     pressure: Annotated[
-        float | None,
-        typer.Option("--pressure", metavar="KPA", help="Supply. [default: the robot's own]"),
+        float | None, option("--pressure", "KPA", "Supply. [default: the robot's own]")
     ] = None,
-    target: Annotated[float, typer.Option("--target", metavar="RAD", help="Bend that ilc aims at.")] = 0.7,
-    plant: Annotated[str, typer.Option("--plant", metavar="NAME", help="twin or analytical.")] = "twin",
+    target: Annotated[float, option("--target", "RAD", "Bend that ilc aims at.")] = 0.7,
+    plant: Annotated[str, option("--plant", "NAME", "twin or analytical.")] = "twin",
     offsets: Annotated[
-        str | None,
-        typer.Option(
-            "--offsets",
-            metavar="LIST",
-            help="As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]",
-        ),
+        str | None, option("--offsets", "LIST", "As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]")
     ] = None,
     transients: Annotated[
         bool, typer.Option("--transients/--no-transients", help="Measure changes of offset as well.")
     ] = True,
-    periods: Annotated[
-        int, typer.Option("--periods", metavar="N", help="Gait periods measured of each run.")
-    ] = 6,
-    phases: Annotated[
-        int, typer.Option("--phases", metavar="N", help="Runs an offset, each begun at another phase.")
-    ] = 4,
+    periods: Annotated[int, option("--periods", "N", "Gait periods measured of each run.")] = 6,
+    phases: Annotated[int, option("--phases", "N", "Runs an offset, each begun at another phase.")] = 4,
     threads: Annotated[
-        int | None,
-        typer.Option(
-            "--threads", "-j", metavar="N", min=1, max=4096, help="Runs at once. [default: one a processor]"
-        ),
+        int | None, option("--threads -j", "N", "Runs at once. [default: one a processor]", min=1, max=4096)
     ] = None,
-    out: Annotated[str, typer.Option("--out", metavar="DIR", help="Folder of the file.")] = FOOTPRINTS,
+    out: Annotated[str, option("--out", "DIR", "Folder of the file.")] = FOOTPRINTS,
     name: Annotated[
-        str | None,
-        typer.Option(
-            "--name", metavar="NAME", help="Of the footprint and its file. [default: ROBOT_CONTROLLER]"
-        ),
+        str | None, option("--name", "NAME", "Of the footprint and its file. [default: ROBOT_CONTROLLER]")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
     quiet: QuietOption = False,
@@ -422,9 +375,8 @@ def _numbers(text: str) -> list[float]:
 
 def _name(text: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", text):
-        raise InputError(
-            f"--name: '{text}' is not allowed; lower-case letters, digits and _, a letter first, 60 at most"
-        )
+        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
+        raise InputError(f"--name: '{text}' is not allowed; {allowed}")
     return text
 
 
@@ -432,25 +384,12 @@ def _show(measured: Measured) -> None:
     """Print the table, and what changes of offset cost."""
     from srs_twin.identification.footprint_file import rows
 
-    _table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows(measured))
+    print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows(measured))
     if measured.transients:
         headings = ("offset", "left m", "right m", "over m", "dx m", "dy m", "dheading rad")
-        _table(headings, [
-            (f"{t.before:g} to {t.after:g}", f"{t.left:.3f}", f"{t.right:.3f}", f"{t.length:.3f}",
-             f"{t.dx:.3f}", f"{t.dy:.3f}", f"{t.dheading:.3f}")
-            for t in measured.transients
-        ])  # fmt: skip
+        print_table(headings, map(_change_row, measured.transients))
 
 
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row)
-    terminal = console()
-    terminal.width = max(terminal.width, _WIDTH)  # cut numbers would be wrong numbers
-    terminal.print(table)
+def _change_row(each: Transient) -> tuple[str, ...]:
+    numbers = (each.left, each.right, each.length, each.dx, each.dy, each.dheading)
+    return f"{each.before:g} to {each.after:g}", *(f"{number:.3f}" for number in numbers)

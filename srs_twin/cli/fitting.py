@@ -1,33 +1,29 @@
-"""What the commands that fit share: options, progress, what is written and shown.
-
-How far a fit's search is, on stderr: one line on a terminal, a line now and then where it is none.
-
-What a fit found, for the terminal: numbers, intervals, verdicts, correlations, residuals.
-
-What the commands that fit share: options, where a fit goes, what is written and shown.
-"""
+"""What the commands that fit share: options, progress on stderr, where a fit goes, what is shown of it."""
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
+from dataclasses import fields as dataclass_fields
+from functools import wraps
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 from srs_twin.cli import INTERRUPTED, console, say
+from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.identification.estimate import Estimate, Parameter, Role
     from srs_twin.identification.fit_file import DataSet, FitFile, Method
-    from srs_twin.identification.takes import Reading
 
 
 class Searching(Display):
@@ -64,23 +60,29 @@ _MOST_PAIRS = 6
 _MOST_SIGNALS = 24
 
 
-def show(estimate: Estimate) -> None:
-    """Print what was found."""
+def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[str] = ()) -> None:
+    """Print a table, its columns to the right but for those named."""
     from rich import box
     from rich.table import Table
 
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
     terminal = console()
     terminal.width = max(terminal.width, _WIDTH)  # cut numbers would be wrong numbers
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("parameter", "value", "95 % interval", "unit", "verdict"):
-        right = heading in ("value", "95 % interval")
-        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
-    for each in estimate.parameters:
-        table.add_row(*_row(each))
     terminal.print(table)
-    for line in (*_reasons(estimate), *correlations(estimate), *cancelling(estimate)):
-        terminal.print(line, soft_wrap=True)
-    terminal.print(_residuals(estimate), soft_wrap=True)  # a path that is cut is no path
+
+
+def show(estimate: Estimate) -> None:
+    """Print what was found."""
+    headings = ("parameter", "value", "95 % interval", "unit", "verdict")
+    print_table(headings, map(_row, estimate.parameters), left=("parameter", "unit", "verdict"))
+    terminal = console()
+    reasons = (f"{each.name}: {each.why}" for each in estimate.parameters if each.why)
+    for line in (*reasons, *correlations(estimate), *cancelling(estimate), _residuals(estimate)):
+        terminal.print(line, soft_wrap=True)  # a path that is cut is no path
     if not estimate.converged:
         terminal.print("the search did not come to an end")
 
@@ -89,10 +91,6 @@ def _row(each: Parameter) -> tuple[str, ...]:
     if each.value is None:
         return each.name, "–", "", each.unit, each.verdict
     return each.name, f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}", each.unit, each.verdict
-
-
-def _reasons(estimate: Estimate) -> Iterator[str]:
-    yield from (f"{each.name}: {each.why}" for each in estimate.parameters if each.why)
 
 
 def correlations(estimate: Estimate) -> Iterator[str]:
@@ -110,11 +108,6 @@ def cancelling(estimate: Estimate) -> Iterator[str]:
         yield "cancels: " + ", ".join(f"{share:+.2f} {name}" for name, share in row.items())
 
 
-def _unit(unit: str) -> str:
-    """Return a unit as it follows a number; the unit 1 does not."""
-    return "" if unit == "1" else f" {unit}"
-
-
 def _residuals(estimate: Estimate) -> str:
     """Return the residuals of the fit and of the validation, signal by signal where these are few."""
     lines = []
@@ -125,7 +118,9 @@ def _residuals(estimate: Estimate) -> str:
             continue
         of = [each for each in estimate.residuals if each.role == role and len(each.values)]
         lines.append(f"{role}: residuals {whole:.3g} times the expected noise")
-        lines += [f"  {each.name}: {each.rms:.3g}{_unit(each.unit)} RMS" for each in of[:_MOST_SIGNALS]]
+        for each in of[:_MOST_SIGNALS]:
+            unit = "" if each.unit == "1" else f" {each.unit}"
+            lines.append(f"  {each.name}: {each.rms:.3g}{unit} RMS")
         if len(of) > _MOST_SIGNALS:
             lines.append(f"  and {len(of) - _MOST_SIGNALS} more signals")
     return "\n".join(lines)
@@ -134,66 +129,95 @@ def _residuals(estimate: Estimate) -> str:
 FITS = "calibration/fits"
 _LONGEST_COMMAND = 2000
 
+
+def option(flags: str, metavar: str, help: str, **more: Any) -> Any:
+    """Return an option of a command; flags as in "--robot -r"."""
+    return typer.Option(*flags.split(), metavar=metavar, help=help, **more)
+
+
 FilesArgument = Annotated[
     list[str], typer.Argument(metavar="FILE", help="Recordings or tables that the fit is made from.")
 ]
 RobotOption = Annotated[
-    str,
-    typer.Option(
-        "--robot", "-r", metavar="ROBOT", help="Where the search starts: a shipped robot or a file."
-    ),
+    str, option("--robot -r", "ROBOT", "Where the search starts: a shipped robot or a file.")
 ]
 ValidateOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--validate", metavar="FILE", help="Held against the fit, which does not see it; repeatable."
-    ),
+    list[str] | None, option("--validate", "FILE", "Held against the fit, which does not see it; repeatable.")
 ]
-ValvesOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--valves",
-        metavar="LOG",
-        help="Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]",
-    ),
-]
-OffsetOption = Annotated[
-    float | None,
-    typer.Option("--offset", metavar="S", help="What to add to the logs' times. [default: estimated]"),
-]
-PressureOption = Annotated[
-    float | None, typer.Option("--pressure", metavar="KPA", help="Of the supply. [default: the robot's]")
-]
+_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]"
+ValvesOption = Annotated[list[str] | None, option("--valves", "LOG", _LOGS)]
+_OFFSET = "What to add to the logs' times. [default: estimated]"
+OffsetOption = Annotated[float | None, option("--offset", "S", _OFFSET)]
+PressureOption = Annotated[float | None, option("--pressure", "KPA", "Of the supply. [default: the robot's]")]
 FindOption = Annotated[
-    str | None,
-    typer.Option("--find", metavar="NAMES", help="What to look for, as friction.mu_t,friction.mu_n."),
+    str | None, option("--find", "NAMES", "What to look for, as friction.mu_t,friction.mu_n.")
 ]
-FrequencyOption = Annotated[
-    float | None, typer.Option("--frequency", metavar="HZ", help="Of the gait. [default: the valves']")
-]
-UpOption = Annotated[str, typer.Option("--up", metavar="AXIS", help="Axis of the files that points up.")]
-LayoutOption = Annotated[
-    str, typer.Option("--layout", metavar="NAME", help="Markers: auto, single, head or pair.")
-]
-HeadOption = Annotated[
-    str | None, typer.Option("--head", metavar="MARKER", help="At the head. [default: where it crawls to]")
-]
-GapOption = Annotated[
-    float | None,
-    typer.Option("--longest-gap", metavar="S", help="Longest gap that is filled. [default: 0.2]"),
-]
-NameOption = Annotated[
-    str | None, typer.Option("--name", metavar="NAME", help="Of the fit and its file. [default: ROBOT_WHAT]")
-]
-OutOption = Annotated[
-    str | None,
-    typer.Option("--out", metavar="FILE.yaml", help=f"Where the fit goes. [default: {FITS}/NAME.yaml]"),
-]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the fit of another command.")]
+FrequencyOption = Annotated[float | None, option("--frequency", "HZ", "Of the gait. [default: the valves']")]
 
 
 @dataclass(frozen=True)
-class Place:
+class ReadingOptions:
+    """How markers are read; see `Reading`."""
+
+    up: Annotated[str, option("--up", "AXIS", "Axis of the files that points up.")] = "auto"
+    layout: Annotated[str, option("--layout", "NAME", "Markers: auto, single, head or pair.")] = "auto"
+    head: Annotated[str | None, option("--head", "MARKER", "At the head. [default: where it crawls to]")] = (
+        None
+    )
+    longest_gap: Annotated[
+        float | None, option("--longest-gap", "S", "Longest gap that is filled. [default: 0.2]")
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what was given, by the names of `Reading`."""
+        values = {"up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Where a fit goes, and whether to be quiet."""
+
+    name: Annotated[
+        str | None, option("--name", "NAME", "Of the fit and its file. [default: ROBOT_WHAT]")
+    ] = None
+    out: Annotated[
+        str | None, option("--out", "FILE.yaml", f"Where the fit goes. [default: {FITS}/NAME.yaml]")
+    ] = None
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the fit of another command.")] = (
+        False
+    )
+    quiet: QuietOption = False
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command in which a parameter that is a class of options has become these options."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, type[Any]] = {
+        name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)
+    }
+    parameters = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if kind := groups.get(name):
+            own = get_type_hints(kind, include_extras=True)
+            fields = inspect.signature(kind).parameters.values()
+            parameters += [each.replace(annotation=own[each.name]) for each in fields]
+        else:
+            parameters.append(parameter.replace(annotation=hints[name]))
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        for name, kind in groups.items():
+            given[name] = kind(**{each.name: given.pop(each.name) for each in dataclass_fields(kind)})
+        command(**given)
+
+    keywords = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
+    run.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
+    return run
+
+
+@dataclass(frozen=True)
+class FitDestination:
     """Where a fit goes.
 
     Attributes:
@@ -209,32 +233,28 @@ class Place:
     quiet: bool
 
     @classmethod
-    def of(
-        cls, context: typer.Context, what: str, robot: str, name: str | None, out: str | None, *,
-        overwrite: bool, quiet: bool,
-    ) -> Place:  # fmt: skip
+    def of(cls, context: typer.Context, what: str, robot: str, options: FitOptions) -> FitDestination:
         """Return the place, once it is sure that the fit may go there.
 
         Raises:
             InputError: a name that is none, or the fit of another command is there.
         """
+        name, out = options.name, options.out
         given = name or (Path(out).stem if out else f"{Path(robot).stem}_{what}")
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", given):
             source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
-            raise InputError(
-                f"{source}: '{given}' is not allowed; lower-case letters, digits and _, a letter first, 60 "
-                "at most"
-            )
+            allowed = "lower-case letters, digits and _, a letter first, 60 at most"
+            raise InputError(f"{source}: '{given}' is not allowed; {allowed}")
         path = Path(out) if out else Path(FITS) / f"{given}.yaml"
         if path.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out: {path} is not allowed; a fit file ends in .yaml")
         command = as_typed(context)
-        if path.exists() and not overwrite:
+        if path.exists() and not options.overwrite:
             _refuse_other(path, command)
         from srs_twin.io.files import open_folder
 
         open_folder(path.parent, (path.name, path.with_suffix(".html").name))
-        return cls(given, path, command, quiet)
+        return cls(given, path, command, options.quiet)
 
     @contextmanager
     def searching(self) -> Iterator[Searching]:
@@ -254,7 +274,6 @@ class Place:
         self, estimate: Estimate, *, title: str, robot: str, method: Method, data: Sequence[DataSet]
     ) -> None:
         """Write report and fit file, the fit last, and show what was found."""
-        pass
         from srs_twin.identification.fit_file import fit_file, write_fit
         from srs_twin.io.files import atomic_write, shown
         from srs_twin.provenance import versions
@@ -306,23 +325,6 @@ def as_typed(context: typer.Context) -> str:
             words += [f"{parameter.opts[0]}={each}" for each in values]
     typed = shlex.join([*words[:3], *arguments, *words[3:]])
     return typed if len(typed) <= _LONGEST_COMMAND else typed[: _LONGEST_COMMAND - 1] + "…"
-
-
-def reading(
-    *,
-    up: str = "auto",
-    layout: str = "auto",
-    head: str | None = None,
-    longest_gap: float | None = None,
-    offset: float | None = None,
-    frequency: float | None = None,
-) -> Reading:
-    """Return how recordings are read."""
-    from srs_twin.identification.takes import Reading
-    from srs_twin.recordings.recording import LONGEST_GAP
-
-    longest = LONGEST_GAP if longest_gap is None else longest_gap
-    return Reading(up, layout, head, longest, offset, frequency)
 
 
 def names_in(text: str | None) -> list[str] | None:

@@ -13,12 +13,11 @@ from srs_twin.cli import say
 from srs_twin.cli.batch import RUNS, Case, CheckOption, QuietOption, StrictOption, failing, run_all
 from srs_twin.cli.fitting import (
     FrequencyOption,
-    GapOption,
-    HeadOption,
-    LayoutOption,
     OffsetOption,
     PressureOption,
-    UpOption,
+    ReadingOptions,
+    option,
+    with_options,
 )
 from srs_twin.errors import InputError, one_of
 
@@ -27,26 +26,21 @@ if TYPE_CHECKING:
 
 _LONGEST = 3600.0  # s, of a scenario
 _BENCH_HZ = 1000  # bends follow valves within milliseconds
+_AS_FOUND = ReadingOptions()
 
 
+@with_options
 def replay(
     motion: Annotated[str, typer.Argument(metavar="MOTION", help="What cameras saw, or bends on a bench.")],
-    robot: Annotated[str, typer.Option("--robot", "-r", metavar="ROBOT", help="A shipped robot or a file.")],
+    robot: Annotated[str, option("--robot -r", "ROBOT", "A shipped robot or a file.")],
     valves: Annotated[
-        str | None,
-        typer.Option(
-            "--valves", metavar="LOG", help="Valves or pressures. [default: NAME.valves.csv beside it]"
-        ),
+        str | None, option("--valves", "LOG", "Valves or pressures. [default: NAME.valves.csv beside it]")
     ] = None,
     fit: Annotated[
-        list[str] | None,
-        typer.Option("--fit", metavar="FIT", help="What a fit of this robot found; repeatable."),
+        list[str] | None, option("--fit", "FIT", "What a fit of this robot found; repeatable.")
     ] = None,
     expect: Annotated[
-        str | None,
-        typer.Option(
-            "--expect", metavar="FILE.yaml", help="Expectations, as a scenario has them: `expect: …`."
-        ),
+        str | None, option("--expect", "FILE.yaml", "Expectations, as a scenario has them: `expect: …`.")
     ] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
@@ -54,25 +48,15 @@ def replay(
         bool, typer.Option("--bench", help="It hung in the air, held at its head; also of one module.")
     ] = False,
     pressure: PressureOption = None,
-    plants: Annotated[
-        str, typer.Option("--plants", metavar="LIST", help="analytical, twin or both.")
-    ] = "analytical,twin",
-    model: Annotated[
-        str, typer.Option("--model", metavar="NAME", help="Of the analytical plant.")
-    ] = "complete",
+    plants: Annotated[str, option("--plants", "LIST", "analytical, twin or both.")] = "analytical,twin",
+    model: Annotated[str, option("--model", "NAME", "Of the analytical plant.")] = "complete",
     law: Annotated[
-        str | None,
-        typer.Option("--law", metavar="NAME", help="Of the analytical plant's floor. [default: wheel]"),
+        str | None, option("--law", "NAME", "Of the analytical plant's floor. [default: wheel]")
     ] = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
-    up: UpOption = "auto",
-    layout: LayoutOption = "auto",
-    head: HeadOption = None,
-    longest_gap: GapOption = None,
-    out: Annotated[
-        str | None, typer.Option("--out", metavar="DIR", help="Folder for the files. [default: runs/MOTION]")
-    ] = None,
+    markers: ReadingOptions = _AS_FOUND,
+    out: Annotated[str | None, option("--out", "DIR", "Folder for the files. [default: runs/MOTION]")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Drive both plants as the robot was driven, beside what it did.
@@ -88,10 +72,8 @@ def replay(
         asked = "--check" if check else "--strict"
         raise InputError(f"{asked}: nothing is expected; give --expect FILE.yaml")
     snake = _robot(robot, fit or [])
-    recording = _given(
-        motion=motion, valves=valves, offset_s=offset, gait_frequency_hz=frequency, up=up, layout=layout,
-        head=head, longest_gap_s=longest_gap,
-    )  # fmt: skip
+    given = {"motion": motion, "valves": valves, "offset_s": offset, "gait_frequency_hz": frequency}
+    recording = {key: value for key, value in given.items() if value is not None} | markers.given()
     name = results_name(Path(motion))
     document = {
         "name": name,
@@ -109,10 +91,6 @@ def replay(
         document["supply"] = {"pressure_kpa": pressure}
     scenario = parse_scenario(document, name="replay")
     run_all([Case(scenario.name, scenario)], out=out or str(RUNS / name), fails=fails, quiet=quiet)
-
-
-def _given(**settings: object) -> dict[str, Any]:
-    return {key: value for key, value in settings.items() if value is not None}
 
 
 def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
@@ -133,13 +111,12 @@ def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
 def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float:
     """Return how many whole ticks the recording lasts, s, and say what was read."""
     from srs_twin.identification.takes import Reading, logs_of
-    from srs_twin.recordings.recording import LONGEST_GAP
     from srs_twin.scenario.plants import TICK_S
 
     known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
     motion, valves = recording["motion"], recording.get("valves")
     (log,) = logs_of([motion], [valves] if valves else [])
-    take = Reading(**{"longest_gap_s": LONGEST_GAP} | known).take(motion, log, robot.spec())
+    take = Reading(**known).take(motion, log, robot.spec())
     say(take.summary.text(), "", quiet=quiet)
     time = take.trajectory.time
     ticks = math.floor(min(float(time[-1] - time[0]), _LONGEST) / TICK_S + 1e-6)
