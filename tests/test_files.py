@@ -23,7 +23,7 @@ from srs_twin.io.files import (
     shipped_names,
     shown,
 )
-from srs_twin.viewing.html.page import element, page
+from srs_twin.viewing.html.page import Table, render
 
 ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 
@@ -205,9 +205,10 @@ def test_names_are_shown_as_a_shell_could_write_them():
 
 
 def test_pages_hold_no_control_characters():
-    text = page("a\x1b[31m", element("p", "b\x9b1m\nc", cls="d\x07"))
+    content = {"changes": ["b\x9b1m\nc"], "sections": {}, "figures": [], "versions": Table((), ())}
+    text = render("reproduction/report.html", title="a\x1b[31m", subtitle="<d\x07>", **content)
     assert r"<title>a\x1b[31m</title>" in text
-    assert '<p class="d\\x07">b\\x9b1m\nc</p>' in text
+    assert r'<p class="sub">&lt;d\x07&gt;</p>' in text and "<p>b\\x9b1m\nc</p>" in text
 
 
 def test_an_alias_bomb_costs_nothing():

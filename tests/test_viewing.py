@@ -419,7 +419,7 @@ def test_report_is_one_small_file(report, parsed):
 
 def test_report_escapes_what_people_wrote(report):
     assert "<script>" not in report
-    assert report.count("&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt; &amp; Co") == 2
+    assert report.count("&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt; &amp; Co") == 2
 
 
 def test_report_tells_results_and_expectations(report, parsed):

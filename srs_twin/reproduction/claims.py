@@ -325,9 +325,22 @@ def _rows(file: ClaimFile) -> Iterator[Claim]:
     measures = tuple(map(_measure, [file.measure] if file.measure else file.measures))
     low, high = _range(file.rule, file.value, file.tol, file.abs)
     yield Claim(
-        file.id, file.source, file.robot, file.says, file.use, file.rule, measures, file.combine, file.value,
-        file.unit or "1", low, high, tuple(file.columns), file.quick, tuple(map(_cause, file.cause)),
-    )  # fmt: skip
+        file.id,
+        file.source,
+        file.robot,
+        file.says,
+        file.use,
+        file.rule,
+        measures,
+        file.combine,
+        file.value,
+        file.unit or "1",
+        low,
+        high,
+        tuple(file.columns),
+        file.quick,
+        tuple(map(_cause, file.cause)),
+    )
 
 
 def _table_rows(file: ClaimFile) -> Iterator[Claim]:
@@ -343,10 +356,22 @@ def _table_rows(file: ClaimFile) -> Iterator[Claim]:
             use = "fit" if column in table.fit and at in table.fit_at else file.use
             says = f"{column} {value:g} {file.unit or _unit(metric)} at {table.at} {at:g}"
             yield Claim(
-                f"{file.id}.{column}.{_place(at)}", file.source, file.robot, says, use, "near", (measure,),
-                "value", value, _unit(metric), low, high, tuple(file.columns), file.quick,
+                f"{file.id}.{column}.{_place(at)}",
+                file.source,
+                file.robot,
+                says,
+                use,
+                "near",
+                (measure,),
+                "value",
+                value,
+                _unit(metric),
+                low,
+                high,
+                tuple(file.columns),
+                file.quick,
                 tuple(map(_cause, file.cause)),
-            )  # fmt: skip
+            )
 
 
 def _place(at: float) -> str:
@@ -371,9 +396,16 @@ def _range(rule: str, value: float | None, tol: float | None, near: float | None
 def _measure(file: MeasureFile) -> Measure:
     kind = next(kind for kind in ("scenario", "sweep", "law") if getattr(file, kind) is not None)
     return Measure(
-        kind, getattr(file, kind), file.metric, file.set, file.periods, file.where, file.take, file.plant,
+        kind,
+        getattr(file, kind),
+        file.metric,
+        file.set,
+        file.periods,
+        file.where,
+        file.take,
+        file.plant,
         file.size,
-    )  # fmt: skip
+    )
 
 
 def _cause(file: CauseFile) -> Cause:

@@ -234,8 +234,14 @@ def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
 COMPUTATIONS: Mapping[str, Callable[..., Numbers]] = {
     each.__name__: each
     for each in (
-        spring_car, tail_load, change_of_offset, planner_success, bend_at, turn_limit, footprint_edges,
+        spring_car,
+        tail_load,
+        change_of_offset,
+        planner_success,
+        bend_at,
+        turn_limit,
+        footprint_edges,
         primitive_error,
     )
-}  # fmt: skip
+}
 """What claims.yaml names as `law`."""

@@ -168,9 +168,13 @@ def plan(source: Source, needs: Needs) -> Figure | None:
 
 
 def sweep(
-    kind: Literal["contour", "line"], x: str, metric: str, y: str | None = None, by: str | None = None,
+    kind: Literal["contour", "line"],
+    x: str,
+    metric: str,
+    y: str | None = None,
+    by: str | None = None,
     beside: Beside | None = None,
-) -> Draw:  # fmt: skip
+) -> Draw:
     """Return what draws a metric of a sweep (Fig. 13, 31 to 33, 38, 39, 41, 44)."""
 
     def made(source: Source, needs: Needs) -> Figure | None:
@@ -200,9 +204,13 @@ def readings(source: Source, needs: Needs) -> Figure | None:
                 run.time[seen], run.stack("sensed")[seen, j], color=style.color, linewidth=0.5, alpha=0.4
             )
             axes.plot(
-                run.time[seen], run.stack("bend")[seen, j], color=style.color, linestyle=style.dash,
-                linewidth=style.width, label=style.label,
-            )  # fmt: skip
+                run.time[seen],
+                run.stack("bend")[seen, j],
+                color=style.color,
+                linestyle=style.dash,
+                linewidth=style.width,
+                label=style.label,
+            )
     for j, axes in enumerate(rows):
         finish(axes, f"$q_{{{j + 1}}}$ (rad)")
     rows[0].set_title("Bends, and what the sensors read (thin)", fontsize=10)
@@ -373,10 +381,12 @@ def _offsets() -> list[Picture]:
 def _learning() -> list[Picture]:
     made = [
         Picture(
-            "Fig. 47", "Gen 4 in the open loop: bends, and the sensors' readings",
-            (_run("gen4_straight", {"sensor.kind": "hall"}),), readings,
+            "Fig. 47",
+            "Gen 4 in the open loop: bends, and the sensors' readings",
+            (_run("gen4_straight", {"sensor.kind": "hall"}),),
+            readings,
         )
-    ]  # fmt: skip
+    ]
     for name, numbers, what in (
         ("ilc_straight", ("48", "49"), "straight"),
         ("ilc_curve", ("50", "51"), "a curve"),
@@ -417,18 +427,21 @@ PICTURES: tuple[Picture, ...] = (
     Picture("Fig. 30", "Heading of gen 1's tail", (_run("gen1_straight"),), tail_angle),
     *_contours(),
     Picture(
-        "Fig. 34", "Gen 2, offset 0.4, 2 Hz, 54 kPa: both models and the twin",
+        "Fig. 34",
+        "Gen 2, offset 0.4, 2 Hz, 54 kPa: both models and the twin",
         (_run("gen2_turn", {_PRESSURE: 54.0}), _run("gen2_turn", {_PRESSURE: 54.0, **_SIMPLIFIED})),
         paths("complete", "simplified"),
     ),
     *_offsets(),
     Picture(
-        "Fig. 41", "Static bend over pressure (sweep fig41)", (_sweep("fig41"),),
+        "Fig. 41",
+        "Static bend over pressure (sweep fig41)",
+        (_sweep("fig41"),),
         sweep("line", _PRESSURE, "final_bend_rad", by="controller.plus"),
     ),
     *_modules(),
     *_learning(),
     *_plans(),
     Picture("Fig. 58", "What gen 4 sweeps on a curve", (_run("ilc_curve"),), above),
-)  # fmt: skip
+)
 """In the order of the text."""

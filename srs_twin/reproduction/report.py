@@ -23,7 +23,7 @@ from srs_twin.reproduction.verdicts import (
     Outcome,
     outcomes_document,
 )
-from srs_twin.viewing.html.page import Markup, element, folded, page, picture, table
+from srs_twin.viewing.html.page import Table, colored, picture, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,19 +192,7 @@ def between(page: str, name: str, text: str) -> str:
     return f"{before}{begin}\n{text}\n{end}{after}"
 
 
-_TITLE = "The dissertation, reproduced"
 _HEADINGS = ("row", "statement", "published", "allowed", "analytical", "error", "twin", "error", "why")
-_READING = (
-    "Each row is one statement of the dissertation, judged for each plant by itself. A tolerance is ours, "
-    "not the text's. Met: the value is allowed. Explained: it is not met, and the cause is shown, by a "
-    "switch of an assumption with which it is, or by a section of the documents. Missed: not met, the cause "
-    "not known, or thought to be known and not shown.",
-    "Rows that may be used to calibrate are no predictions and are counted apart. An error is that from the "
-    "published value, over it. Of an ordering each value is to be above the next. Rows that need no plant "
-    "(plans, tables, the robot's numbers) stand in the first column.",
-    "In the pictures the analytical model is dashed and the twin solid; bends and yaw rates are positive to "
-    "the left, speeds forward.",
-)
 
 
 def write_json(path: Path, rows: Sequence[Judged], changes: Sequence[str]) -> None:
@@ -263,29 +251,21 @@ def write_html(
     Raises:
         InputError: the place cannot be written.
     """
-    parts = [
-        element("h1", _TITLE),
-        element("p", summary_line(rows), cls="sub"),
-        *(
-            [element("h2", "Changed from the baseline"), *(element("p", each) for each in changes)]
-            if changes
-            else []
-        ),
-        *(part for use in USES for part in _section(use, [row for row in rows if row.claim.use == use])),
-        element("h2", "How to read this"),
-        *(element("p", sentence) for sentence in _READING),
-        *([element("h2", "Figures, drawn again")] if figures else []),
-        *(picture(figure, f"{each.number}: {each.caption}") for each, figure in figures),
-        folded("Versions", table(["package", "version"], [list(pair) for pair in versions().items()])),
-    ]
+    sections = {
+        TITLES[use]: Table(_HEADINGS, [_cells(row) for row in rows if row.claim.use == use], range(2, 8))
+        for use in USES
+    }
+    content = render(
+        "reproduction/report.html",
+        title="The dissertation, reproduced",
+        subtitle=summary_line(rows),
+        changes=changes,
+        sections=sections,
+        figures=[picture(figure, f"{each.number}: {each.caption}") for each, figure in figures],
+        versions=Table(["package", "version"], list(versions().items())),
+    )
     with atomic_write(path) as part:
-        part.write_text(page(_TITLE, *parts, broad=True), "utf-8")
-
-
-def _section(use: str, rows: Sequence[Judged]) -> list[Markup]:
-    if not rows:
-        return []
-    return [element("h2", TITLES[use]), table(_HEADINGS, map(_cells, rows), numbers=range(2, 8))]
+        part.write_text(content, "utf-8")
 
 
 def _cells(row: Judged) -> list[str]:
@@ -294,13 +274,20 @@ def _cells(row: Judged) -> list[str]:
     first, second = found.get("analytical") or found.get("alone"), found.get("twin")
     why = dict.fromkeys(outcome.why for outcome in found.values() if outcome.why)
     return [
-        claim.id, f"{claim.says} ({claim.source})", f"{published(claim)}{unit}", claim.allowed,
-        _colored(first), percent(claim, first), _colored(second), percent(claim, second), "; ".join(why),
-    ]  # fmt: skip
+        claim.id,
+        f"{claim.says} ({claim.source})",
+        f"{published(claim)}{unit}",
+        claim.allowed,
+        _colored(first),
+        percent(claim, first),
+        _colored(second),
+        percent(claim, second),
+        "; ".join(why),
+    ]
 
 
-def _colored(outcome: Outcome | None) -> Markup | str:
+def _colored(outcome: Outcome | None) -> str:
     if outcome is None:
         return ""
     words = {MET: "", EXPLAINED: " (explained)", MISSED: " (missed)"}[outcome.verdict]
-    return element("span", cell(outcome) + words, cls="met" if outcome.verdict == MET else "missed")
+    return colored(cell(outcome) + words, "met" if outcome.verdict == MET else "missed")

@@ -196,9 +196,26 @@ def saturated_after(run: Trajectory) -> float:
 TRACES: Mapping[str, Trace] = {
     each.__name__: each
     for each in (
-        tail_drift, speed_regularity, third_harmonic, sensor_error, algorithm_1_error, algorithm_2_error,
-        step_tau_1, step_tau_2, step_c0, step_c1, step_c2, step_a, step_b, step_c, learning_law_error,
-        free_periods, target_left, target_right, smallest_amplitude, saturated_after,
+        tail_drift,
+        speed_regularity,
+        third_harmonic,
+        sensor_error,
+        algorithm_1_error,
+        algorithm_2_error,
+        step_tau_1,
+        step_tau_2,
+        step_c0,
+        step_c1,
+        step_c2,
+        step_a,
+        step_b,
+        step_c,
+        learning_law_error,
+        free_periods,
+        target_left,
+        target_right,
+        smallest_amplitude,
+        saturated_after,
     )
-}  # fmt: skip
+}
 """What claims.yaml names as `trace.…`."""

@@ -94,9 +94,11 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
                 ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
             else:
                 ray.init(
-                    num_cpus=workers, include_dashboard=False, log_to_driver=False,
+                    num_cpus=workers,
+                    include_dashboard=False,
+                    log_to_driver=False,
                     logging_level=logging.ERROR,
-                )  # fmt: skip
+                )
         except (ConnectionError, RuntimeError, ValueError) as error:
             raise InputError(f"Ray cannot be reached at {address or 'this machine'}: {error}") from error
         try:

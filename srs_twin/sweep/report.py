@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.io.files import atomic_write
-from srs_twin.viewing.html.page import Markup, element, folded, image, page, table
+from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label
-from srs_twin.viewing.plots.sweeps import COMPARISON, PLAN, BesideTable, SweepTable, Values
+from srs_twin.viewing.plots.sweeps import COMPARISON, PLAN, SweepTable, Values
 
 if TYPE_CHECKING:
     from srs_twin.sweep.execution import Summary
@@ -33,21 +33,6 @@ _NONE = "–"
 
 
 @dataclass(frozen=True)
-class TextTable:
-    """A table as text.
-
-    Attributes:
-        headings: one a column, with the unit.
-        rows: cells.
-        left_out: what it does not show; empty where it shows all.
-    """
-
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    left_out: str = ""
-
-
-@dataclass(frozen=True)
 class _Column:
     """A metric of a plant or of the comparison: its heading, and a number a run, NaN where there is none."""
 
@@ -55,7 +40,7 @@ class _Column:
     numbers: np.ndarray
 
 
-def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[TextTable]:
+def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return a row a run in the order of the fields' values, few metrics a table.
 
     Args:
@@ -63,7 +48,7 @@ def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[TextTable]:
         metrics: what is shown, of each plant that has it; of a list, its mean.
     """
     if len(rows.failed) > MOST_RUNS:
-        return [TextTable((), (), f"{len(rows.failed)} runs, a row each in results.parquet.")]
+        return [Table((), (), note=f"{len(rows.failed)} runs, a row each in results.parquet.")]
     fields, failed = [rows.values(name, "") for name in rows.fields], rows.failed
     order = np.lexsort([field.numbers for field in reversed(fields)])
     columns, left_out = _columns(rows, metrics)
@@ -75,11 +60,12 @@ def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[TextTable]:
     for few in _few(columns):
         cells = ([_text(column.numbers[i]) for column in few] for i in order)
         lines = tuple((*names, *line) for names, line in zip(named, cells, strict=True))
-        made.append(TextTable((*headings, *(column.heading for column in few)), lines, left_out))
+        shown = (*headings, *(column.heading for column in few))
+        made.append(Table(shown, lines, range(len(shown)), left_out))
     return made
 
 
-def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[TextTable]:
+def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return mean ± standard deviation of each metric by the values of a field, few metrics a table.
 
     None where they say nothing new: the field has one value, or `run_tables` has each value's only run.
@@ -107,7 +93,8 @@ def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[TextTa
             for text, each in zip(texts, runs, strict=True)
         )
         headings = (field.label, "runs", *(column.heading for column in few))
-        made.append(TextTable(headings, lines, " ".join(filter(None, (left_out, not_shown)))))
+        note = " ".join(filter(None, (left_out, not_shown)))
+        made.append(Table(headings, lines, range(len(headings)), note))
     return made
 
 
@@ -164,17 +151,6 @@ REPORT = "report.html"
 
 _MOST_LISTED = 12  # values of a field that are written out
 _MOST_REASONS = 20
-_READING = (
-    "Runs that failed have no values and are in no mean; a dash means that there is no such number. Where a "
-    "metric is a list, its mean is shown. Metrics are described in the documents; speeds are positive "
-    "forward, yaw rates, curvatures and radii to the left.",
-    "After ± stands the standard deviation (over n − 1) of the runs that share the value, whatever else "
-    "varied; in brackets how many of them have the metric, where some have not.",
-)
-_BESIDE_READING = (
-    "Differences are those from the published value, in per cent of it; in the metric's unit where the one "
-    "is zero or the signs differ."
-)
 
 
 def write_report(
@@ -198,27 +174,25 @@ def write_report(
     Raises:
         InputError: the place cannot be written.
     """
-    parts = [
-        element("h1", sweep.title),
-        element("p", _counts(summary), cls="sub"),
-        *(element("p", f"Note: {warning}") for warning in sweep.warnings),
-        *_failures(summary),
-        element("h2", "What was varied"),
-        element("p", _scenario(sweep)),
-        _varied(sweep),
-        *_beside(summary.beside),
-        *([element("h2", "Pictures")] if pictures else []),
-        *(image(content, "png", title) for title, content in pictures.items()),
-        element("h2", "Results"),
-        *_results(rows, metrics),
-        *_means(rows, metrics),
-        element("h2", "How to read this"),
-        *(element("p", sentence) for sentence in _READING),
-        element("h2", "Made with"),
-        _made_with(sweep, summary),
-    ]
+    versions = [("results sha256", summary.sha256), *sweep.versions.items()]
+    found = summary.beside
+    content = render(
+        "sweep/report.html",
+        title=sweep.title,
+        subtitle=_counts(summary),
+        warnings=sweep.warnings,
+        failures=_failures(summary),
+        scenario=f"{sweep.document['scenario']} ({sweep.experiment.base.get('title', '')})",
+        varied=_varied(sweep),
+        published=found and Table(found.headings, found.rows, range(1, len(found.headings)), found.note),
+        source=found and found.source,
+        plots=[image(content, "png", title) for title, content in pictures.items()],
+        runs=run_tables(rows, metrics),
+        means={field_label(name): means_by(name, rows, metrics) for name in rows.fields},
+        made_with=Table(["", ""], versions),
+    )
     with atomic_write(path) as part:
-        part.write_text(page(sweep.title, *parts), encoding="utf-8")
+        part.write_text(content, encoding="utf-8")
 
 
 def _counts(summary: Summary) -> str:
@@ -227,21 +201,14 @@ def _counts(summary: Summary) -> str:
     return f"{said}, {missing} not run yet" if missing else said
 
 
-def _scenario(sweep: Sweep) -> str:
-    name, title = sweep.document["scenario"], sweep.experiment.base.get("title", "")
-    return f"The scenario is {name} ({title}), other than what stands here."
-
-
-def _failures(summary: Summary) -> list[Markup]:
-    if not summary.reasons:
-        return []
+def _failures(summary: Summary) -> Table:
     rows = [(reason, str(count)) for reason, count in list(summary.reasons.items())[:_MOST_REASONS]]
     more = len(summary.reasons) - len(rows)
-    said = [element("p", f"And {more} other reasons: see results.parquet.")] if more else []
-    return [element("h2", "Why runs failed"), table(["reason", "runs"], rows, numbers=[1]), *said]
+    note = f"And {more} other reasons: see results.parquet." if more else ""
+    return Table(["reason", "runs"], rows, numbers=[1], note=note)
 
 
-def _varied(sweep: Sweep) -> Markup:
+def _varied(sweep: Sweep) -> Table:
     """Return the table of fields: what was varied, and what was otherwise than in the scenario."""
     rows = []
     for name, column in zip(sweep.fields, zip(*sweep.values, strict=True), strict=True):
@@ -251,7 +218,7 @@ def _varied(sweep: Sweep) -> Markup:
     if sweep.experiment.periods is not None:
         rows.append(("simulated time", "periods", f"{sweep.experiment.periods:g} periods"))
     rows.append(("plants", "plants", " and ".join(sweep.experiment.plants)))
-    return table(["what", "field", "values"], rows)
+    return Table(["what", "field", "values"], rows)
 
 
 def _values(values: list[Any]) -> str:
@@ -264,39 +231,3 @@ def _values(values: list[Any]) -> str:
 
 def _plain(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _beside(found: BesideTable | None) -> list[Markup]:
-    if found is None:
-        return []
-    return [
-        element("h2", f"Beside what was published: {found.source}"),
-        table(found.headings, found.rows, numbers=range(1, len(found.headings))),
-        *([element("p", found.note)] if found.note else []),
-        element("p", _BESIDE_READING),
-    ]
-
-
-def _results(rows: SweepTable, metrics: Sequence[str]) -> list[Markup]:
-    return [part for found in run_tables(rows, metrics) for part in _shown(found)]
-
-
-def _means(rows: SweepTable, metrics: Sequence[str]) -> list[Markup]:
-    """Return the means by the values of each field, where a value has several runs."""
-    made = []
-    for name in rows.fields:
-        tables = means_by(name, rows, metrics)
-        if tables:
-            made += [element("h2", f"Means by {field_label(name)}"), *(p for t in tables for p in _shown(t))]
-    return made
-
-
-def _shown(found: TextTable) -> list[Markup]:
-    """Return a table, where it has anything, and what it leaves out."""
-    made = [table(found.headings, found.rows, numbers=range(len(found.headings)))] if found.headings else []
-    return [*made, *([element("p", found.left_out, cls="sub")] if found.left_out else [])]
-
-
-def _made_with(sweep: Sweep, summary: Summary) -> Markup:
-    rows = [("results sha256", summary.sha256), *sweep.versions.items()]
-    return folded("Versions, and the digest of the results", table(["", ""], rows))

@@ -82,9 +82,13 @@ def run_point(experiment: Experiment, point: Point) -> Row:
 
 def _run(scenario: Scenario, plant: str) -> Trajectory:
     return rollout(
-        scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
-        pose=scenario.pose, seed=scenario.seed, record_hz=scenario.record_hz,
-    )  # fmt: skip
+        scenario.build_plant(plant),
+        scenario.build_controller(),
+        scenario.duration,
+        pose=scenario.pose,
+        seed=scenario.seed,
+        record_hz=scenario.record_hz,
+    )
 
 
 def _planned(scenario: Scenario) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.viewing.html.page import Markup, element, folded, page, picture, table
+from srs_twin.viewing.html.page import Picture, Table, picture, render
 from srs_twin.viewing.plots.style import finish, panels
 
 if TYPE_CHECKING:
@@ -22,13 +22,6 @@ if TYPE_CHECKING:
 _MOST_PANELS = 10
 _FEW = 3  # samples: fewer are bars, not lines
 _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
-_READING = (
-    "Residuals are measured less predicted. The band is twice the noise that the fit expects of a signal. "
-    "Residuals that wander slowly, or that repeat themselves with the gait, are what the model lacks: "
-    "intervals grow by them, but a bias that they cause is not in the intervals.",
-    "The fit has not seen the data of the validation. Where their residuals are much larger than those of "
-    "the fit, what was found does not carry over to other runs.",
-)
 
 
 def fit_report(fit: FitFile, estimate: Estimate) -> str:
@@ -40,25 +33,21 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
     """
     quality = fit.quality
     validated = "" if quality.validation_rms is None else f", of the validation {quality.validation_rms:.3g}"
-    return page(
-        fit.title,
-        element("h1", fit.title),
-        element("p", f"fit {fit.name}, {fit.method}, of robot {fit.robot}", cls="sub"),
-        element("h2", "Parameters"),
-        _parameters(fit),
-        element(
-            "p",
-            f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the "
-            f"noise that is expected); {quality.samples} samples worth {quality.independent_samples:.4g}.",
-        ),
-        element("h2", "Residuals"),
-        *_pictures(estimate.residuals),
-        element("h2", "How to read this"),
-        *(element("p", sentence) for sentence in _READING),
-        element("h2", "Where it is from"),
-        element("p", fit.command),
-        _data(fit),
-        *_more(fit),
+    found = (
+        f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the noise "
+        f"that is expected); {quality.samples} samples worth {quality.independent_samples:.4g}."
+    )
+    data = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
+    return render(
+        "viewing/html/fit.html",
+        title=fit.title,
+        subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
+        parameters=_parameters(fit),
+        quality=found,
+        residuals=list(_pictures(estimate.residuals)),
+        command=fit.command,
+        data=Table(["used for", "data", "samples", "SHA-256"], data, numbers=[2]),
+        details=_details(fit),
     )
 
 
@@ -91,7 +80,7 @@ def _panel(axes: Axes, residual: Residual) -> None:
     finish(axes, f"{residual.name.rpartition(' ')[2]}{unit}")
 
 
-def _pictures(residuals: Sequence[Residual]) -> Iterator[Markup]:
+def _pictures(residuals: Sequence[Residual]) -> Iterator[Picture]:
     """Yield a plot for each set of data, those of the fit first."""
     ordered = sorted((each for each in residuals if len(each.values)), key=lambda each: each.role)
     for (role, name), group in groupby(ordered, key=lambda each: (each.role, _data_of(each))):
@@ -104,7 +93,7 @@ def _data_of(residual: Residual) -> str:
     return residual.name.rpartition(" ")[0] or residual.name
 
 
-def _parameters(fit: FitFile) -> Markup:
+def _parameters(fit: FitFile) -> Table:
     rows = []
     for each in fit.parameters:
         numbers = ["–", ""]
@@ -112,26 +101,19 @@ def _parameters(fit: FitFile) -> Markup:
             numbers = [f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}"]
         rows.append([each.name, *numbers, each.unit, each.verdict, each.why])
     headings = ["parameter", "value", "95 % interval", "unit", "verdict", "why"]
-    return table(headings, rows, numbers=[1, 2])
+    return Table(headings, rows, numbers=[1, 2])
 
 
-def _data(fit: FitFile) -> Markup:
-    rows = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
-    return table(["used for", "data", "samples", "SHA-256"], rows, numbers=[2])
-
-
-def _more(fit: FitFile) -> Iterator[Markup]:
+def _details(fit: FitFile) -> dict[str, Table]:
+    """Return title → what stands folded below; tables without rows are not shown."""
     known = [each.name for each in fit.parameters if each.value is not None]
-    if len(known) > 1:
-        rows = [
-            [name, *(f"{value:+.2f}" for value in row)]
-            for name, row in zip(known, fit.correlation, strict=True)
-        ]
-        yield folded("Correlations", table(["", *known], rows, numbers=range(1, len(known) + 1)))
-    if fit.cancels:
-        rows = [[", ".join(f"{share:+.2f} {name}" for name, share in row.items())] for row in fit.cancels]
-        yield folded("Directions in which nothing changes", table(["share and parameter"], rows))
-    if fit.held:
-        rows = [[name, f"{value:.6g}"] for name, value in fit.held.items()]
-        yield folded("Taken as known", table(["what", "value"], rows, numbers=[1]))
-    yield folded("Versions", table(["package", "version"], list(fit.versions.items())))
+    pairs = zip(known, fit.correlation, strict=True) if len(known) > 1 else ()
+    correlations = [[name, *(f"{value:+.2f}" for value in row)] for name, row in pairs]
+    cancels = [[", ".join(f"{share:+.2f} {name}" for name, share in row.items())] for row in fit.cancels]
+    held = [[name, f"{value:.6g}"] for name, value in fit.held.items()]
+    return {
+        "Correlations": Table(["", *known], correlations, range(1, len(known) + 1)),
+        "Directions in which nothing changes": Table(["share and parameter"], cancels),
+        "Taken as known": Table(["what", "value"], held, numbers=[1]),
+        "Versions": Table(["package", "version"], list(fit.versions.items())),
+    }

@@ -1,7 +1,4 @@
-"""Write report.html: what ran, what came out, how far the plants lie apart, and plots of it, in one page.
-
-The part of the report that says why the plants differ.
-"""
+"""report.html of a run: what ran, what came out, how far the plants lie apart and why, and plots of it."""
 
 from __future__ import annotations
 
@@ -10,9 +7,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from srs_twin.comparison.compare import MEASURES, Attribution
+from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.following import following
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import (
@@ -25,7 +22,7 @@ from srs_twin.comparison.metrics import (
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.html.page import Markup, element, folded, page, picture, table
+from srs_twin.viewing.html.page import Picture, Table, colored, picture, render
 from srs_twin.viewing.plots.plan_view import following_plot, plan_view
 from srs_twin.viewing.plots.runs import (
     bend_plot,
@@ -41,108 +38,15 @@ from srs_twin.viewing.plots.runs import (
 from srs_twin.viewing.plots.signals import check_drawable
 
 if TYPE_CHECKING:
-    from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
+    from matplotlib.figure import Figure
 
+    from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
 
 _NOTHING = 5e-6  # in m, m/s, rad and rad/s alike: below what any two of these runs mean
 
-_READING = (
-    "Rows add up to the whole gap, twin minus analytical; of the body shape it is the distance between the "
-    "two bodies. 'Averaged' assumptions are the analytical model's: every subset of them was switched to "
-    "what the twin has, and each one's share is its Shapley value, the average over all orders of switching; "
-    "in brackets the least and the most of it over these orders. 'First' comes what has to, before them.",
-    "'Refined' ones belong to one plant alone: it was run again with this made smaller, and what that "
-    "changed was carried on to nothing. What none of them explains is the last row. 'Matched' is what is "
-    "left between the plants when both have stiff bends and the same friction at the same points. The column "
-    "of the body shape splits a distance: a negative share there brings the bodies nearer.",
-)
-
-
-def why_section(attribution: Attribution) -> list[Markup]:
-    """Return heading, picture, table and how to read them."""
-    headings = ["assumption", "what it is", "how", *(f"{t}, {u}" for t, u in MEASURES.values())]
-    rows = [
-        [share.name, share.title, share.how, *map(_cell, share.value, share.low, share.high)]
-        for share in attribution.shares
-    ]
-    whole = [("not explained", attribution.remainder), ("gap", attribution.gap)]
-    rows += [[name, "", "", *map(_number, values)] for name, values in whole]
-    left = "stiff bends and the same friction on both sides: what is left"
-    rows.append(["matched (stiff bends)", left, "", *map(_number, attribution.matched)])
-    same = ", ".join(attribution.same)
-    return [
-        element("h2", "Why the plants differ"),
-        picture(
-            waterfall(attribution), "From the analytical model to the twin, one assumption after another."
-        ),
-        table(headings, rows, numbers=range(3, len(headings))),
-        *(element("p", sentence) for sentence in _READING),
-        *([element("p", f"Not a difference in this scenario: {same}.")] if same else []),
-    ]
-
-
-def _cell(value: float, low: float, high: float) -> str:
-    text = _number(value)
-    return text if low == high else f"{text} [{_number(low)}, {_number(high)}]"
-
-
-def _number(value: float) -> str:
-    return f"{value:+.3g}" if abs(value) >= _NOTHING else "0"
-
-
 # How the names of metrics end, longest first, and what is said instead.
-_ENDINGS = {
-    "_rad_s": "", "_m_s": "", "_per_m": "", "_rad": "", "_m": "", "_s": "", "_w": "", "_t": "",
-    "_rel": ", relative", "_abs": ", size of difference", "_body": " over body length",
-}  # fmt: skip
-
-_ALWAYS_READING = (
-    "Reading, of a sensor that is not ideal: means over 1° of bend each, and of these the R² of a line, the "
-    "largest error, and how far the reading falls at most while the bend grows (0: it never turns back).",
-    "A published value is what the dissertation states for this experiment; an expectation is what the "
-    "scenario file allows. A dash means that there is no such number: nothing periodic, or a straight path.",
-)
-_GAIT_READING = (
-    "Both plants got the same valve commands. The analytical model (dashed, a ghost in the recording) is the "
-    "reference, the MuJoCo twin (solid) the candidate; differences are twin minus analytical, in per cent "
-    "where that is marked.",
-    "CoM speed is that of the period-averaged path of the centre of mass over whole gait periods after a "
-    "warm-up of two, forward positive. Yaw rates, bends and turning radii are positive to the left. Bends "
-    "are listed head first.",
-    "Shape difference: both bodies are laid centre of mass on centre of mass at zero mean heading; the rest "
-    "is the distance of like connectors, root mean square. Path difference: the distance of the centres of "
-    "mass at equal times; it grows with every difference of speed or heading.",
-    *_ALWAYS_READING,
-)
-_OWN_CONTROLLERS = (
-    "Each plant was driven by a controller of its own, with the same settings, which knows the bend from its "
-    "sensor only. The analytical model (dashed, a ghost in the recording) is the reference, the MuJoCo twin "
-    "(solid) the candidate; differences are twin minus analytical, in per cent where that is marked."
-)
-_LEARNING_READING = (
-    _OWN_CONTROLLERS,
-    "Amplitudes are the furthest sensed bends to the left (+) and to the right (-) in the periods of each "
-    "chamber, counted from its first fill. They have converged from the first period on from which all stay "
-    "within 5 % of their targets. What is said of the path without 'before' is of the last five periods; "
-    "curvature is positive to the left. The box is how far the body reaches to the left (negative) and right "
-    "of the circle or line through the path of the centre of mass.",
-    *_GAIT_READING[1:],
-)
-_PLAN_READING = (
-    _OWN_CONTROLLERS,
-    "Cross-track is the distance of the centre of mass from the plan in force. Inside: the share of time at "
-    "which the whole body is between the edges of the footprint that was planned with; of the 50 mm box, the "
-    "text's. Clearance is the least distance between body and obstacles.",
-    *_GAIT_READING[1:],
-)
-_FOLLOWING_READING = (
-    _OWN_CONTROLLERS,
-    "Of a step: rise from 10 to 90 % of it, overshoot as a share of it, settled from when on the bend stays "
-    "within so much of it. At rest: over the second half of the time since the reference last changed. Of a "
-    "sine: amplitude over the reference's and lag, by least squares over whole periods after a warm-up. An "
-    "opening is one of a valve, mean of both chambers. Bends are positive to the left.",
-    *_ALWAYS_READING,
-)
+_ENDINGS = dict.fromkeys(("_rad_s", "_m_s", "_per_m", "_rad", "_m", "_s", "_w", "_t"), "")
+_ENDINGS |= {"_rel": ", relative", "_abs": ", size of difference", "_body": " over body length"}
 
 
 def write_report(
@@ -173,129 +77,145 @@ def write_report(
     """
     check_drawable(trajectories)
     duration = max(float(run.time[-1]) for run in trajectories.values())
-    plants = " and ".join(trajectories)
-    parts = [
-        element("h1", scenario_title),
-        element("p", f"{spec.title}, {duration:g} s simulated, {plants}", cls="sub"),
-        element("h2", "Results"),
-        result_table(metrics),
-        *_expectations(metrics.get("expectations") or ()),
-        *(why_section(attribution) if attribution is not None else []),
-        element("h2", "Plots"),
-        *_measured(measured),
-        *_pictures(trajectories, spec, comparison),
-        element("h2", "How to read this"),
-        *(element("p", sentence) for sentence in _reading(trajectories)),
-        element("h2", "Settings"),
-        *_settings(spec, trajectories, metrics.get("versions") or {}),
-    ]
-    Path(path).write_text(page(scenario_title, *parts), encoding="utf-8")
+    expectations = metrics.get("expectations") or ()
+    verdicts = [verdict(each) for each in expectations]
+    page = render(
+        "viewing/html/report.html",
+        title=scenario_title,
+        subtitle=f"{spec.title}, {duration:g} s simulated, {' and '.join(trajectories)}",
+        results=_results(metrics),
+        tally=tally(Counter(verdicts)),
+        expectations=_expectations(expectations, verdicts),
+        **_why(attribution),
+        plots=_plots(trajectories, spec, comparison, measured),
+        kind=_kind(trajectories),
+        settings=_settings(spec, trajectories, metrics.get("versions") or {}),
+    )
+    Path(path).write_text(page, encoding="utf-8")
 
 
-def _reading(trajectories: Mapping[str, Trajectory]) -> Sequence[str]:
-    """Return how to read the report of such runs."""
-    if all(run.has("reference_1") for run in trajectories.values()):
-        return _FOLLOWING_READING
-    if all(following(run) is not None for run in trajectories.values()):
-        return _PLAN_READING
-    if all(map(is_learning, trajectories.values())):
-        return _LEARNING_READING
-    return _GAIT_READING
+def _kind(trajectories: Mapping[str, Trajectory]) -> Literal["tracking", "following", "learning", "gait"]:
+    """Return what every plant did: it decides the first plots, and how the page is to be read."""
+    runs = trajectories.values()
+    if all(run.has("reference_1") for run in runs):
+        return "tracking"
+    if all(following(run) is not None for run in runs):
+        return "following"
+    return "learning" if all(map(is_learning, runs)) else "gait"
 
 
-def result_table(metrics: Mapping[str, Any]) -> Markup:
+def _results(metrics: Mapping[str, Any]) -> Table:
     """Return the table of metrics: one column a plant, the difference, and what was published."""
     plants: Mapping[str, Mapping[str, Any]] = metrics["plants"]
-    stated = {
-        name: f"{_text(value)} ({source})"
-        for name, (value, source) in published(metrics.get("expectations") or ()).items()
-    }
+    stated = published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
-    headings = [
-        "metric",
-        "unit",
-        *plants,
-        *(["difference"] if both else []),
-        *(["published"] if stated else []),
-    ]
+    headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(stated)]
     rows = []
+
+    def add(name: str, unit: str, values: Sequence[Any], apart: str) -> None:
+        value, source = stated.get(name, (None, None))
+        said = f"{_text(value)} ({source})" if source else ""
+        rows.append([_words(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
+
     for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
         values = [measured.get(name) for measured in plants.values()]
         if any(value is not None for value in values):
-            apart = [difference(metrics, name)] if both else []
-            rows.append([_words(name), unit, *map(_text, values), *apart, *_said(stated, name)])
+            add(name, unit, [_text(value) for value in values], difference(metrics, name))
     for name, unit in COMPARISON_UNITS.items():
         value = (metrics.get("comparison") or {}).get(name)
         if value is not None:
-            blank = [""] * len(plants)
-            rows.append([_words(name), unit, *blank, *([_text(value)] if both else []), *_said(stated, name)])
-    return table(headings, rows, numbers=range(2, len(headings)))
+            add(name, unit, [""] * len(plants), _text(value))
+    return Table(headings, rows, range(2, len(headings)))
 
 
-def _said(stated: Mapping[str, str], name: str) -> list[str]:
-    """Return the cell of what was published; there is no such column where nothing was."""
-    return [stated.get(name, "")] if stated else []
-
-
-def _expectations(expectations: Sequence[Mapping[str, Any]]) -> list[Markup]:
-    if not expectations:
-        return []
-    verdicts = [verdict(each) for each in expectations]
-    keys = ["allowed", "source", *(["known"] if {"known", "holds"} & set(verdicts) else [])]
+def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[str]) -> Table:
+    keys = ["allowed", "source", *["known"] * bool({"known", "holds"} & set(verdicts))]
     rows = []
     for word, each in zip(verdicts, expectations, strict=True):
-        mark = element("span", word, cls="missed" if word == "missed" else "met" if each["met"] else "sub")
-        texts = [each.get(key) or "" for key in keys]
-        rows.append([mark, each["metric"], each.get("of") or "", _text(each.get("value")), *texts])
-    headings = ["", "metric", "of", "value", *keys]
-    return [element("h2", f"Expectations: {tally(Counter(verdicts))}"), table(headings, rows, numbers=[3])]
+        color = "missed" if word == "missed" else "met" if each["met"] else "sub"
+        texts = [each.get(key) or "" for key in ("metric", "of", *keys)]
+        rows.append([colored(word, color), *texts[:2], _text(each.get("value")), *texts[2:]])
+    return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
 
 
-def _pictures(
-    trajectories: Mapping[str, Trajectory], spec: RobotSpec, comparison: Comparison | None
-) -> list[Markup]:
-    made = [
-        picture(plan_view(trajectories, spec), "Paths and bodies from above. Forward is from tail to head."),
-        picture(bend_plot(trajectories), "Bend of each segment; positive bends the head end to the left."),
-        picture(pressure_plot(trajectories), "Pressure of the + chamber less that of the − chamber."),
+def _why(attribution: Attribution | None) -> dict[str, Any]:
+    """Return the part of the page that says why the plants differ: picture, table, what they share."""
+    if attribution is None:
+        return {"why": None}
+    headings = ["assumption", "what it is", "how", *(f"{t}, {u}" for t, u in MEASURES.values())]
+    rows = [
+        [share.name, share.title, share.how, *map(_share, share.value, share.low, share.high)]
+        for share in attribution.shares
     ]
-    if all(run.has("reference_1") for run in trajectories.values()):
-        made.insert(0, picture(tracking_plot(trajectories), "How the first segment follows its reference."))
-    else:
-        made.append(picture(speed_plot(trajectories), "Speed of the centre of mass."))
-    if all(map(is_learning, trajectories.values())):
-        text = "What was learnt: amplitudes and duties of each module, by period."
-        made.insert(0, picture(learning_plot(trajectories), text))
-    if (read := reading_plot(trajectories)) is not None:
-        made.append(picture(read, "What the first segment's sensor reads over what it is bent by."))
-    if (followed := following_plot(trajectories, spec)) is not None:
-        text = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."
-        made.insert(0, picture(followed, text))
-    if comparison is not None and len(comparison.time):
-        made.append(picture(error_plot(comparison, spec), "How far the twin is from the analytical model."))
-    return made
+    matched = "stiff bends and the same friction on both sides: what is left"
+    for name, what, values in (
+        ("not explained", "", attribution.remainder),
+        ("gap", "", attribution.gap),
+        ("matched (stiff bends)", matched, attribution.matched),
+    ):
+        rows.append([name, what, "", *map(_signed, values)])
+    caption = "From the analytical model to the twin, one assumption after another."
+    return {
+        "why": Table(headings, rows, range(3, len(headings))),
+        "waterfall": picture(waterfall(attribution), caption),
+        "same": ", ".join(attribution.same),
+    }
 
 
-def _measured(differences: Mapping[str, MeasuredDifference] | None) -> list[Markup]:
-    """Return the plot of how far the plants are from the measured robot, where one was."""
-    if not differences:
-        return []
-    return [picture(measured_plot(differences), "How far each plant is from what was measured, over time.")]
+def _share(value: float, low: float, high: float) -> str:
+    return _signed(value) + ("" if low == high else f" [{_signed(low)}, {_signed(high)}]")
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3g}" if abs(value) >= _NOTHING else "0"
+
+
+def _plots(
+    runs: Mapping[str, Trajectory],
+    spec: RobotSpec,
+    comparison: Comparison | None,
+    measured: Mapping[str, MeasuredDifference] | None,
+) -> list[Picture]:
+    """Return the plots that there is something to draw in, those of what was asked of the robot first."""
+    tracked = all(run.has("reference_1") for run in runs.values())
+    learnt = all(map(is_learning, runs.values()))
+    compared = comparison if comparison is not None and len(comparison.time) else None
+    made: list[tuple[Figure | None, str]] = [
+        (
+            measured_plot(measured) if measured else None,
+            "How far each plant is from what was measured, over time.",
+        ),
+        (
+            following_plot(runs, spec),
+            "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it.",
+        ),
+        (
+            learning_plot(runs) if learnt else None,
+            "What was learnt: amplitudes and duties of each module, by period.",
+        ),
+        (tracking_plot(runs) if tracked else None, "How the first segment follows its reference."),
+        (plan_view(runs, spec), "Paths and bodies from above. Forward is from tail to head."),
+        (bend_plot(runs), "Bend of each segment; positive bends the head end to the left."),
+        (pressure_plot(runs), "Pressure of the + chamber less that of the − chamber."),
+        (None if tracked else speed_plot(runs), "Speed of the centre of mass."),
+        (reading_plot(runs), "What the first segment's sensor reads over what it is bent by."),
+        (error_plot(compared, spec) if compared else None, "How far the twin is from the analytical model."),
+    ]
+    return [picture(figure, caption) for figure, caption in made if figure is not None]
 
 
 def _settings(
     spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, Any]
-) -> list[Markup]:
+) -> dict[str, Table]:
     about = {plant: run.metadata for plant, run in trajectories.items()}
     keys = dict.fromkeys(key for metadata in about.values() for key in metadata)
     runs = [[key, *(_text(metadata.get(key)) for metadata in about.values())] for key in keys]
     robot = [[name, _text(value)] for name, value in _leaves(asdict(spec))]
-    used = [[name, str(version)] for name, version in versions.items()]
-    return [
-        folded("Plants and controller", table(["setting", *about], runs)),
-        folded(f"Robot {spec.name} (SI units)", table(["parameter", "value"], robot)),
-        folded("Versions", table(["package", "version"], used)),
-    ]
+    return {
+        "Plants and controller": Table(["setting", *about], runs),
+        f"Robot {spec.name} (SI units)": Table(["parameter", "value"], robot),
+        "Versions": Table(["package", "version"], list(versions.items())),
+    }
 
 
 def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
@@ -317,14 +237,15 @@ def _words(name: str) -> str:
 
 def _text(value: Any) -> str:
     """Return a JSON value for people; a dash where there is none."""
-    if value is None:
-        return "–"
-    if isinstance(value, bool | str):
-        return str(value)
-    if isinstance(value, int | float):
-        return f"{value:.4g}" if isinstance(value, float) else str(value)
-    if isinstance(value, list | tuple):
-        return ", ".join(
-            f"[{_text(each)}]" if isinstance(each, list | tuple) else _text(each) for each in value
-        )
-    return json.dumps(value, ensure_ascii=False)
+    match value:
+        case None:
+            return "–"
+        case float():
+            return f"{value:.4g}"
+        case Mapping():
+            return json.dumps(value, ensure_ascii=False)
+        case list() | tuple():
+            return ", ".join(
+                f"[{_text(each)}]" if isinstance(each, list | tuple) else _text(each) for each in value
+            )
+    return str(value)

@@ -30,9 +30,13 @@ SPACE, BACKSPACE, HOME = 32, 259, 268
 RIGHT, LEFT, DOWN, UP, PAGE_UP, PAGE_DOWN = 262, 263, 264, 265, 266, 267
 
 _CHANGES = {
-    LEFT: ("offset", 1), RIGHT: ("offset", -1), UP: ("frequency", 1), DOWN: ("frequency", -1),
-    PAGE_UP: ("pressure", 1), PAGE_DOWN: ("pressure", -1),
-}  # fmt: skip
+    LEFT: ("offset", 1),
+    RIGHT: ("offset", -1),
+    UP: ("frequency", 1),
+    DOWN: ("frequency", -1),
+    PAGE_UP: ("pressure", 1),
+    PAGE_DOWN: ("pressure", -1),
+}
 _PARTS = {"offset": 16, "frequency": 10, "pressure": 14}
 """How many presses lead from one limit to the other: 0.05, 0.1 Hz, about 1 kPa."""
 

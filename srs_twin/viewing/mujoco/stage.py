@@ -130,9 +130,13 @@ def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: Rgba, half: floa
         (x, y), length = end - begin, math.hypot(*(end - begin))
         c, s = (x / length, y / length) if length else (1.0, 0.0)
         mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom], box, [length / 2 + half, half, _LINE / 2], [*(begin + end) / 2, height],
-            [c, -s, 0, s, c, 0, 0, 0, 1], rgba,
-        )  # fmt: skip
+            scene.geoms[scene.ngeom],
+            box,
+            [length / 2 + half, half, _LINE / 2],
+            [*(begin + end) / 2, height],
+            [c, -s, 0, s, c, 0, 0, 0, 1],
+            rgba,
+        )
         scene.ngeom += 1
 
 

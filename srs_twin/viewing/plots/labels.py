@@ -11,14 +11,29 @@ from srs_twin.scenario.file import ScenarioFile
 
 # How keys end, longest first where one ends another, and the unit that this means.
 _UNITS = {
-    "_nm_per_rad": "N·m/rad", "_l_per_min": "L/min", "_per_s": "1/s", "_per_m": "1/m", "_rad_s": "rad/s",
-    "_m_s": "m/s", "_kpa": "kPa", "_hz": "Hz", "_ml": "ml", "_mm": "mm", "_kg": "kg", "_rad": "rad",
-    "_m": "m", "_s": "s", "_w": "W", "_t": "T",
-}  # fmt: skip
+    "_nm_per_rad": "N·m/rad",
+    "_l_per_min": "L/min",
+    "_per_s": "1/s",
+    "_per_m": "1/m",
+    "_rad_s": "rad/s",
+    "_m_s": "m/s",
+    "_kpa": "kPa",
+    "_hz": "Hz",
+    "_ml": "ml",
+    "_mm": "mm",
+    "_kg": "kg",
+    "_rad": "rad",
+    "_m": "m",
+    "_s": "s",
+    "_w": "W",
+    "_t": "T",
+}
 # How names of metrics of the comparison end, and what is said instead.
 _ENDINGS = {
-    "_rel": ", relative difference", "_abs": ", size of difference", "_body": " over body length",
-}  # fmt: skip
+    "_rel": ", relative difference",
+    "_abs": ", size of difference",
+    "_body": " over body length",
+}
 _SENTENCES = ("What ", "Which ", "How ")
 _LONGEST = 36  # characters of a title from the schema; longer ones are sentences
 

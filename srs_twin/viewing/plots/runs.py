@@ -78,14 +78,23 @@ def speed_plot(trajectories: Mapping[str, Trajectory]) -> Figure:
         if len(time):
             axes.plot(run.time, momentary, color=style.color, linewidth=0.7, alpha=0.35)
             axes.plot(
-                time, mean, color=style.color, linestyle=style.dash, linewidth=2.0, zorder=style.zorder,
+                time,
+                mean,
+                color=style.color,
+                linestyle=style.dash,
+                linewidth=2.0,
+                zorder=style.zorder,
                 label=f"{style.label}, mean of one gait period",
-            )  # fmt: skip
+            )
         else:
             axes.plot(
-                run.time, momentary, color=style.color, linestyle=style.dash, linewidth=style.width,
+                run.time,
+                momentary,
+                color=style.color,
+                linestyle=style.dash,
+                linewidth=style.width,
                 label=f"{style.label}, along the heading",
-            )  # fmt: skip
+            )
     axes.axhline(0.0, color="0.5", linewidth=0.6)
     axes.set_title(
         "Speed of the centre of mass, forward positive (thin: momentary, along the heading)", fontsize=10
@@ -130,10 +139,14 @@ def _by_segment(
             style = style_of(plant, index)
             seen = (run.time >= first - 1e-9) & (run.time <= last + 1e-9)
             axes.plot(
-                run.time[seen], signals[plant][seen, j],
-                color=style.color, linestyle=style.dash, linewidth=style.width, label=style.label,
+                run.time[seen],
+                signals[plant][seen, j],
+                color=style.color,
+                linestyle=style.dash,
+                linewidth=style.width,
+                label=style.label,
                 zorder=style.zorder,
-            )  # fmt: skip
+            )
         finish(axes, label.format(j + 1))
     some = "" if len(shown) == segments else f", {len(shown)} of {segments} segments"
     rows[0].set_title(f"{title}, head first{some}{span}", fontsize=10, loc="left")
@@ -176,12 +189,20 @@ def learning_plot(trajectories: Mapping[str, Trajectory]) -> Figure:
     height = _HEIGHT * rows + _MARGIN
     figure = Figure(figsize=(_WIDTH, height))
     panels = figure.subplots(
-        rows, 2, sharex=True, sharey="col", squeeze=False,
+        rows,
+        2,
+        sharex=True,
+        sharey="col",
+        squeeze=False,
         gridspec_kw={
-            "left": 0.083, "right": 0.978, "top": 1 - 0.45 / height, "bottom": 0.5 / height, "hspace": 0.18,
+            "left": 0.083,
+            "right": 0.978,
+            "top": 1 - 0.45 / height,
+            "bottom": 0.5 / height,
+            "hspace": 0.18,
             "wspace": 0.18,
         },
-    )  # fmt: skip
+    )
     for j, (bends, duties) in enumerate(panels):
         for index, (plant, run) in enumerate(runs.items()):
             dash = style_of(plant, index).dash
@@ -225,9 +246,15 @@ def tracking_plot(trajectories: Mapping[str, Trajectory]) -> Figure:
     """
     figure, rows = panels(2.9 + 0.75 * len(trajectories), 1 + len(trajectories))
     above = figure.add_gridspec(
-        2, 1, height_ratios=(2.6, 0.75 * len(trajectories)), left=0.083, right=0.978, hspace=0.12,
-        top=1 - 0.42 / figure.get_figheight(), bottom=0.5 / figure.get_figheight(),
-    )  # fmt: skip
+        2,
+        1,
+        height_ratios=(2.6, 0.75 * len(trajectories)),
+        left=0.083,
+        right=0.978,
+        hspace=0.12,
+        top=1 - 0.42 / figure.get_figheight(),
+        bottom=0.5 / figure.get_figheight(),
+    )
     below = above[1].subgridspec(len(trajectories), 1, hspace=0.18)
     rows[0].set_subplotspec(above[0])
     for k, axes in enumerate(rows[1:]):
@@ -238,15 +265,25 @@ def tracking_plot(trajectories: Mapping[str, Trajectory]) -> Figure:
         time = run.time[seen]
         if index == 0:
             rows[0].plot(
-                time, run["reference_1"][seen], color=REFERENCE.color, linestyle=REFERENCE.dash,
-                linewidth=REFERENCE.width, label=REFERENCE.label, zorder=3,
-            )  # fmt: skip
+                time,
+                run["reference_1"][seen],
+                color=REFERENCE.color,
+                linestyle=REFERENCE.dash,
+                linewidth=REFERENCE.width,
+                label=REFERENCE.label,
+                zorder=3,
+            )
         if run.has("sensed_1"):
             rows[0].plot(time, run["sensed_1"][seen], color=style.color, linewidth=0.4, alpha=0.3)
         rows[0].plot(
-            time, run["bend_1"][seen], color=style.color, linestyle=style.dash, linewidth=style.width,
-            label=style.label, zorder=style.zorder,
-        )  # fmt: skip
+            time,
+            run["bend_1"][seen],
+            color=style.color,
+            linestyle=style.dash,
+            linewidth=style.width,
+            label=style.label,
+            zorder=style.zorder,
+        )
         _valves(rows[1 + index], run, seen, style.color)
         finish(rows[1 + index], f"{plant}\nvalves")
     finish(rows[0], "$q_1$ (rad)")
@@ -295,18 +332,29 @@ def reading_plot(trajectories: Mapping[str, Trajectory]) -> Figure | None:
         style, run = style_of(plant, index), trajectories[plant]
         some = slice(None, None, math.ceil(len(run) / _MOST_DOTS))
         read.plot(
-            np.degrees(run["bend_1"][some]), np.degrees(run["sensed_1"][some]), ".",
-            color=style.color, markersize=1.5, alpha=0.3,
-        )  # fmt: skip
+            np.degrees(run["bend_1"][some]),
+            np.degrees(run["sensed_1"][some]),
+            ".",
+            color=style.color,
+            markersize=1.5,
+            alpha=0.3,
+        )
         for axes, values in ((read, curve.reading), (apart, curve.reading - curve.bend)):
             axes.plot(
-                np.degrees(curve.bend), np.degrees(values), color=style.color, linestyle=style.dash,
-                linewidth=style.width, label=style.label,
-            )  # fmt: skip
+                np.degrees(curve.bend),
+                np.degrees(values),
+                color=style.color,
+                linestyle=style.dash,
+                linewidth=style.width,
+                label=style.label,
+            )
     finish(read, "sensed (°)")
     finish(apart, "mean less bend (°)")
-    read.set_title("What the first segment's sensor reads (dots: single readings; lines: their means)",
-                   fontsize=10, loc="left")  # fmt: skip
+    read.set_title(
+        "What the first segment's sensor reads (dots: single readings; lines: their means)",
+        fontsize=10,
+        loc="left",
+    )
     handles, names = read.get_legend_handles_labels()
     read.legend(handles, names, loc="upper left", fontsize=8, frameon=False)
     apart.set_xlabel("bend (°)")
@@ -331,9 +379,13 @@ def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure:
         values = [*(_LABELS[name][1] * signals[plant][name] for name in shown), difference.bend_rms]
         for axes, each in zip(rows, values, strict=True):
             axes.plot(
-                difference.comparison.time, each, color=style.color, linestyle=style.dash,
-                linewidth=style.width, label=style.label,
-            )  # fmt: skip
+                difference.comparison.time,
+                each,
+                color=style.color,
+                linestyle=style.dash,
+                linewidth=style.width,
+                label=style.label,
+            )
     for axes, label in zip(rows, labels, strict=True):
         finish(axes, label)
     distances = "shapes and paths as distances, " if shown else ""
@@ -358,12 +410,17 @@ def waterfall(attribution: Attribution) -> Figure:
     height = 0.75 + 0.24 * len(rows)
     figure = Figure(figsize=(9.0, height))
     panels = figure.subplots(
-        1, len(MEASURES), sharey=True,
+        1,
+        len(MEASURES),
+        sharey=True,
         gridspec_kw={
-            "left": _LONGEST_NAME / 9.0, "right": 0.985, "top": 1 - 0.35 / height, "bottom": 0.42 / height,
+            "left": _LONGEST_NAME / 9.0,
+            "right": 0.985,
+            "top": 1 - 0.35 / height,
+            "bottom": 0.42 / height,
             "wspace": 0.1,
         },
-    )  # fmt: skip
+    )
     for m, (axes, (title, unit)) in enumerate(zip(panels, MEASURES.values(), strict=True)):
         _panel(axes, attribution, m, len(rows))
         axes.set_title(title, fontsize=9)

@@ -310,9 +310,12 @@ def column_panels(columns: int, *, key: bool) -> tuple[Figure, list[Axes]]:
     """
     figure = Figure(figsize=(_WIDTH, _HEIGHT))
     margins = {
-        "left": _LEFT / _WIDTH, "right": 1 - (_KEY if key else _RIGHT) / _WIDTH,
-        "top": 1 - _TOP / _HEIGHT, "bottom": _BOTTOM / _HEIGHT, "wspace": 0.08,
-    }  # fmt: skip
+        "left": _LEFT / _WIDTH,
+        "right": 1 - (_KEY if key else _RIGHT) / _WIDTH,
+        "top": 1 - _TOP / _HEIGHT,
+        "bottom": _BOTTOM / _HEIGHT,
+        "wspace": 0.08,
+    }
     made = figure.subplots(1, columns, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins)
     for axes in made[0]:
         axes.tick_params(labelsize=8)
@@ -337,10 +340,20 @@ def legend_above(axes: Axes, handles: Sequence[Line2D] = ()) -> None:
     marked, _ = axes.get_legend_handles_labels()
     shown = [*handles, *(each for each in marked if isinstance(each, Line2D))]
     if shown:
-        axes.add_artist(axes.legend(
-            handles=shown, fontsize=8, ncols=len(shown), loc="lower right", bbox_to_anchor=(1.0, 0.99),
-            frameon=False, borderaxespad=0.2, handletextpad=0.4, columnspacing=1.2, handlelength=2.8,
-        ))  # fmt: skip
+        axes.add_artist(
+            axes.legend(
+                handles=shown,
+                fontsize=8,
+                ncols=len(shown),
+                loc="lower right",
+                bbox_to_anchor=(1.0, 0.99),
+                frameon=False,
+                borderaxespad=0.2,
+                handletextpad=0.4,
+                columnspacing=1.2,
+                handlelength=2.8,
+            )
+        )
 
 
 def name_ticks(axis: Axis, values: Values) -> None:
@@ -366,9 +379,19 @@ def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, what: str, *, across: bo
         marker, color = _MARKS[what]
         transform = axes.get_xaxis_transform() if across else axes.transData
         axes.plot(
-            x, y, linestyle="none", marker=marker, color=color, markersize=4.5, markeredgewidth=1.1,
-            markerfacecolor="none", transform=transform, clip_on=not across, label=what, zorder=4,
-        )  # fmt: skip
+            x,
+            y,
+            linestyle="none",
+            marker=marker,
+            color=color,
+            markersize=4.5,
+            markeredgewidth=1.1,
+            markerfacecolor="none",
+            transform=transform,
+            clip_on=not across,
+            label=what,
+            zorder=4,
+        )
 
 
 def say(axes: Axes, failed: np.ndarray) -> None:
@@ -663,9 +686,14 @@ def _line(request: PlotRequest, rows: SweepTable, owners: list[str], beside: Bes
             place, height = _means(x.numbers, values.numbers, by.numbers == group)
             drawn += int(np.isfinite(height).sum())
             axes.plot(
-                place, height, color=colors.get(group, _color(owner)), linestyle=_dash(owner),
-                linewidth=1.3 if few else 0.9, marker=_MARKERS[owner], markersize=size,
-            )  # fmt: skip
+                place,
+                height,
+                color=colors.get(group, _color(owner)),
+                linestyle=_dash(owner),
+                linewidth=1.3 if few else 0.9,
+                marker=_MARKERS[owner],
+                markersize=size,
+            )
     _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
     # Lines of plans are told apart by what they vary over alone.
     samples = [_sample(owner, plain=bool(request.by)) for owner in owners if owner != PLAN]
@@ -686,9 +714,15 @@ def _name_groups(
         return
     handles = [Line2D([], [], color=colors[group], label=by.text(group)) for group in groups]
     axes.legend(
-        handles=handles, title=textwrap.fill(by.label, 18), title_fontsize=8, fontsize=8, frameon=False,
-        loc="upper left", bbox_to_anchor=(1.0, 1.0), alignment="left",
-    )  # fmt: skip
+        handles=handles,
+        title=textwrap.fill(by.label, 18),
+        title_fontsize=8,
+        fontsize=8,
+        frameon=False,
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        alignment="left",
+    )
 
 
 def _draw_published(
@@ -734,9 +768,14 @@ def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
         elif request.by:
             color = {"c": shade[order], "cmap": "viridis", "vmin": low, "vmax": high}
         axes.scatter(
-            x.numbers[order], values.numbers[order], s=16, marker=_MARKERS[owner], alpha=0.85,
-            linewidths=0, **color,
-        )  # fmt: skip
+            x.numbers[order],
+            values.numbers[order],
+            s=16,
+            marker=_MARKERS[owner],
+            alpha=0.85,
+            linewidths=0,
+            **color,
+        )
         drawn += len(order)
     x = rows.values(request.x, owners[0])
     _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)

@@ -160,8 +160,11 @@ def _following_rows(layout: Layout) -> Rows:
 
 
 _ROWS: Mapping[Kind, Callable[[Layout], Rows]] = {
-    "gait": _gait_rows, "bench": _bench_rows, "learning": _learning_rows, "following": _following_rows,
-}  # fmt: skip
+    "gait": _gait_rows,
+    "bench": _bench_rows,
+    "learning": _learning_rows,
+    "following": _following_rows,
+}
 
 
 def _events() -> rrb.TextLogView:

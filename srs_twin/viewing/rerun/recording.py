@@ -123,9 +123,11 @@ def send_modules(log: rr.RecordingStream, plant: str, run: Trajectory, style: St
         if run.has(f"duty_{side}"):
             for j, values in enumerate(run.stack(f"duty_{side}").T, start=1):
                 line = rr.SeriesLines(
-                    colors=[rgb], names=[f"{style.label}, {side}"], widths=[style.width],
+                    colors=[rgb],
+                    names=[f"{style.label}, {side}"],
+                    widths=[style.width],
                     interpolation_mode="StepAfter",
-                )  # fmt: skip
+                )
                 _send(log, f"module/{j}/duty/{plant}/{side}", run.time, values, line, changes=True)
 
 
