@@ -1,16 +1,9 @@
-"""What is plotted but not recorded: speeds, pressure differences, the whole centre line.
-
-What must hold before anything is drawn.
-
-Where the body is, for drawing: the whole centre line, and the wheels.
-
-What is plotted but not recorded: speeds and pressure differences.
-"""
+"""What is drawn but not recorded: speeds, pressures, the whole centre line, wheels, lines of a plan."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -21,6 +14,12 @@ from srs_twin.comparison.tracking import frequency_of
 from srs_twin.errors import InputError
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from srs_twin.planning import Segment
+
+_SPACING = 0.01
+Kind = Literal["gait", "bench", "learning", "following"]
 
 
 def check_drawable(trajectories: Mapping[str, Trajectory]) -> None:
@@ -45,6 +44,29 @@ def body_line(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 
+def segment_points(
+    segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
+) -> np.ndarray:
+    """Return points along a segment of a plan, about a centimetre apart, shape (n, 2), m.
+
+    Args:
+        segment: of the plan.
+        offset: how far to the left of it, m.
+        behind: how far before its begin, m.
+        ahead: how far beyond its end, m.
+    """
+    low, high = -behind, segment.length + ahead
+    poses = [segment.pose(s) for s in np.linspace(low, high, max(2, int((high - low) / _SPACING)))]
+    return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
+
+
+def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
+    """Return the edge of a goal, shape (n, 2), m."""
+    angle = np.linspace(0, 2 * np.pi, 49)
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.array([goal["x"], goal["y"]]) + goal["radius"] * around
+
+
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the wheels at ± half the track, shape (samples, N, 2, 2), m: left, then right."""
     theta = trajectory.stack("theta")
@@ -60,9 +82,6 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     ahead = np.stack([np.cos(middle), np.sin(middle)], axis=-1)[:, :, None]
     rolled = (np.diff(centres, axis=0) * ahead).sum(axis=-1) / geometry.wheel_radius
     return np.concatenate([np.zeros((1, *rolled.shape[1:])), np.cumsum(rolled, axis=0)])
-
-
-Kind = Literal["gait", "bench", "learning", "following"]
 
 
 def pressure_difference(trajectory: Trajectory) -> np.ndarray:

@@ -1,23 +1,31 @@
 """Colours, lines and margins, the same in every picture.
 
-Colours and lines, the same in every picture: of the plants, and of a segment's pressures.
-
-A figure with panels and margins in inches. Matplotlib's automatic layouts double the time to draw.
+Margins are given in inches: matplotlib's automatic layouts double the time to draw.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+Place = Literal["left", "center"]
 _NO_PRESSURE = (225, 225, 222)
-# Neither is a plant's colour.
-PLUS_RGB = (170, 51, 119)
-MINUS_RGB = (0, 158, 115)
+# Of pressures; neither is a plant's colour.
+PLUS_COLOR, MINUS_COLOR = "#aa3377", "#009e73"
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Return a colour #rrggbb as three bytes."""
+    red, green, blue = bytes.fromhex(color[1:])
+    return red, green, blue
+
+
+PLUS_RGB, MINUS_RGB = rgb(PLUS_COLOR), rgb(MINUS_COLOR)
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,12 @@ class Style:
     @property
     def rgb(self) -> tuple[int, int, int]:
         """The colour as three bytes."""
-        value = int(self.color[1:], 16)
-        return value >> 16, value >> 8 & 255, value & 255
+        return rgb(self.color)
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Arguments of `Axes.plot`."""
+        return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "label": self.label}
 
     @property
     def zorder(self) -> float:
@@ -85,7 +97,7 @@ _LEFT, _TOP, _BOTTOM = 0.75, 0.42, 0.5
 
 
 def panels(
-    height: float, rows: int = 1, *, right: float = 0.2, share_y: bool = False
+    height: float, rows: int = 1, *, right: float = 0.2, share_y: bool = False, heights: Sequence[float] = ()
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of the report's width and its panels, top first, with a common time axis.
 
@@ -94,21 +106,65 @@ def panels(
         rows: number of panels.
         right: margin for a second axis there, inches.
         share_y: whether all panels have the same range.
+        heights: of the panels over each other; default equal ones.
     """
-    figure = Figure(figsize=(_WIDTH, height))
-    margins = {
-        "left": _LEFT / _WIDTH,
-        "right": 1 - right / _WIDTH,
-        "top": 1 - _TOP / height,
-        "bottom": _BOTTOM / height,
-        "hspace": 0.18,
-    }
-    made = figure.subplots(rows, 1, sharex=True, sharey=share_y, squeeze=False, gridspec_kw=margins)
+    figure, made = side_by_side(
+        height, 1, rows, right=right, space=0.18, sharex=True, sharey=share_y, height_ratios=heights or None
+    )
     return figure, list(made[:, 0])
 
 
-def finish(axes: Axes, label: str) -> None:
-    """Name the y axis and lay a light grid."""
+def side_by_side(
+    height: float,
+    columns: int,
+    rows: int = 1,
+    *,
+    left: float = _LEFT,
+    right: float = 0.2,
+    top: float = _TOP,
+    bottom: float = _BOTTOM,
+    space: float = 0.08,
+    **shared: Any,
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure of the report's width and its panels, shape (rows, columns).
+
+    Args:
+        height: of the whole figure, inches.
+        columns: number of panels in a row.
+        rows: number of rows.
+        left: margin there, inches.
+        right: margin there, inches.
+        top: margin there, inches.
+        bottom: margin there, inches.
+        space: between panels, over their size.
+        shared: what `Figure.subplots` is told besides.
+    """
+    figure = Figure(figsize=(_WIDTH, height))
+    margins = {
+        "left": left / _WIDTH,
+        "right": 1 - right / _WIDTH,
+        "top": 1 - top / height,
+        "bottom": bottom / height,
+        "hspace": space,
+        "wspace": space,
+    }
+    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=margins, **shared)
+
+
+def finish(axes: Axes, label: str, below: str = "", *, title: str = "", loc: Place = "center") -> None:
+    """Name the axes and lay a light grid.
+
+    Args:
+        axes: of a panel.
+        label: of the y axis.
+        below: label of the x axis.
+        title: above the panel.
+        loc: where it stands, "center" or "left".
+    """
     axes.set_ylabel(label, fontsize=9)
+    if below:
+        axes.set_xlabel(below)
+    if title:
+        axes.set_title(title, fontsize=10, loc=loc)
     axes.grid(True, linewidth=0.4, alpha=0.5)
     axes.tick_params(labelsize=8)

@@ -1,20 +1,14 @@
-"""Write finished runs as Rerun recordings, whole columns at once; nothing is logged while they simulate.
-
-What happened in a run, as a text log of a recording: a controller's events, and touching obstacles.
-
-Signals of each module in a recording besides bend and pressure: valves, readings, duties.
-
-Write a finished run as a Rerun recording, whole columns at once; nothing is logged while it simulates.
+"""Finished runs as Rerun recordings, whole columns at once; nothing is logged while they simulate.
 
 Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
 `world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`,
 `module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`, `follow/{cross_track, offset}/<plant>`,
-`events/<plant>` (text), `body/{speed, heading}/<plant>`, `comparison/{shape, path}`,
-`measured/{shape, path, bend}/<plant>`.
+`events/<plant>` (text: what the controller did, and touching obstacles), `body/{speed, heading}/<plant>`,
+`comparison/{shape, path}`, `measured/{shape, path, bend}/<plant>`.
 The time line is `sim_time`, in seconds of simulation. SI, except pressures in kPa and differences in mm,
 as the views' names say.
 
-Several recordings in one, beneath their names, with a blueprint that shows them side by side.
+Several recordings in one file lie beneath their names; its blueprint shows them side by side.
 """
 
 from __future__ import annotations
@@ -41,8 +35,8 @@ from srs_twin.viewing.plots.signals import (
     period_speed,
     pressure_difference,
 )
-from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, REFERENCE, Style, style_of
-from srs_twin.viewing.rerun.blueprint import TIMELINE, Layout, run_blueprint, side_by_side_blueprint
+from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, REFERENCE, Style, style_of
+from srs_twin.viewing.rerun.blueprint import Layout, run_blueprint, side_by_side_blueprint
 from srs_twin.viewing.rerun.scene import (
     Entities,
     line_height,
@@ -60,101 +54,13 @@ if TYPE_CHECKING:
     from srs_twin.comparison.compare import Comparison, MeasuredDifference
 
 
-_WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
-
-
-def events_of(run: Trajectory) -> list[Event]:
-    """Return a run's events and its contacts with obstacles, in order of time."""
-    return sorted([*run.events, *_contacts(run), *_end(run)], key=lambda event: event.time)
-
-
-def send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
-    """Log a run's events as `events/<plant>`; nothing where there are none."""
-    events = events_of(run)
-    if not events:
-        return
-    columns = rr.TextLog.columns(
-        text=[f"{event.kind}: {event.text}" for event in events],
-        level=["WARN" if event.kind in _WARNINGS else "INFO" for event in events],
-        color=[style.rgb] * len(events),
-    )
-    times = np.array([event.time for event in events])
-    log.send_columns(f"events/{plant}", [rr.TimeColumn(TIMELINE, duration=times)], columns)
-
-
-def _contacts(run: Trajectory) -> Iterator[Event]:
-    for touch in touches(run):
-        # One that a single sample saw is shorter than what lies between samples.
-        lasted = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
-        text = f"connector {touch.connector}, at most {touch.force:.2g} N{lasted}"
-        yield Event(touch.begin, "contact", text)
-
-
-def _end(run: Trajectory) -> Iterator[Event]:
-    by = run.metadata.get("ended_by")
-    if by is not None:
-        yield Event(float(run.time[-1]), "ended", f"the run, by its {by}")
-
-
-_READING_WIDTH = 0.6
-_SIDES = (("plus", PLUS_RGB), ("minus", MINUS_RGB))
-
-
-def send_modules(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
-    """Log `module/<j>/valve/<plant>`, and `sensed` and `duty` where they say more than bend and valve.
-
-    The state of a module's valves is 1 where they drive towards positive bends, −1 towards negative ones, 0
-    where both do the same.
-    """
-    if run.has("valve_plus"):
-        state = (run.stack("valve_plus") - run.stack("valve_minus")) / 2
-        for j, values in enumerate(state.T, start=1):
-            line = rr.SeriesLines(
-                colors=[style.rgb], names=[style.label], widths=[style.width], interpolation_mode="StepAfter"
-            )
-            _send(log, f"module/{j}/valve/{plant}", run.time, values, line, changes=True)
-    if run.has("sensed") and not np.array_equal(run.stack("sensed"), run.stack("bend")):
-        for j, values in enumerate(run.stack("sensed").T, start=1):
-            line = rr.SeriesLines(
-                colors=[style.rgb], names=[f"{style.label}, sensed"], widths=[_READING_WIDTH]
-            )
-            _send(log, f"module/{j}/sensed/{plant}", run.time, values, line)
-    for side, rgb in _SIDES:
-        if run.has(f"duty_{side}"):
-            for j, values in enumerate(run.stack(f"duty_{side}").T, start=1):
-                line = rr.SeriesLines(
-                    colors=[rgb],
-                    names=[f"{style.label}, {side}"],
-                    widths=[style.width],
-                    interpolation_mode="StepAfter",
-                )
-                _send(log, f"module/{j}/duty/{plant}/{side}", run.time, values, line, changes=True)
-
-
-def _send(
-    log: rr.RecordingStream,
-    path: str,
-    time: np.ndarray,
-    values: np.ndarray,
-    line: rr.SeriesLines,
-    *,
-    changes: bool = False,
-) -> None:
-    """Log a signal; of one in steps only the samples at which it changes, and the last."""
-    if changes:
-        kept = np.append(np.flatnonzero(np.append(True, values[1:] != values[:-1])), len(values) - 1)
-        # What a sample says has held since the one before.
-        since = np.append(np.maximum(kept[:-1] - 1, 0), kept[-1])
-        time, values = time[since], values[kept]
-    log.log(path, line, static=True)
-    scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float))
-    log.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], scalars)
-
-
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
 """Shapes are kept at most this often; plots keep every sample."""
 
+_WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
+_READING_WIDTH = 0.6
+_SIDES = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
 # The viewer may be dark or light: black would not be seen in one of them.
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 # Signal of a follower, its entity, and shown over SI.
@@ -186,55 +92,46 @@ def write_recording(
         InputError: there is no trajectory, or one of them is empty.
     """
     check_drawable(trajectories)
-    recorded = _recorded(spec, trajectories, comparison, title, world or World(), measured or {})
-    Path(path).write_bytes(recorded)
-    # A stream that nobody refers to any more keeps its threads and what went through it until it is told.
-    rr.bindings.flush_and_cleanup_orphaned_recordings()
-
-
-def _recorded(
-    spec: RobotSpec,
-    trajectories: Mapping[str, Trajectory],
-    comparison: Comparison | None,
-    title: str,
-    world: World,
-    measured: Mapping[str, MeasuredDifference],
-) -> bytes:
-    log = rr.RecordingStream(APPLICATION)
-    low, high = _extent(trajectories, spec)
-    residuals = {plant: _residuals(difference) for plant, difference in measured.items()}
+    residuals = {plant: _residuals(difference) for plant, difference in (measured or {}).items()}
     told = list(dict.fromkeys(name for each in residuals.values() for name in each))
-    layout = _layout(trajectories, spec, comparison is not None, told)
+    log = rr.RecordingStream(APPLICATION)
     # Not `log.save`: where the disk is full that leaves a part of a recording, and at worst no error.
-    recording = log.memory_recording()
-    send_blueprint(log, run_blueprint(layout))
+    memory = log.memory_recording()
+    send_blueprint(log, run_blueprint(_layout(trajectories, spec, comparison is not None, told)))
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title or spec.title)
-    _send_floor(log, low, high)
-    send_obstacles(log, world)
+    still = Entities(log, np.zeros(0), "world/")
+    _send_floor(still, trajectories, spec)
+    send_obstacles(still, world or World())
+    send_plan(still, trajectories)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = style_of(plant, index)
         ghost = plant != "twin" and "twin" in trajectories
         scene = thinned(run, SCENE_HZ)
-        entities = Entities(log, f"world/{plant}", scene.time)
-        send_snake(entities, scene, spec.geometry, style, ghost=ghost)
-        send_contacts(log, f"world/{plant}/contact", run, line_height(spec.geometry))
-        _send_signals(log, plant, run, style)
-        send_modules(log, plant, run, style)
-        send_events(log, plant, run, style)
-    send_plan(log, trajectories)
+        send_snake(Entities(log, scene.time, f"world/{plant}/"), scene, spec.geometry, style, ghost=ghost)
+        send_contacts(Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry))
+        _send_modules(Entities(log, run.time), plant, run, style)
+        _send_motion(Entities(log, run.time), plant, run, style)
+        _send_events(log, plant, run, style)
     if comparison is not None:
-        for index, (name, error) in enumerate(
-            (("shape", comparison.shape_error), ("path", comparison.path_error))
-        ):
-            _send_series(log, f"comparison/{name}", comparison.time, 1e3 * error, style_of(name, index))
-    for index, (plant, errors) in enumerate(residuals.items()):
-        for name, error in errors.items():
-            path, style = f"measured/{name}/{plant}", style_of(plant, index)
-            _send_series(log, path, measured[plant].comparison.time, error, style)
-    content: bytes = recording.drain_as_bytes()
+        errors = {"shape": comparison.shape_error, "path": comparison.path_error}
+        for index, (name, error) in enumerate(errors.items()):
+            to = Entities(log, comparison.time, "comparison/")
+            to.line(name, 1e3 * error, style_of(name, index))
+    for index, (plant, found) in enumerate(residuals.items()):
+        for name, error in found.items():
+            to = Entities(log, (measured or {})[plant].comparison.time, "measured/")
+            to.line(f"{name}/{plant}", error, style_of(plant, index))
+    Path(path).write_bytes(_drained(log, memory))
+
+
+def _drained(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
+    """Return what went through a stream, and end it."""
+    content: bytes = memory.drain_as_bytes()
     log.disconnect()
+    # A stream that nobody refers to any more keeps its threads and what went through it until it is told.
+    rr.bindings.flush_and_cleanup_orphaned_recordings()
     return content
 
 
@@ -289,48 +186,88 @@ def _layout(
     )
 
 
-def _extent(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+def _send_floor(to: Entities, trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> None:
     points = np.concatenate([run.position.reshape(-1, 2) for run in trajectories.values()])
     margin = spec.geometry.half_track + spec.geometry.pitch
-    return np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
-
-
-def _send_floor(log: rr.RecordingStream, low: np.ndarray, high: np.ndarray) -> None:
-    margin = 0.25 * float(np.hypot(*(high - low)))
-    (x0, y0), (x1, y1) = low - margin, high + margin
+    low, high = np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
+    beyond = 0.25 * float(np.hypot(*(high - low)))
+    (x0, y0), (x1, y1) = low - beyond, high + beyond
     corners = [[x0, y0, -0.001], [x1, y0, -0.001], [x1, y1, -0.001], [x0, y1, -0.001]]
-    floor = rr.Mesh3D(
-        vertex_positions=corners, triangle_indices=[[0, 1, 2], [0, 2, 3]], albedo_factor=[228, 230, 233]
-    )
-    log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    log.log("world/floor", floor, static=True)
+    triangles = [[0, 1, 2], [0, 2, 3]]
+    floor = rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=[228, 230, 233])
+    replace(to, root="").fixed("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    to.fixed("floor", floor)
 
 
-def _send_signals(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
+    """Log `module/<j>/{bend, pressure, valve}/<plant>`, and `sensed` and `duty` where they say more.
+
+    The state of a module's valves is 1 where they drive towards positive bends, −1 towards negative ones, 0
+    where both do the same.
+    """
+
+    def send(signal: str, values: np.ndarray, look: Style, name: str = plant, steps: bool = False) -> None:
+        for j, each in enumerate(values.T, start=1):
+            to.line(f"module/{j}/{signal}/{name}", each, look, steps=steps)
+
     bends, pressures = run.stack("bend"), pressure_difference(run)
-    for j in range(bends.shape[1]):
-        _send_series(log, f"module/{j + 1}/bend/{plant}", run.time, bends[:, j], style)
-        if np.isfinite(pressures).any():
-            _send_series(log, f"module/{j + 1}/pressure/{plant}", run.time, 1e-3 * pressures[:, j], style)
+    send("bend", bends, style)
+    if np.isfinite(pressures).any():
+        send("pressure", 1e-3 * pressures, style)
     if run.has("reference_1"):
-        for j, asked in enumerate(run.stack("reference").T, start=1):
-            _send_series(log, f"module/{j}/bend/reference", run.time, asked, _REFERENCE)
+        send("bend", run.stack("reference"), _REFERENCE, "reference")
+    if run.has("valve_plus"):
+        send("valve", (run.stack("valve_plus") - run.stack("valve_minus")) / 2, style, steps=True)
+    if run.has("sensed") and not np.array_equal(run.stack("sensed"), bends):
+        thin = replace(style, label=f"{style.label}, sensed", width=_READING_WIDTH)
+        send("sensed", run.stack("sensed"), thin)
+    for side, color in _SIDES.items():
+        if run.has(f"duty_{side}"):
+            look = replace(style, label=f"{style.label}, {side}", color=color)
+            send("duty", run.stack(f"duty_{side}"), look, f"{plant}/{side}", steps=True)
+
+
+def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
+    """Log heading and speed of the body, and how it keeps to a plan."""
     for name, entity, factor in _FOLLOWED:
         if run.has(name):
-            _send_series(log, f"follow/{entity}/{plant}", run.time, factor * run[name], style)
-    _send_series(log, f"body/heading/{plant}", run.time, run["heading"], style)
+            to.line(f"follow/{entity}/{plant}", factor * run[name], style)
+    to.line(f"body/heading/{plant}", run["heading"], style)
     period = gait_period(run)
     time, speed = (run.time, forward_speed(run)) if period is None else period_speed(run, period)
-    _send_series(log, f"body/speed/{plant}", time, speed, style)
+    replace(to, time=time).line(f"body/speed/{plant}", speed, style)
 
 
-def _send_series(
-    log: rr.RecordingStream, path: str, time: np.ndarray, values: np.ndarray, style: Style
-) -> None:
-    line = rr.SeriesLines(colors=[style.rgb], names=[style.label], widths=[style.width])
-    log.log(path, line, static=True)
-    scalars = rr.Scalars.columns(scalars=np.asarray(values, dtype=float))
-    log.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time)], scalars)
+def events_of(run: Trajectory) -> list[Event]:
+    """Return a run's events and its contacts with obstacles, in order of time."""
+    return sorted([*run.events, *_contacts(run), *_end(run)], key=lambda event: event.time)
+
+
+def _send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+    """Log a run's events as `events/<plant>`; nothing where there are none."""
+    events = events_of(run)
+    if not events:
+        return
+    columns = rr.TextLog.columns(
+        text=[f"{event.kind}: {event.text}" for event in events],
+        level=["WARN" if event.kind in _WARNINGS else "INFO" for event in events],
+        color=[style.rgb] * len(events),
+    )
+    Entities(log, np.array([event.time for event in events])).moving(f"events/{plant}", columns)
+
+
+def _contacts(run: Trajectory) -> Iterator[Event]:
+    for touch in touches(run):
+        # One that a single sample saw is shorter than what lies between samples.
+        lasted = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
+        text = f"connector {touch.connector}, at most {touch.force:.2g} N{lasted}"
+        yield Event(touch.begin, "contact", text)
+
+
+def _end(run: Trajectory) -> Iterator[Event]:
+    by = run.metadata.get("ended_by")
+    if by is not None:
+        yield Event(float(run.time[-1]), "ended", f"the run, by its {by}")
 
 
 @dataclass(frozen=True)
@@ -412,8 +349,6 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
     log.send_recording_name(" | ".join(recordings))
     for part in parts:
         log.send_chunks([chunk.with_entity_path(f"/{part.root}{chunk.entity_path}") for chunk in part.chunks])
-    content: bytes = memory.drain_as_bytes()
-    log.disconnect()
+    content = _drained(log, memory)
     with atomic_write(path) as beside:
         beside.write_bytes(content)
-    rr.bindings.flush_and_cleanup_orphaned_recordings()

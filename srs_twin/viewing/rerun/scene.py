@@ -1,16 +1,9 @@
-"""Both snakes in three dimensions, what they run into and the plan they follow, as whole columns.
-
-Obstacles in a recording, and their forces on a snake: an arrow a connector, while it is touched.
-
-The first plan of a run on the floor of a recording: path, edges of the footprint, goal.
-
-Both snakes in three dimensions: tubes, connectors, wheels, trails, as whole columns of Rerun shapes.
-"""
+"""The scene of a recording as whole columns: snakes, obstacles and their forces, the plan."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
@@ -19,7 +12,14 @@ from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.following import TOUCH_N, following, footprint_of, segments_of
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.signals import body_line, pressure_difference, wheel_centres, wheel_turns
+from srs_twin.viewing.plots.signals import (
+    body_line,
+    goal_ring,
+    pressure_difference,
+    segment_points,
+    wheel_centres,
+    wheel_turns,
+)
 from srs_twin.viewing.plots.style import Style, pressure_colors
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.world import World
@@ -30,7 +30,45 @@ _FORCE, _FORCE_RADIUS = (208, 32, 32), 0.002
 _OBSTACLE, _HEIGHT = (90, 90, 90), 0.06
 
 
-def send_obstacles(log: rr.RecordingStream, world: World) -> None:
+@dataclass(frozen=True)
+class Entities:
+    """Entities of a recording with the same samples: all that is logged goes through here.
+
+    Attributes:
+        log: where they are sent.
+        time: of the samples, shape (samples,), s.
+        root: path before their names, `world/<plant>/`.
+    """
+
+    log: rr.RecordingStream
+    time: np.ndarray
+    root: str = ""
+
+    def fixed(self, name: str, shape: rr.AsComponents) -> None:
+        """Log what stays the same (a component must not also be sent by `moving`: fixed ones win)."""
+        self.log.log(f"{self.root}{name}", shape, static=True)
+
+    def moving(self, name: str, columns: rr.ComponentColumnList, count: int | np.ndarray = 1) -> None:
+        """Send columns with `count` values a sample."""
+        rows = columns.partition(np.broadcast_to(count, len(self.time)))
+        self.log.send_columns(f"{self.root}{name}", [rr.TimeColumn(TIMELINE, duration=self.time)], rows)
+
+    def line(self, name: str, values: np.ndarray, style: Style, *, steps: bool = False) -> None:
+        """Send a signal; of one in steps only the samples at which it changes, and the last."""
+        entities = self
+        if steps:
+            kept = np.append(np.flatnonzero(np.append(True, values[1:] != values[:-1])), len(values) - 1)
+            # What a sample says has held since the one before.
+            since = np.append(np.maximum(kept[:-1] - 1, 0), kept[-1])
+            entities, values = replace(self, time=self.time[since]), values[kept]
+        mode = rr.components.InterpolationMode.StepAfter if steps else None
+        colors, names, widths = [style.rgb], [style.label], [style.width]
+        line = rr.SeriesLines(colors=colors, names=names, widths=widths, interpolation_mode=mode)
+        entities.fixed(name, line)
+        entities.moving(name, rr.Scalars.columns(scalars=np.asarray(values, dtype=float)))
+
+
+def send_obstacles(to: Entities, world: World) -> None:
     """Log what stands on the floor: `world/obstacles/round` and `world/obstacles/straight`."""
     if circles := world.obstacles:
         upright = rr.Cylinders3D(
@@ -39,7 +77,7 @@ def send_obstacles(log: rr.RecordingStream, world: World) -> None:
             radii=[c.radius for c in circles],
             colors=[_OBSTACLE],
         )
-        log.log("world/obstacles/round", upright, static=True)
+        to.fixed("obstacles/round", upright)
     if world.polygons:
         sides = [
             [(x, y, z) for x, y in (*each.corners, each.corners[0])]
@@ -47,18 +85,17 @@ def send_obstacles(log: rr.RecordingStream, world: World) -> None:
             for z in (0.0, _HEIGHT)
         ]
         lines = rr.LineStrips3D(sides, colors=[_OBSTACLE], radii=[0.003])
-        log.log("world/obstacles/straight", lines, static=True)
+        to.fixed("obstacles/straight", lines)
 
 
-def send_contacts(log: rr.RecordingStream, path: str, run: Trajectory, height: float) -> None:
-    """Log the forces of one run; nothing where nothing was touched.
+def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
+    """Log the forces of obstacles on one snake as `contact`; nothing where nothing was touched.
 
     An arrow begins at a connector's centre and is the force on it and on the halves of its segments. Every
     recorded sample counts, for a touch may be shorter than what shapes are thinned to.
 
     Args:
-        log: where they are sent.
-        path: of the entity, `world/<plant>/contact`.
+        to: entities of the snake, one row a sample of the run.
         run: with ``obstacle_force_x_1…`` and ``obstacle_force_y_1…`` where there were obstacles.
         height: of the arrows above the floor, m.
     """
@@ -72,49 +109,34 @@ def send_contacts(log: rr.RecordingStream, path: str, run: Trajectory, height: f
     # A viewer shows the last row until the next: the first sample without a touch takes the arrows away.
     ended = np.append(False, some[:-1]) & ~some
     rows = np.flatnonzero(some | ended)
-    origins = _raised(run.position[rows][touched[rows]], height)
-    vectors = _raised(METRES_PER_NEWTON * force[rows][touched[rows]], 0.0)
-    log.log(path, rr.Arrows3D.from_fields(colors=[_FORCE], radii=[_FORCE_RADIUS]), static=True)
-    arrows = rr.Arrows3D.columns(origins=origins, vectors=vectors).partition(touched[rows].sum(axis=1))
-    log.send_columns(path, [rr.TimeColumn(TIMELINE, duration=run.time[rows])], arrows)
-
-
-def _raised(flat: np.ndarray, height: float) -> np.ndarray:
-    """Return (n, 2) as (n, 3) with one third coordinate, float32."""
-    return np.column_stack([flat, np.full(len(flat), height)]).astype(np.float32)
+    origins = _at_height(run.position[rows][touched[rows]], height)
+    vectors = _at_height(METRES_PER_NEWTON * force[rows][touched[rows]], 0.0)
+    to.fixed("contact", rr.Arrows3D.from_fields(colors=[_FORCE], radii=[_FORCE_RADIUS]))
+    arrows = rr.Arrows3D.columns(origins=origins, vectors=vectors)
+    replace(to, time=run.time[rows]).moving("contact", arrows, touched[rows].sum(axis=1))
 
 
 _PATH, _EDGE, _GOAL = (60, 60, 60), (120, 165, 205), (176, 48, 48)
 _LOW = 0.001
-_CORNERS = 48
 
 
-def send_plan(log: rr.RecordingStream, trajectories: Mapping[str, Trajectory]) -> None:
+def send_plan(to: Entities, trajectories: Mapping[str, Trajectory]) -> None:
     """Log what the first snake that followed a plan was to do; nothing where none did."""
     about = next((told for run in trajectories.values() if (told := following(run)) is not None), None)
     if about is None:
         return
-    segments, footprint = segments_of(about["plans"][0]), footprint_of(about)
-    path, edges = [], []
-    for segment in segments:
-        poses = [segment.pose(s) for s in np.linspace(0, segment.length, max(2, int(segment.length / 0.01)))]
-        motion = footprint.at(segment.curvature)
-        path.append([(p.x, p.y, _LOW) for p in poses])
-        edges += [
-            [(p.x - n * np.sin(p.heading), p.y + n * np.cos(p.heading), _LOW) for p in poses]
-            for n in (motion.left, -motion.right)
-        ]
+    segments, footprint, goal = segments_of(about["plans"][0]), footprint_of(about), about["goal"]
     if segments:
-        log.log("world/plan/path", rr.LineStrips3D(path, colors=[_PATH], radii=[0.002]), static=True)
-        log.log("world/plan/edges", rr.LineStrips3D(edges, colors=[_EDGE], radii=[0.0015]), static=True)
-    goal = about["goal"]
-    ring = _ring(goal["x"], goal["y"], goal["radius"], _LOW)
-    log.log("world/plan/goal", rr.LineStrips3D([ring], colors=[_GOAL], radii=[0.002]), static=True)
+        swept = [footprint.at(each.curvature) for each in segments]
+        pairs = [(s, n) for s, body in zip(segments, swept, strict=True) for n in (body.left, -body.right)]
+        to.fixed("plan/path", _strips([segment_points(each) for each in segments], _PATH, 0.002))
+        to.fixed("plan/edges", _strips([segment_points(*each) for each in pairs], _EDGE, 0.0015))
+    to.fixed("plan/goal", _strips([goal_ring(goal)], _GOAL, 0.002))
 
 
-def _ring(x: float, y: float, radius: float, height: float) -> list[tuple[float, float, float]]:
-    angle = np.linspace(0, 2 * np.pi, _CORNERS + 1)
-    return [(x + radius * np.cos(a), y + radius * np.sin(a), height) for a in angle]
+def _strips(lines: Sequence[np.ndarray], color: tuple[int, int, int], radius: float) -> rr.LineStrips3D:
+    """Return lines on the floor, each (n, 2), m."""
+    return rr.LineStrips3D([_at_height(line, _LOW) for line in lines], colors=[color], radii=[radius])
 
 
 PIECES = 6
@@ -124,30 +146,6 @@ _GHOST_ALPHA = 120
 _PLATES: Rgba = (70, 74, 82, 255)
 _WHEELS: Rgba = (28, 30, 34, 255)
 _SPOKES: Rgba = (200, 202, 206, 255)
-
-
-@dataclass(frozen=True)
-class Entities:
-    """The entities of one snake in a recording.
-
-    Attributes:
-        log: where they are sent.
-        root: path above them, `world/<plant>`.
-        time: one row a sample, (samples,), s.
-    """
-
-    log: rr.RecordingStream
-    root: str
-    time: np.ndarray
-
-    def fixed(self, name: str, shape: rr.AsComponents) -> None:
-        """Log what stays the same (a component must not also be sent by `moving`: fixed ones win)."""
-        self.log.log(f"{self.root}/{name}", shape, static=True)
-
-    def moving(self, name: str, columns: rr.ComponentColumnList, count: int = 1) -> None:
-        """Send columns with `count` values a sample."""
-        rows = columns.partition(np.full(len(self.time), count))
-        self.log.send_columns(f"{self.root}/{name}", [rr.TimeColumn(TIMELINE, duration=self.time)], rows)
 
 
 def send_snake(to: Entities, snake: Trajectory, geometry: Geometry, style: Style, *, ghost: bool) -> None:
