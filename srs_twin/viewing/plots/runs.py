@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -48,6 +48,12 @@ Runs = Mapping[str, Trajectory]
 _MOST_ROWS = 8
 _PERIODS_SHOWN = 4
 _MOST_DOTS = 4000
+# Signal of a difference from a measured motion, its label, and shown over SI.
+_MEASURED = {
+    "shape_m": ("shape (mm)", 1e3),
+    "path_m": ("CoM path (mm)", 1e3),
+    "heading_rad": ("heading (rad)", 1),
+}
 
 
 def bend_plot(trajectories: Runs) -> Figure:
@@ -67,12 +73,13 @@ def speed_plot(trajectories: Runs) -> Figure:
     for style, run in styled(trajectories):
         period = gait_period(run)
         time, mean = period_speed(run, period) if period else (run.time[:0], run.time[:0])
-        line = style.line | {"label": f"{style.label}, along the heading"}
+        momentary = style.line | {"label": f"{style.label}, along the heading"}
         if len(time):
-            line = {"color": style.color, "linewidth": 0.7, "alpha": 0.35}
-            thick = style.line | {"linewidth": 2.0, "label": f"{style.label}, mean of one gait period"}
+            momentary = {"color": style.color, "linewidth": 0.7, "alpha": 0.35}
+        axes.plot(run.time, forward_speed(run), **momentary)
+        if len(time):
+            thick = style.line | {"label": f"{style.label}, mean of one gait period", "linewidth": 2.0}
             axes.plot(time, mean, **thick, zorder=style.zorder)
-        axes.plot(run.time, forward_speed(run), **line)
     axes.axhline(0.0, color="0.5", linewidth=0.6)
     title = "Speed of the centre of mass, forward positive (thin: momentary, along the heading)"
     finish(axes, "speed (m/s)", "time (s)", title=title)
@@ -84,12 +91,17 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
     """Return the difference of shape and of path over time, in mm and in per cent of the body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
+
+    def per_cent(value: Any) -> Any:
+        return value * 100 / length
+
+    def millimetres(share: Any) -> Any:
+        return share * length / 100
+
     for axes, error in ((shape, comparison.shape_error), (path, comparison.path_error)):
         axes.plot(comparison.time, 1e3 * error, color="0.15", linewidth=1.2)
         axes.set_ylim(0, 1.08e3 * max(float(error.max()), 1e-6))
-        share = axes.secondary_yaxis(
-            "right", functions=(lambda v: v * 100 / length, lambda s: s * length / 100)
-        )
+        share = axes.secondary_yaxis("right", functions=(per_cent, millimetres))
         share.set_ylabel("% of body length")
     title = "Differences: body shapes (RMS over connectors, CoM frame, zero mean heading) and CoM positions"
     finish(shape, "shape (mm)", title=title)
@@ -236,23 +248,16 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure:
     """Return the residuals of what was measured of shape, path, heading and bends (RMS over segments)."""
-    known = {
-        "shape (mm)": ("shape_m", 1e3),
-        "CoM path (mm)": ("path_m", 1e3),
-        "heading (rad)": ("heading_rad", 1),
-    }
     signals = {plant: difference.signals() for plant, difference in differences.items()}
     shown = {
-        label: source
-        for label, source in known.items()
-        if all(source[0] in each for each in signals.values())
+        name: drawn for name, drawn in _MEASURED.items() if all(name in each for each in signals.values())
     }
     figure, rows = panels(0.9 + 1.45 * (len(shown) + 1), len(shown) + 1)
     for index, (plant, difference) in enumerate(differences.items()):
-        values = [factor * signals[plant][name] for name, factor in shown.values()]
+        values = [factor * signals[plant][name] for name, (_, factor) in shown.items()]
         for axes, each in zip(rows, [*values, difference.bend_rms], strict=True):
             axes.plot(difference.comparison.time, each, **style_of(plant, index).line)
-    for axes, label in zip(rows, [*shown, "bends (rad)"], strict=True):
+    for axes, label in zip(rows, [*(label for label, _ in shown.values()), "bends (rad)"], strict=True):
         finish(axes, label)
     distances = "shapes and paths as distances, " if shown else ""
     rows[0].set_title(f"Plant less measured: {distances}bends RMS over segments", fontsize=10)
