@@ -6,9 +6,9 @@ import functools
 import hashlib
 import pickle
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from types import CodeType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from numba import njit
@@ -19,7 +19,7 @@ from srs_twin.errors import CacheWarning
 # The order of sums may change, never what becomes of infinities and NaN.
 _ARITHMETIC = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _ARITHMETIC}
-_CONSTANTS = (bool, int, float, complex, str, tuple, type(None))
+_CONSTANTS = (bool, int, float, complex, str, type(None))
 _warned = False
 
 
@@ -95,11 +95,21 @@ def _meaning(code: CodeType, names: Mapping[str, Any], seen: set[CodeType]) -> I
             yield repr(constant)
     for name in code.co_names:
         value = names.get(name)
-        owned = isinstance(value, ModuleType) and value.__name__.startswith("srs_twin")
-        for each in [vars(value).get(name) for name in code.co_names] if owned else [value]:
-            if callee := getattr(each, "py_func", None):
-                yield from _meaning(callee.__code__, callee.__globals__, seen)
-            elif isinstance(each, _CONSTANTS):
-                yield f"{name} {each!r}"
-            elif isinstance(each, type):
-                yield f"{each.__qualname__} {getattr(each, '_fields', ())}"
+        if isinstance(value, ModuleType) and value.__name__.startswith("srs_twin"):
+            yield from _of_values(name, [vars(value).get(each) for each in code.co_names], seen)
+        else:
+            yield from _of_values(name, [value], seen)
+
+
+def _of_values(name: str, values: Iterable[Any], seen: set[CodeType]) -> Iterator[str]:
+    """Yield what the values of a name stand for, as `_meaning` does."""
+    for value in values:
+        function = getattr(value, "py_func", value)
+        if isinstance(function, FunctionType):
+            yield from _meaning(function.__code__, function.__globals__, seen)
+        elif isinstance(value, tuple):
+            yield from _of_values(name, value, seen)
+        elif isinstance(value, _CONSTANTS):
+            yield f"{name} {value!r}"
+        elif isinstance(value, type):
+            yield f"{value.__qualname__} {getattr(value, '_fields', ())}"

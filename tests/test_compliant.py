@@ -13,7 +13,7 @@ from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, ro
 from srs_twin.friction import LAWS
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.plants.analytical import compliant_kernels, kernels
-from srs_twin.plants.analytical.floor import Floor
+from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kinematics import ROWS, Solid
 from srs_twin.robot.spec import Mass
 
@@ -45,8 +45,8 @@ class Body:
         return self.stiffness, self.damping
 
     @property
-    def floor(self) -> Floor:
-        return Floor(LAWS.index(self.law), self.track, self.mu_t, self.mu_n, SLIP)
+    def floor(self) -> FloorFriction:
+        return floor_friction(self.law, self.track, self.mu_t, self.mu_n, SLIP)
 
     def balance(self, q, u, moment, a=0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the kernel's momenta, their rates, and its matrix."""

@@ -8,13 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin.friction import LAWS
-from srs_twin.plants.analytical.floor import Floor, fill_forces
+from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, fill_rows, pose_body
 
 
 def by_rows(
-    u: np.ndarray, bend: np.ndarray, acceleration: np.ndarray, solid: Solid, floor: Floor, turning: bool
+    u: np.ndarray,
+    bend: np.ndarray,
+    acceleration: np.ndarray,
+    solid: Solid,
+    floor: FloorFriction,
+    turning: bool,
 ) -> np.ndarray:
     """Return the segments' moments as the sums of loads over what each bend moves.
 
@@ -54,7 +59,7 @@ def test_the_tail_knows_what_the_rows_of_the_whole_body_say(seed, connectors, la
     mass = random.uniform(0.01, 0.1, connectors)
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
     solid = Solid(mass, inertia, 0.037, 0.018, frozen)
-    floor = Floor(LAWS.index(law), random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
+    floor = floor_friction(law, random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
     samples, segments = 3, connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
     bend, acceleration = random.normal(0, 0.7, (samples, segments)), random.normal(0, 99, (samples, segments))

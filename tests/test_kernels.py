@@ -13,7 +13,7 @@ from srs_twin.friction import LAWS
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.plants import analytical
 from srs_twin.plants.analytical import kernels, kinematics
-from srs_twin.plants.analytical.floor import Floor, fill_forces, floor_forces
+from srs_twin.plants.analytical.floor import fill_forces, floor_forces, floor_friction
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
 
 GRAVITY = 9.81
@@ -61,7 +61,7 @@ def run(
     state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
     solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
-    floor = Floor(LAWS.index(swim.law), swim.track, swim.mu_t, swim.mu_n, swim.slip)
+    floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     none = np.empty((0, kernels.STATES))
     done, parts = analytical.advance(
         state, slope, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True,
@@ -206,12 +206,12 @@ def posed(solid: Solid, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return body
 
 
-@pytest.mark.parametrize("law", range(len(LAWS)))
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
 def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
     solid, bend, rate = draw(2, 4)
     body, u = posed(solid, bend, rate), np.array([0.2, -0.1, 1.5])
-    floor = Floor(law, track, 0.1, 0.6, 0.05)
+    floor = floor_friction(law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         net, (xx, xy, xz, yy, yz, zz), power = floor_forces(body, solid.mass, *v, floor)

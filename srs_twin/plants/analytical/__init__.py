@@ -47,7 +47,7 @@ from srs_twin.compiled import compiled
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.friction import AT_TRACK, LAWS
 from srs_twin.plants.analytical import compliant_kernels, kernels
-from srs_twin.plants.analytical.floor import Floor
+from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
     MOMENT,
@@ -55,6 +55,7 @@ from srs_twin.plants.analytical.kernels import (
     STATE_VX,
     STATE_VY,
     STATES,
+    copy,
     inverse_dynamics,
     step,
 )
@@ -173,13 +174,6 @@ def _unevenness(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _copy(values, out):  # type: ignore[no-untyped-def]
-    """Copy one array into another: a loop, for a slice is checked for overlap each time."""
-    for j in range(out.shape[0]):
-        out[j] = values[j]
-
-
-@compiled
 def advance(  # type: ignore[no-untyped-def]
     state, slope, steps, bends, rates, marks, solid, floor, turning, tolerance, u, seen, velocities
 ):
@@ -193,7 +187,7 @@ def advance(  # type: ignore[no-untyped-def]
         rates: bend rates there, rad/s.
         marks: numbers of steps after which to look, ascending, shape (samples,).
         solid: the body, a `kinematics.Solid`.
-        floor: a `floor.Floor`.
+        floor: a `floor.FloorFriction`.
         turning: whether the friction's moment about the centre of mass acts.
         tolerance: of η, m/s.
         u: velocity in the body frame and yaw rate, shape (3,); kept from call to call as first guess.
@@ -216,8 +210,8 @@ def advance(  # type: ignore[no-untyped-def]
         done, size = 0, PARTS
         while done < PARTS:
             h = steps[i] * size / PARTS
-            _copy(u, guess)
-            _copy(drift, pace)
+            copy(u, guess)
+            copy(drift, pace)
             if size == PARTS:
                 stage_bends, stage_rates = given_bends[1:], given_rates[1:]
             else:
@@ -234,16 +228,16 @@ def advance(  # type: ignore[no-untyped-def]
             # Not a number fails every comparison.
             if not (solved and abs(after[STATE_VX]) < SPEED_LIMIT and abs(after[STATE_VY]) < SPEED_LIMIT):
                 return i, parts
-            _copy(after, state)
-            _copy(k2, slope)
-            _copy(guess, u)
-            _copy(pace, drift)
+            copy(after, state)
+            copy(k2, slope)
+            copy(guess, u)
+            copy(pace, drift)
             done += size
             if size < PARTS and eta < _NEAR * tolerance and done % (2 * size) == 0:
                 size *= 2
         while mark < marks.shape[0] and marks[mark] == i + 1:
-            seen[mark] = state
-            velocities[mark] = u
+            copy(state, seen[mark])
+            copy(u, velocities[mark])
             mark += 1
     return steps.shape[0], parts
 
@@ -284,7 +278,7 @@ class Body(ABC):
     yields = False
     """Whether the bends are the body's own, not the free ones that the chambers would give."""
 
-    def __init__(self, solid: Solid, floor: Floor) -> None:
+    def __init__(self, solid: Solid, floor: FloorFriction) -> None:
         self.solid, self.floor = solid, floor
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
@@ -317,7 +311,7 @@ class Body(ABC):
 class GivenBends(Body):
     """`complete` and `simplified`: the bends are the free ones of Eq. 14, whatever the load."""
 
-    def __init__(self, solid: Solid, floor: Floor, *, turning: bool, tolerance: float) -> None:
+    def __init__(self, solid: Solid, floor: FloorFriction, *, turning: bool, tolerance: float) -> None:
         super().__init__(solid, floor)
         self._turning, self._tolerance = turning, tolerance
 
@@ -350,7 +344,7 @@ class GivenBends(Body):
 class ClampedBends(Body):
     """A chain held at its head (module docstring)."""
 
-    def __init__(self, solid: Solid, floor: Floor) -> None:
+    def __init__(self, solid: Solid, floor: FloorFriction) -> None:
         # In the air: the floor of the others takes no part.
         super().__init__(solid, floor._replace(mu_t=0.0, mu_n=0.0))
 
@@ -447,7 +441,7 @@ class YieldingBends(Body):
 
     yields = True
 
-    def __init__(self, spec: RobotSpec, solid: Solid, floor: Floor) -> None:
+    def __init__(self, spec: RobotSpec, solid: Solid, floor: FloorFriction) -> None:
         super().__init__(solid, floor)
         bending = spec.bending
         self._spring = bending.stiffness, bending.damping
@@ -582,7 +576,7 @@ class AnalyticalSnake(Plant):
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction
         self._tolerance = tolerance
-        self._floor = Floor(LAWS.index(friction), track, mu.mu_t, mu.mu_n, slip_speed)
+        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed)
         self._body = self._make_body()
         self.reset()
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.plants.analytical.floor import connector_friction
-from srs_twin.plants.analytical.kernels import (  # fmt: skip
+from srs_twin.plants.analytical.kernels import (
     GAMMA,
     HEADING,
     MOMENT,
@@ -37,6 +37,7 @@ from srs_twin.plants.analytical.kernels import (  # fmt: skip
     STATE_X,
     STATE_Y,
     STATES,
+    copy,
 )
 from srs_twin.plants.analytical.kinematics import ROWS, fill_rows, pose_body
 from srs_twin.robot.spec import GRAVITY
@@ -234,7 +235,7 @@ def advance(state, steps, moments, marks, solid, spring, floor, u, seen, velocit
         marks: numbers of steps after which to look, ascending, shape (samples,).
         solid: the body, a `kinematics.Solid`.
         spring: stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment.
-        floor: a `floor.Floor`.
+        floor: a `floor.FloorFriction`.
         u: velocities as in `balance`; kept from call to call as Newton's first guess.
         seen: out, states at the marks, shape (samples, STATES + 2 segments).
         velocities: out, u there, shape (samples, 3 + segments).
@@ -267,7 +268,7 @@ def advance(state, steps, moments, marks, solid, spring, floor, u, seen, velocit
         if not (fine and abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT):
             return i
         while mark < marks.shape[0] and marks[mark] == i + 1:
-            seen[mark] = state
-            velocities[mark] = u
+            copy(state, seen[mark])
+            copy(u, velocities[mark])
             mark += 1
     return steps.shape[0]

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from srs_twin import friction
 from srs_twin.compiled import compiled
@@ -26,10 +27,12 @@ from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 
-class Floor(NamedTuple):
+class FloorFriction(NamedTuple):
     """What the kernels know of the floor.
 
     Attributes:
+        case: as many None as the number of contacts and law in `_CASES`: numba tells tuples by their length,
+            so a kernel is compiled for the case of its floor alone.
         law: number of the friction law in `friction.LAWS`.
         track: distance of each of two contacts from the centre line, m; 0: one contact a connector.
         mu_t: coefficient along.
@@ -37,6 +40,7 @@ class Floor(NamedTuple):
         slip: regularisation speed ε, m/s.
     """
 
+    case: tuple[None, ...]
     law: int
     track: float
     mu_t: float
@@ -64,34 +68,33 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
     a_t, a_n, a_tt, a_tn, _, a_nn = law(along - spin * arm, across, weight / 2, mu_t, mu_n, slip)
     b_t, b_n, b_tt, b_tn, _, b_nn = law(along + spin * arm, across, weight / 2, mu_t, mu_n, slip)
     return (
-        a_t + b_t, a_n + b_n, arm * (b_t - a_t),
-        a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt),
-        a_nn + b_nn, arm * (b_tn - a_tn), arm * arm * (a_tt + b_tt),
-    )  # fmt: skip
+        *(a_t + b_t, a_n + b_n, arm * (b_t - a_t)),
+        *(a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt)),
+        *(a_nn + b_nn, arm * (b_tn - a_tn), arm * arm * (a_tt + b_tt)),
+    )
 
 
-@compiled
-def _choose(do, floor, given):  # type: ignore[no-untyped-def]
-    """Call `do` with the floor's contacts and its law as functions, then the floor and what else is given.
+_LAWS = (_axis, _wheel, _viscous, _ellipse)
+_CASES = tuple((contacts, law) for contacts in (_one_contact, _two_contacts) for law in _LAWS)
 
-    Where the choice is made outside of a loop, the loop has no branch, and the compiler takes several
-    connectors at a time.
-    """
-    if floor.track == 0.0:
-        if floor.law == 0:
-            return do(_one_contact, _axis, floor, given)
-        if floor.law == 1:
-            return do(_one_contact, _wheel, floor, given)
-        if floor.law == 2:
-            return do(_one_contact, _viscous, floor, given)
-        return do(_one_contact, _ellipse, floor, given)
-    if floor.law == 0:
-        return do(_two_contacts, _axis, floor, given)
-    if floor.law == 1:
-        return do(_two_contacts, _wheel, floor, given)
-    if floor.law == 2:
-        return do(_two_contacts, _viscous, floor, given)
-    return do(_two_contacts, _ellipse, floor, given)
+
+def floor_friction(law: str, track: float, mu_t: float, mu_n: float, slip: float) -> FloorFriction:
+    """Return a floor with one of `friction.LAWS`; other arguments as the attributes."""
+    number = LAWS.index(law)
+    case = number + len(LAWS) * (track != 0.0)
+    return FloorFriction((None,) * case, number, track, mu_t, mu_n, slip)
+
+
+def _in_case(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    """Return what `connector_friction` does, in loops that are compiled without a branch."""
+    contacts, law = _CASES[len(floor.case)]
+    return contacts(law, along, across, spin, weight, floor)
+
+
+@overload(_in_case, jit_options={"forceinline": True})
+def _in_case_of_type(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
+    return lambda along, across, spin, weight, floor: contacts(law, along, across, spin, weight, floor)
 
 
 @compiled
@@ -110,13 +113,21 @@ def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-u
     Returns:
         Force along (t) and across (n), moment (m); slopes tt, tn, tm, nn, nm, mm.
     """
-    return _choose(_of_connector, floor, (along, across, spin, weight))
-
-
-@compiled
-def _of_connector(contacts, law, floor, given):  # type: ignore[no-untyped-def]
-    along, across, spin, weight = given
-    return contacts(law, along, across, spin, weight, floor)
+    if floor.track == 0.0:
+        if floor.law == 0:
+            return _one_contact(_axis, along, across, spin, weight, floor)
+        if floor.law == 1:
+            return _one_contact(_wheel, along, across, spin, weight, floor)
+        if floor.law == 2:
+            return _one_contact(_viscous, along, across, spin, weight, floor)
+        return _one_contact(_ellipse, along, across, spin, weight, floor)
+    if floor.law == 0:
+        return _two_contacts(_axis, along, across, spin, weight, floor)
+    if floor.law == 1:
+        return _two_contacts(_wheel, along, across, spin, weight, floor)
+    if floor.law == 2:
+        return _two_contacts(_viscous, along, across, spin, weight, floor)
+    return _two_contacts(_ellipse, along, across, spin, weight, floor)
 
 
 @compiled
@@ -134,13 +145,6 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         Net force (x, y) and moment about the centre of mass (z) in the body frame; their slopes by the three
         velocities, which are symmetric: xx, xy, xz, yy, yz, zz; the power that the floor takes, W.
     """
-    return _choose(_sum, floor, (body, mass, forth, aside, yaw))
-
-
-@compiled
-def _sum(contacts, law, floor, given):  # type: ignore[no-untyped-def]
-    """Do what `floor_forces` says, under the contacts and the law given as functions."""
-    body, mass, forth, aside, yaw = given
     cosine, sine, turning = body[COS], body[SIN], body[SPIN]
     place_x, place_y, rate_x, rate_y = body[X], body[Y], body[VX], body[VY]
     fx = fy = moment = power = 0.0
@@ -150,7 +154,7 @@ def _sum(contacts, law, floor, given):  # type: ignore[no-untyped-def]
         spin = yaw + turning[i]
         vx, vy = forth - yaw * py + rate_x[i], aside + yaw * px + rate_y[i]
         along, across = vx * c + vy * s, vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm = contacts(law, along, across, spin, mass[i] * GRAVITY, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm = _in_case(along, across, spin, mass[i] * GRAVITY, floor)
         # How velocity along and across depend on the yaw rate; by d'Alembert the arms of the forces.
         t_arm, n_arm = px * s - py * c, px * c + py * s
         fx += t * c - n * s
@@ -179,9 +183,8 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
     for i in range(mass.shape[0]):
         c, s = body[COS, i], body[SIN, i]
         vx, vy = u[0] - u[2] * body[Y, i] + body[VX, i], u[1] + u[2] * body[X, i] + body[VY, i]
-        found = connector_friction(
-            vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i], mass[i] * GRAVITY, floor
-        )
+        along, across, spin = vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i]
+        found = _in_case(along, across, spin, mass[i] * GRAVITY, floor)
         force[i, 0], force[i, 1], force[i, 2] = found[0], found[1], found[2]
 
 
@@ -216,7 +219,7 @@ def slide(
     Returns:
         Shape (times, 2), along and across, m.
     """
-    floor = Floor(LAWS.index(law), 0.0, mu_t / (1 + share), mu_n, _SLIP)
+    floor = floor_friction(law, 0.0, mu_t / (1 + share), mu_n, _SLIP)
     place = np.empty((len(times), 2))
     _slide(float(velocity[0]), float(velocity[1]), np.ascontiguousarray(times, dtype=float), floor, place)
     return place

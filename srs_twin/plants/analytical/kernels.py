@@ -206,6 +206,13 @@ def _turned(c, s, angle):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def copy(values, out):  # type: ignore[no-untyped-def]
+    """Copy one array into another: a loop, for a slice is checked for overlap each time."""
+    for j in range(out.shape[0]):
+        out[j] = values[j]
+
+
+@compiled
 def _stage(known, a, q, rate, turn, model, u, k, body):  # type: ignore[no-untyped-def]  # noqa: D417
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y).
 
