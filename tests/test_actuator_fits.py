@@ -75,6 +75,7 @@ def test_any_module_comes_back(numbers):
     assert found.held["actuator.bend_rad"] == pytest.approx(MODULE.actuator.gain * MODULE.supply.nominal)
 
 
+@pytest.mark.slow
 def test_responses_cover_the_truth():
     """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
     hits = dict.fromkeys(TRUTH, 0)

@@ -127,9 +127,9 @@ def test_without_a_folder_one_process_says_it_once_and_workers_do_not(tmp_path):
     assert done.stderr.count(SAID) == 1 and "Error" not in done.stderr
 
 
-def test_a_command_goes_on_and_says_it_in_a_line(tmp_path, srs_twin):
+def test_a_command_goes_on_and_says_it_in_a_line(tmp_path, srs_twin_process):
     """As far as one gets without compiling anything, which takes half a minute."""
-    done = srs_twin("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NOWHERE)
+    done = srs_twin_process("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NOWHERE)
     first, second = done.stderr.splitlines()
     assert first.startswith(f"warning: {SAID} (no folder for it can be written); set NUMBA_CACHE_DIR to")
     assert (done.returncode, second.partition(" (")[0]) == (2, "/dev/null/x: cannot write there")

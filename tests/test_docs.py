@@ -167,14 +167,14 @@ SCRIPTED = [page for page in PAGES if page.script]
 
 
 @pytest.mark.parametrize("page", [page for page in COMMANDED if page.name != "README.md"], ids=name_of)
-def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin):
+def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
     """As a reader would: save what is to be saved, type what is to be typed. README: tests/test_readme.py."""
     page.save_files(tmp_path)
     for block in page.blocks:
         for line in block.text.splitlines() if block.mark == "runnable" else ():
             assert block.language == "sh"
             words = words_of(line)
-            done = srs_twin(*words[words.index("srs-twin") + 1 :], cwd=tmp_path)
+            done = srs_twin_process(*words[words.index("srs-twin") + 1 :], cwd=tmp_path)
             assert done.returncode == 0, done.stderr
 
 

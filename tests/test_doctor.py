@@ -134,7 +134,7 @@ def test_faults_of_kernels(monkeypatch):
     assert fault(probes.kernels)[:2] == ("broken", "numba's machine code computes other numbers than Python")
 
 
-def test_a_folder_for_machine_code(srs_twin, tmp_path):
+def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
     """A package that cannot be written to, and no home: numba has no place to keep what it compiled."""
     broken = (
         "from numba.core import caching\n"
@@ -335,10 +335,10 @@ def test_a_healthy_machine_that_is_slow_is_fit(monkeypatch, tmp_path, capsys):
     assert not any(check["status"] == "broken" for check in checks.values())
 
 
-def test_no_room_for_temporary_files(srs_twin, tmp_path):
+def test_no_room_for_temporary_files(srs_twin_process, tmp_path):
     broken = "import tempfile\ntempfile.tempdir = '/nowhere/at/all'\n"
     (tmp_path / "sitecustomize.py").write_text(broken)
-    done = srs_twin("doctor", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
     assert "set TMPDIR to a folder that can be written" in done.stderr
 
@@ -348,10 +348,10 @@ def by_name(text):
     return document["works"], {check["name"]: check for check in document["checks"]}
 
 
-def test_command_on_this_machine(srs_twin, tmp_path):
+def test_command_on_this_machine(srs_twin_process, tmp_path):
     ask([], ["kernels"])  # numba has compiled once
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = srs_twin("doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path)
+    done = srs_twin_process("doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
     works, checks = by_name(done.stdout)
@@ -367,13 +367,13 @@ def test_command_on_this_machine(srs_twin, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-def test_command_on_a_broken_machine(srs_twin, tmp_path):
+def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     """Packages that break at import, and no place for results: all of it is said, and nothing crashes."""
     shadow = tmp_path / "shadow"
     shadow.mkdir()
     (shadow / "numpy.py").write_text("raise ImportError('libopenblas.so.0: cannot open shared object file')")
     (tmp_path / "runs").write_text("a file")
-    done = srs_twin("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
+    done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
     assert done.stderr.startswith("not fit for runs: imports, ") and "results" in done.stderr
     assert "libopenblas.so.0" in done.stdout and "Traceback" not in done.stdout + done.stderr

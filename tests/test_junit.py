@@ -254,6 +254,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, s
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_after_an_interrupt_the_report_says_what_was_reached(tmp_path):
     (tmp_path / "brief.yaml").write_text(SCENARIO)

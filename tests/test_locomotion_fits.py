@@ -44,7 +44,7 @@ def straight_and_curved() -> list[GaitRun]:
     return runs(COMPLETE, truth, [(2.0, 0.0), (1.5, 0.2), (1.6, -0.2)], seconds=2.0)
 
 
-@pytest.mark.parametrize("against", ["averages", "shapes"])
+@pytest.mark.parametrize("against", [pytest.param("averages", marks=pytest.mark.slow), "shapes"])
 def test_friction_and_gap_come_back_within_a_percent(against):
     found = fit_locomotion(
         straight_and_curved(), SPEC, ["friction.mu_t", "friction.mu_n", "geometry.rigid_gap_m"],

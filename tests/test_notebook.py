@@ -37,6 +37,7 @@ def test_it_is_stored_without_outputs_and_is_valid():
     assert set(notebook.metadata) == {"kernelspec", "language_info"}
 
 
+@pytest.mark.slow
 def test_plots_are_pictures(ran):
     cells, _ = ran
     for name in ("plot", "bends", "errors"):
@@ -44,6 +45,7 @@ def test_plots_are_pictures(ran):
         assert len(picture) > 10_000
 
 
+@pytest.mark.slow
 def test_the_twin_is_slower_and_stiffness_takes_most_of_that_away(ran):
     cells, _ = ran
     soft, stiff = (float(share) for share in re.findall(r"([+-][\d.]+)% in speed", text(cells["change"])))
@@ -51,6 +53,7 @@ def test_the_twin_is_slower_and_stiffness_takes_most_of_that_away(ran):
     assert "'com_speed_rel': -0." in text(cells["compare"])
 
 
+@pytest.mark.slow
 def test_the_run_lies_in_its_folder_and_no_display_is_told(ran):
     cells, folder = ran
     assert "recording.rrd" in text(cells["keep"]) and (folder / "runs/gen2_straight/metrics.json").is_file()

@@ -145,13 +145,13 @@ def test_what_stands_on_the_screen_has_units():
         (":4711", "the display :4711 does not answer"),
     ],
 )
-def test_without_a_display_it_says_so(srs_twin, tmp_path, display, words):
-    done = srs_twin("play", "gen2", cwd=tmp_path, DISPLAY=display, WAYLAND_DISPLAY="")
+def test_without_a_display_it_says_so(srs_twin_process, tmp_path, display, words):
+    done = srs_twin_process("play", "gen2", cwd=tmp_path, DISPLAY=display, WAYLAND_DISPLAY="")
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith(words) and done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_robot_that_is_not_there_is_told_first(srs_twin, tmp_path):
-    done = srs_twin("play", "gen5", cwd=tmp_path, DISPLAY="")
+def test_a_robot_that_is_not_there_is_told_first(srs_twin_process, tmp_path):
+    done = srs_twin_process("play", "gen5", cwd=tmp_path, DISPLAY="")
     assert done.returncode == 2 and "unknown robot 'gen5'; did you mean gen" in done.stderr

@@ -41,18 +41,24 @@ def checkout(tmp_path, root):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", RUNNABLE)
-def test_commands_run_as_printed(command, checkout, srs_twin):
+def marked(command):
+    """Leave the long ones of what is run to the slow tests."""
+    long = "--explain" in command or "fig39" in command
+    return pytest.param(command, marks=[pytest.mark.slow] if long else [])
+
+
+@pytest.mark.parametrize("command", map(marked, RUNNABLE))
+def test_commands_run_as_printed(command, checkout, srs_twin_process):
     assert command.startswith("uv run srs-twin ")
-    done = srs_twin(*words_of(command), cwd=checkout)
+    done = srs_twin_process(*words_of(command), cwd=checkout)
     assert done.returncode == 0, done.stderr
 
 
-def test_first_command_is_the_main_job(checkout, srs_twin):
+def test_first_command_is_the_main_job(checkout, srs_twin_process):
     first = SHELL[0]
     assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
     assert SHELL[1].endswith(first.partition("uv run ")[2])
-    done = srs_twin(*words_of(first), cwd=checkout)
+    done = srs_twin_process(*words_of(first), cwd=checkout)
     assert done.returncode == 0, done.stderr
     promised = re.findall(r"^\| ((?:`[\w.]+`(?:, )?)+) \|", README, re.M)
     files = {name for cell in promised for name in re.findall(r"`([\w.]+)`", cell)}
@@ -64,12 +70,12 @@ def test_first_command_is_the_main_job(checkout, srs_twin):
     assert measured("body shape") == pytest.approx([metrics["comparison"]["shape_rms_body"]], abs=0.001)
 
 
-def test_every_verb_named_exists(root, srs_twin):
+def test_every_verb_named_exists(root, srs_twin_process):
     commands = [command for command in SHELL + INLINE if "srs-twin" in command]
     verbs = {word for command in commands for word in words_of(command)[:1] if word.isalpha()}
     assert verbs >= {"run", "compare", "view", "models", "schema"}
     for verb in verbs:
-        assert srs_twin(verb, "--help", cwd=root).returncode == 0, verb
+        assert srs_twin_process(verb, "--help", cwd=root).returncode == 0, verb
 
 
 def test_scenario_of_the_readme_loads(tmp_path):

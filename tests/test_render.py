@@ -256,8 +256,10 @@ def test_without_an_encoder_the_message_says_how_to_get_it(monkeypatch):
         render.encoder()
 
 
-def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin, tmp_path):
-    done = srs_twin("render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan")
+def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin_process, tmp_path):
+    done = srs_twin_process(
+        "render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan"
+    )
     assert done.returncode == 2
     assert "MUJOCO_GL names does not draw here (vulkan: it is unknown" in done.stderr
 

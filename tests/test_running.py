@@ -38,14 +38,14 @@ def write(folder: Path, name: str, text: str = SCENARIO) -> str:
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory, srs_twin):
+def compared(tmp_path_factory, srs_twin_process):
     """One `compare --check` into a folder that holds something already."""
     room = tmp_path_factory.mktemp("compared")
     write(room, "short")
     (room / "out").mkdir()
     (room / "out/notes.txt").write_text("mine")
     (room / "out/metrics.json").write_text("old")
-    done = srs_twin("compare", "./short.yaml", "--out", "out", "--check", cwd=room)
+    done = srs_twin_process("compare", "./short.yaml", "--out", "out", "--check", cwd=room)
     return room, done
 
 
@@ -198,6 +198,7 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     assert kept.read_text() == "of an earlier run"
 
 
+@pytest.mark.slow
 def test_a_command_that_is_started_to_ignore_interrupts_does_so(tmp_path):
     """As in the background of a script; so do its workers."""
     for name, duration in (("brief", "0.2"), ("long", "5")):

@@ -73,6 +73,7 @@ def is_foreign(target):
     return bool(re.match(r"[\"']?(?:https?:)?//", "".join(target)))
 
 
+@pytest.mark.slow
 def test_nothing_is_fetched_from_elsewhere(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > len(PAGES)
@@ -89,6 +90,7 @@ def test_the_rule_catches_what_would_be_fetched():
     assert len([each for each in fetched(page) if is_foreign(each)]) == 4
 
 
+@pytest.mark.slow
 def test_scripts_load_nothing_by_themselves(site):
     """The theme's scripts and the search index are all there is, and name no address to fetch from."""
     scripts = list(site.rglob("*.js"))
@@ -100,12 +102,14 @@ def test_scripts_load_nothing_by_themselves(site):
         assert calls == [], path
 
 
+@pytest.mark.slow
 def test_every_page_is_in_it(site):
     for page in PAGES:
         assert (site / page.name).with_suffix(".html").is_file(), page.name
     assert "docs/index.html" in (site / "index.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_formulas_are_drawn_without_a_script(site):
     shown = (site / "docs/models.html").read_text("utf-8")
     formulas = re.findall(r"(?<!\w)\$\$", next(p for p in PAGES if p.name == "docs/models.md").prose)
@@ -119,6 +123,7 @@ def keys_of(schema):
     return {key for block in blocks for key in block.get("properties", {})}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "model"), [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)]
 )
@@ -132,6 +137,7 @@ def test_every_key_stands_in_the_reference(site, page, model):
     assert [cell for cell in cells if len(cell) == 5 and not all(cell[2:])] == []
 
 
+@pytest.mark.slow
 def test_ranges_units_and_defaults_are_those_of_the_model(site):
     shown = (site / "docs/reference/scenario.html").read_text("utf-8")
     row = re.search(r"<tr[^>]*><td><p><code[^>]*><span class=\"pre\">record_hz</span>.*?</tr>", shown, re.S)
@@ -147,6 +153,7 @@ def commands_in(given, words=("srs-twin",)):
         yield from commands_in(each, (*words, name))
 
 
+@pytest.mark.slow
 def test_every_command_and_option_stands_in_the_reference(site):
     shown = html.unescape(re.sub(r"<[^>]+>", "", (site / "docs/reference/commands.html").read_text("utf-8")))
     _, *parts = re.split(r"\n(srs-twin[\w -]*)¶\n", shown)
@@ -157,6 +164,7 @@ def test_every_command_and_option_stands_in_the_reference(site):
             assert not each.help or each.help[:20] in sections[name], (name, each.opts)
 
 
+@pytest.mark.slow
 def test_every_public_name_stands_in_the_python_reference(site):
     text = next(page.text for page in PAGES if page.name == "docs/reference/api.md")
     named = re.findall(r"^\.\. auto\w+:: srs_twin\.(\w+)$", text, re.M)
@@ -178,6 +186,7 @@ def test_a_broken_link_or_anchor_fails(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_search_works_from_a_file(site):
     """The index is a script, not something to fetch, which browsers refuse for files."""
     index = (site / "searchindex.js").read_text("utf-8")

@@ -159,6 +159,7 @@ def test_refusals(recordings, srs_twin, tmp_path):
     assert done.returncode == 2 and f"port {port} cannot be had" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(browser.missing()), reason=browser.missing() or "a browser is here")
 def test_a_browser_shows_the_recording_without_the_internet(recordings, srs_twin):
     with served([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:

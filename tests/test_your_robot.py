@@ -44,6 +44,7 @@ def walked_through(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_what_was_hidden_lies_in_the_intervals(walked_through):
     seen = set()
     for name in ("my_friction", "my_gains", "my_lags", "my_body"):
@@ -60,6 +61,7 @@ def test_what_was_hidden_lies_in_the_intervals(walked_through):
     assert set(HIDDEN) - seen == {"bending.stiffness_nm_per_rad"}
 
 
+@pytest.mark.slow
 def test_the_robot_of_the_page_is_the_hidden_one(walked_through):
     robot = load_robot(walked_through / "robots/my_snake.yaml")
     found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
@@ -68,6 +70,7 @@ def test_the_robot_of_the_page_is_the_hidden_one(walked_through):
         assert unknown.start == pytest.approx(HIDDEN[unknown.name], rel=near, abs=0.005), unknown.name
 
 
+@pytest.mark.slow
 def test_the_replay_is_nearer_to_the_robot_than_the_one_it_began_with(walked_through, monkeypatch):
     monkeypatch.chdir(walked_through)
     with pytest.raises(SystemExit):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from harness import Malformed, Parser, refusal
@@ -13,14 +14,22 @@ from parsers import PARSERS, path_of
 
 from srs_twin.cli import main
 
+# Large files that take seconds to make and to refuse.
+LARGE = {"metadata of 100 MB", "metadata of 40 MB", "3 GB in a small file", "110,000 pieces"}
 PAIRS = [
-    pytest.param(parser, malformed, id=f"{parser.name}: {malformed.name}")
+    pytest.param(
+        parser,
+        malformed,
+        id=f"{parser.name}: {malformed.name}",
+        marks=[pytest.mark.slow] if malformed.name in LARGE else [],
+    )
     for parser in PARSERS
     for malformed in parser.refused
 ]
-# Of 500 a parser; `benchmarks/fuzz.py` makes 10,000.
+# `benchmarks/fuzz.py` makes 10,000 files a parser.
 IDENTITIES = 25
 EXAMPLES = {"damaged": 200, "values": 200, "bytes": 100}
+SAMPLE = 12
 parsers = pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.name)
 
 
@@ -74,17 +83,26 @@ def test_a_file_that_may_not_be_read(parser: Parser, here: Path):
     assert "cannot be read" in refusal(parser, path) or "denied" in refusal(parser, path)
 
 
-@pytest.mark.parametrize("way", EXAMPLES)
-@parsers
-def test_generated_files_are_read_or_refused_and_nothing_else(parser: Parser, way: str, tmp_path: Path):
-    path = path_of(parser, tmp_path)
-
-    @settings(max_examples=EXAMPLES[way], suppress_health_check=list(HealthCheck))
+def survives(parser: Parser, way: str, path: Path, **examples: Any) -> None:
+    @settings(suppress_health_check=list(HealthCheck), **examples)
     @given(parser.generated[way])
     def check(content: bytes) -> None:
         parser.survives(content, path)
 
     check()
+
+
+@parsers
+def test_a_sample_of_generated_files_is_read_or_refused(parser: Parser, tmp_path: Path):
+    for way in EXAMPLES:
+        survives(parser, way, path_of(parser, tmp_path), max_examples=SAMPLE, derandomize=True, database=None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", EXAMPLES)
+@parsers
+def test_generated_files_are_read_or_refused_and_nothing_else(parser: Parser, way: str, tmp_path: Path):
+    survives(parser, way, path_of(parser, tmp_path), max_examples=EXAMPLES[way])
 
 
 @pytest.mark.parametrize("parser", [p for p in PARSERS if p.identity], ids=lambda parser: parser.name)

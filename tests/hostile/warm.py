@@ -19,7 +19,7 @@ SERVER = """
 import json, os, select, signal, sys, tempfile, time
 from pathlib import Path
 import mujoco
-from srs_twin import mjcf_check
+from srs_twin.mjcf.check import _child
 
 os.chdir(tempfile.mkdtemp())
 for line in sys.stdin:
@@ -30,7 +30,7 @@ for line in sys.stdin:
         os.close(source)
         os.dup2(sink, 1)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        mjcf_check._child(path, str(limit))
+        _child(path, str(limit))
         sys.stdout.flush()
         os._exit(0)
     os.close(sink)

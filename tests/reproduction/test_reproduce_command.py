@@ -74,7 +74,7 @@ def test_bad_input(words, said, srs_twin, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("before", ["met", "missed"])
+@pytest.mark.parametrize("before", ["met", pytest.param("missed", marks=pytest.mark.slow)])
 def test_a_verdict_that_changed_is_exit_code_1_better_or_worse(before, tmp_path, monkeypatch, capsys):
     was = json.dumps(
         {

@@ -39,7 +39,11 @@ def test_what_a_sweep_leaves(srs_twin, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [("--workers", "1"), ("--engine", "ray", "--workers", "2")], ids=["one", "ray"]
+    "words",
+    [
+        pytest.param(("--workers", "1"), id="one"),
+        pytest.param(("--engine", "ray", "--workers", "2"), id="ray", marks=pytest.mark.slow),
+    ],
 )
 def test_results_do_not_depend_on_who_makes_them(srs_twin, tmp_path, words):
     write(tmp_path, SMALL.replace("plants: [analytical]\n", "").replace("count: 4", "count: 2"))
@@ -132,11 +136,12 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
     assert run.returncode == 2 and "another sweep works in this folder" in run.stderr
 
 
-def test_twenty_kills(tmp_path):
+@pytest.mark.parametrize(("count", "runs"), [(2, 16), pytest.param(20, 60, marks=pytest.mark.slow)])
+def test_kills(tmp_path, count, runs):
     """None lost, none twice, none torn: benchmarks/kills.py does it with 200."""
-    sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=60))
+    sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=runs))
     quiet = kills.start(sweep, tmp_path / "quiet")
     assert quiet.wait() == 0, quiet.stderr.read()
-    found = kills.disturbed(sweep, tmp_path / "killed", 20, random.Random(4), 0.1)
-    assert sum(found.victims.values()) == 20
+    found = kills.disturbed(sweep, tmp_path / "killed", count, random.Random(4), 0.1)
+    assert sum(found.victims.values()) == count
     assert kills.digest(tmp_path / "killed") == kills.digest(tmp_path / "quiet")

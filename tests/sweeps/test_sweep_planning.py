@@ -60,17 +60,17 @@ def test_the_digest_does_not_know_how_long_planning_took(tmp_path):
     assert digest(rows) == digest(slower) != digest(longer)
 
 
-def test_a_planner_that_is_not_installed_fails_its_rows_and_can_be_left_out(tmp_path, srs_twin):
+def test_a_planner_that_is_not_installed_fails_its_rows_and_can_be_left_out(tmp_path, srs_twin_process):
     text = WORLDS.replace("best_first]", "ompl]").replace("[0, 1, 2]", "[0]")
     (tmp_path / "ompl.py").write_text("raise ImportError('not installed')\n")
     write(tmp_path, text)
     hidden = {"PYTHONPATH": str(tmp_path)}
-    done = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path, **hidden)
+    done = srs_twin_process("sweep", "small.yaml", "--out", "out", cwd=tmp_path, **hidden)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "2 failed: planner ompl needs the extra of that name: pip install 'srs-twin[ompl]'" in done.stderr
     assert "2 of 4 runs done, 2 failed" in done.stdout
     without = ("--without", "planner.kind=ompl")
-    left = srs_twin("sweep", "small.yaml", "--out", "left", *without, cwd=tmp_path, **hidden)
+    left = srs_twin_process("sweep", "small.yaml", "--out", "left", *without, cwd=tmp_path, **hidden)
     assert left.returncode == 0, left.stderr
     assert "2 of 4 runs done, 0 failed" in left.stdout
     assert json.loads((tmp_path / "left/sweep.json").read_text())["failed"] == 0
