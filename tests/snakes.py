@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -11,11 +12,12 @@ from srs_twin.mjcf.model import root_connector
 from srs_twin.plants.analytical import kernels
 
 GRAVITY = 9.81
+shipped = cache(load_robot)
 
 
 def robot(name: str = "gen2", *, stiffness: float | None = None, **friction: float) -> RobotSpec:
     """Return a shipped robot with another bending stiffness (N·m/rad) or other friction coefficients."""
-    spec = load_robot(name)
+    spec = shipped(name)
     if stiffness is not None:
         spec = replace(spec, bending=replace(spec.bending, stiffness=stiffness))
     return replace(spec, friction=replace(spec.friction, **friction))

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.fast
+
 PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a room imports only from itself or from rooms to its left.

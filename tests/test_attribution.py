@@ -91,6 +91,7 @@ def test_compliance_is_most_of_it_and_the_matched_plants_agree(found):
         assert abs(shares[name][0]) < 0.02 * attribution.reference[0], name
 
 
+@pytest.mark.slow
 def test_shares_are_what_a_switch_and_refinements_change():
     """One assumption differs, so that its share is what switching it takes off the gap; factors by hand."""
     alike = {"model": "compliant", "friction": "wheel", "inertia": "point"}
@@ -155,6 +156,7 @@ def test_every_switch_reaches_the_plant():
             assert about != usual, each.name
 
 
+@pytest.mark.slow
 def test_what_has_to_come_first_does_and_still_all_adds_up():
     """Arcs before they yield: averaged with compliance, which brings arcs along, they would share."""
     s = scenario(plants={"analytical": {"model": "simplified", "friction_torque": False}, "twin": {}})
@@ -170,6 +172,7 @@ def test_what_has_to_come_first_does_and_still_all_adds_up():
     assert found.shares[0].value == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_a_variant_that_diverges_is_named_and_costs_no_run(tmp_path, monkeypatch):
     def stuck(self):
         raise DivergedError("twin", 0.3, "it flew")

@@ -20,6 +20,8 @@ from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import load_fit
 
+pytestmark = pytest.mark.fast
+
 SPEC = load_robot("gen4")
 
 

@@ -15,6 +15,8 @@ from srs_twin.cli.app import command
 from srs_twin.doctor.examination import TRIALS
 from srs_twin.viewing.mujoco.opengl import PACKAGES
 
+pytestmark = pytest.mark.fast
+
 DOCS = (ROOT / "docs/ci.md").read_text("utf-8")
 CONTAINERFILE = (ROOT / "Containerfile").read_text("utf-8")
 FENCES = {

@@ -14,6 +14,8 @@ from srs_twin import Gait, InputError, TwinSnake
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.pneumatics import make_pneumatics
 
+pytestmark = pytest.mark.fast
+
 SPEC = robot()
 FREQUENCIES = st.floats(0.3, 4.0)
 

@@ -11,6 +11,8 @@ from srs_twin.comparison.compare import compare, in_body_frame
 from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.errors import InputError
 
+pytestmark = pytest.mark.fast
+
 some = settings(deadline=None, max_examples=20)
 REFERENCE = Snake(speed=0.2, yaw_rate=0.2, frequency=1.7)
 

@@ -11,6 +11,8 @@ from srs_twin.cli import progress
 from srs_twin.cli.fitting import Searching
 from srs_twin.cli.progress import Counting
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.fixture
 def clock(monkeypatch):

@@ -166,7 +166,15 @@ COMMANDED = [page for page in PAGES if any(block.mark == "runnable" for block in
 SCRIPTED = [page for page in PAGES if page.script]
 
 
-@pytest.mark.parametrize("page", [page for page in COMMANDED if page.name != "README.md"], ids=name_of)
+def commanded():
+    """Pages whose commands are run; those but the first steps take long."""
+    for page in COMMANDED:
+        if page.name != "README.md":
+            slow = page.name != "docs/quickstart.md"
+            yield pytest.param(page, marks=[pytest.mark.slow] if slow else [])
+
+
+@pytest.mark.parametrize("page", commanded(), ids=name_of)
 def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
     """As a reader would: save what is to be saved, type what is to be typed. README: tests/test_readme.py."""
     page.save_files(tmp_path)

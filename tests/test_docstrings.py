@@ -11,6 +11,8 @@ import pytest
 import srs_twin
 from srs_twin import errors
 
+pytestmark = pytest.mark.fast
+
 PUBLIC = [getattr(srs_twin, name) for name in srs_twin.__all__ if name != "__version__"]
 CLASSES = [each for each in PUBLIC if inspect.isclass(each)]
 DATA = [each for each in CLASSES if dataclasses.is_dataclass(each)]

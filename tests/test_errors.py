@@ -22,6 +22,8 @@ from srs_twin.identification.unknowns import names_of_fields
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.expectation import known_metrics
 
+pytestmark = pytest.mark.fast
+
 EVERY = [
     InputError("no such file"),
     UnknownNameError("metric", "sped", ["speed", "yaw"]),

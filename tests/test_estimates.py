@@ -15,6 +15,8 @@ from srs_twin.identification.estimate import Parameter, Residual, correlation_ti
 from srs_twin.identification.least_squares import Manner, least_squares
 from srs_twin.identification.unknowns import Unknown
 
+pytestmark = pytest.mark.fast
+
 TIME = np.linspace(0.0, 1.0, 60)
 
 

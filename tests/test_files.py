@@ -25,6 +25,8 @@ from srs_twin.io.files import (
 )
 from srs_twin.viewing.html.page import Table, render
 
+pytestmark = pytest.mark.fast
+
 ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 
 

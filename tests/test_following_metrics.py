@@ -15,6 +15,8 @@ from srs_twin.mjcf.numerics import WALL_M
 from srs_twin.planning import Footprint
 from srs_twin.trajectory import Trajectory
 
+pytestmark = pytest.mark.fast
+
 WIDTH = 0.03
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
 

@@ -12,6 +12,8 @@ from numba import njit
 
 from srs_twin import friction
 
+pytestmark = pytest.mark.fast
+
 LAWS = {name: getattr(friction, name) for name in friction.LAWS}
 LOAD = 0.3
 SPEED = st.floats(-1, 1, allow_subnormal=False)

@@ -14,6 +14,8 @@ from snakes import chain, robot
 
 from srs_twin import Gait, InputError, RobotSpec
 
+pytestmark = pytest.mark.fast
+
 TICK = 0.02
 
 

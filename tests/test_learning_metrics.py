@@ -15,6 +15,8 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.learning import ILC
 from srs_twin.sweep.task import flat_metrics
 
+pytestmark = pytest.mark.fast
+
 FREQUENCY, SEGMENTS = 2.0, 4
 BEGINS = np.array([[0.0, 0.25], [0.125, -0.125], [0.25, 0.0], [-0.125, 0.125]])
 

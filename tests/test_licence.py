@@ -5,10 +5,13 @@ from __future__ import annotations
 import tomllib
 from importlib import metadata
 
+import pytest
 from conftest import ROOT
 
 import srs_twin
 from srs_twin.io.documents import parse_yaml
+
+pytestmark = pytest.mark.fast
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 

@@ -11,6 +11,8 @@ from scipy.integrate import cumulative_simpson
 from srs_twin.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.recordings.trajectories import moving_slope
 
+pytestmark = pytest.mark.fast
+
 
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.01, 0.1), st.floats(-1, 1), st.floats(-1, 1))
 def test_an_arc_is_recovered_from_its_ends(turn, bend, length, x, y):

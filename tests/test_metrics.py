@@ -18,6 +18,8 @@ from srs_twin.comparison.tracking import TRACKING_UNITS
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
+pytestmark = pytest.mark.fast
+
 GAIT_METRICS = {
     "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
     "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", "mechanical_power_w",

@@ -12,6 +12,8 @@ from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.mjcf.numerics import Numerics, hinge_stations
 from srs_twin.mjcf.wheels import contact, preload_force, treads
 
+pytestmark = pytest.mark.fast
+
 NAMES = ("gen1", "gen2", "gen3", "gen4")
 RIGHT_ANGLE = np.pi / 2
 HINGES = range(1, Numerics.hinges_per_segment + 1)

@@ -15,6 +15,8 @@ from module_lines import LINES, Line, Values
 from srs_twin.comparison.metrics import METRIC_UNITS
 from srs_twin.io.files import shipped_names
 
+pytestmark = pytest.mark.fast
+
 FIGURES = json.loads(module_table.FIGURES.read_text("utf-8"))
 PAGE = module_table.PAGE.read_text("utf-8")
 

@@ -15,6 +15,8 @@ from srs_twin import InputError, RobotSpec
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 
+pytestmark = pytest.mark.fast
+
 SUPPLY = 50e3
 GAIN = 3e-5
 

@@ -18,6 +18,8 @@ from srs_twin.planning.footprint import load_footprint_file
 from srs_twin.robot.file import load_robot_file, robot_sources
 from srs_twin.robot.spec import load_robot
 
+pytestmark = pytest.mark.fast
+
 
 def claim(name):
     claims = load_yaml(data_root() / "calibration/published/claims.yaml").data

@@ -42,8 +42,8 @@ def checkout(tmp_path, root):
 
 
 def marked(command):
-    """Leave the long ones of what is run to the slow tests."""
-    long = "--explain" in command or "fig39" in command
+    """Leave the long ones of what is run to the slow tests; `compare` is run below."""
+    long = "compare" in command or "sweep" in command
     return pytest.param(command, marks=[pytest.mark.slow] if long else [])
 
 

@@ -19,6 +19,8 @@ from srs_twin.robot.spec import load_robot
 from srs_twin.scenario import Expectation, load_scenario, parse_scenario, scenario_json_schema
 from srs_twin.scenario.expectation import known_metrics, verdict
 
+pytestmark = pytest.mark.fast
+
 MINIMAL = {"robot": "gen2", "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 2.0}}
 
 

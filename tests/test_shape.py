@@ -10,6 +10,8 @@ from scipy.integrate import quad
 
 from srs_twin.geometry import body_shape, chord, chords, relative_headings
 
+pytestmark = pytest.mark.fast
+
 BEND = st.floats(-3.0, 3.0)
 LENGTH = st.floats(0.01, 0.2)
 GAP = st.floats(0.0, 0.1)

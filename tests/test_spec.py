@@ -12,6 +12,8 @@ from srs_twin.io.documents import dump_yaml
 from srs_twin.robot.file import load_robot_file, robot_sources
 from srs_twin.robot.spec import Friction, Geometry, RobotSpec, load_robot
 
+pytestmark = pytest.mark.fast
+
 PSI = 6894.757
 ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 

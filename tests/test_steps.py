@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from srs_twin.plants.analytical import Steps
 from srs_twin.plants.analytical.kernels import GAMMA
 
+pytestmark = pytest.mark.fast
+
 SAME = 1e-9
 
 spans = st.sampled_from([0.001, 0.02, 0.5])

@@ -17,6 +17,8 @@ from synthetic import Snake
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Event, Trajectory
 
+pytestmark = pytest.mark.fast
+
 some = settings(deadline=None, max_examples=30)
 
 json_values = st.recursive(

@@ -11,6 +11,8 @@ from srs_twin.comparison.following import PLANNING_UNITS
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.scenario import parse_scenario
 
+pytestmark = pytest.mark.fast
+
 PLANTS = ("analytical", "twin")
 GAIT = {"kind": "gait", "frequency_hz": 2.0}
 STEP = {"kind": "step", "bend_rad": 0.4}

@@ -15,6 +15,8 @@ from srs_twin import InputError
 from srs_twin.identification import join, read_valves
 from srs_twin.recordings.clock import estimate_offset
 
+pytestmark = pytest.mark.fast
+
 HEAD = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
 PSI = HEAD.replace("valve", "pressure").replace(",", "_psi,").replace("time_psi", "time_ms") + "_psi"
 

@@ -10,6 +10,8 @@ from parsers import SCENARIO
 from srs_twin.errors import InputError
 from srs_twin.scenario import load_scenario
 
+pytestmark = pytest.mark.fast
+
 GOOD = SCENARIO.decode()
 
 

@@ -14,6 +14,8 @@ from scipy.optimize import fsolve
 from srs_twin.planning.dubins import shortest
 from srs_twin.world import Pose
 
+pytestmark = pytest.mark.fast
+
 PLACE = st.floats(-3, 3)
 ANGLE = st.floats(-4, 4)
 POSE = st.builds(Pose, PLACE, PLACE, ANGLE)

@@ -13,6 +13,8 @@ from srs_twin.planning.best_first import NODES, OPEN, empty_frontier, grown, pop
 from srs_twin.planning.guide import NO_GUIDE, guide_to, way_from
 from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 
+pytestmark = pytest.mark.fast
+
 START, GOAL = Pose(0.2, 0.5, 0.0), Goal(1.8, 0.5, None, 0.02)
 FLOOR = Bounds((0.0, 2.0), (0.0, 1.0))
 

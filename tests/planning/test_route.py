@@ -14,6 +14,8 @@ from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import BEYOND, Route
 from srs_twin.world import Pose
 
+pytestmark = pytest.mark.fast
+
 ORIGIN = Pose(0.0, 0.0, 0.0)
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
 PIECES = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.05, 0.6)), min_size=1, max_size=5)

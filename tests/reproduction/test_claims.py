@@ -14,6 +14,8 @@ from srs_twin.reproduction import load_claims
 from srs_twin.reproduction.claims import chosen
 from srs_twin.scenario import load_scenario
 
+pytestmark = pytest.mark.fast
+
 CLAIMS = load_claims()
 
 # The list that the project began with: claim → relative tolerance, where one was set.

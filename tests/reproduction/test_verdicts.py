@@ -19,6 +19,8 @@ from srs_twin.reproduction.runs import Order
 from srs_twin.reproduction.verdicts import Baseline, combined, load_baseline, taken, write_baseline
 from srs_twin.sweep.task import DONE, Row
 
+pytestmark = pytest.mark.fast
+
 
 def claim(rule="near", value=1.0, low=0.9, high=1.1, names=("a",), **more):
     """Return a row whose measures are scenarios of these names."""

@@ -11,6 +11,8 @@ from srs_twin.errors import InputError
 from srs_twin.sweep.file import RangeFile, SamplingFile
 from srs_twin.sweep.points import sample
 
+pytestmark = pytest.mark.fast
+
 GRID, LIST = SamplingFile(), SamplingFile(kind="list")
 
 

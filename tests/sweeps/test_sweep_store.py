@@ -16,6 +16,8 @@ from srs_twin.errors import InputError
 from srs_twin.sweep.store import FILE, About, RowStore
 from srs_twin.sweep.task import DONE, FAILED, Row
 
+pytestmark = pytest.mark.fast
+
 ROWS = [
     Row(f"{k:064x}", DONE, {"twin.com_speed_m_s": k / 7, "twin.turning_radius_m": None}, 0.5)
     for k in range(40)
