@@ -58,8 +58,13 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> n
     arc = front - (front - rear) * np.linspace(0.0, 1.0, pieces + 1)
     headings = np.concatenate([front, arc, rear], axis=2)
     lines = centre_lines(trajectory, geometry, pieces)
-    across = geometry.width / 2 * np.stack([-np.sin(headings), np.cos(headings)], axis=-1)
-    return np.concatenate([lines + across, lines - across], axis=2).reshape(len(lines), -1, 2)
+    return on_both_sides(lines, headings, geometry.width / 2).reshape(len(lines), -1, 2)
+
+
+def on_both_sides(points: np.ndarray, heading: np.ndarray, half_width: float) -> np.ndarray:
+    """Return the points to the left, then those to the right of a line: (…, k, 2) give (…, 2 k, 2), m."""
+    across = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    return np.concatenate([points + across, points - across], axis=-2)
 
 
 def hull_lines(trajectory: Trajectory) -> np.ndarray:

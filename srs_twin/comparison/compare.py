@@ -1,8 +1,8 @@
-"""compare(): how far two runs under the same valve commands lie apart.
+"""Differences between runs: of two plants, of a plant from what was measured, and what explains them.
 
-How far a plant is from what was measured of the robot: by signal, over time.
-
-Attribution: which assumption has which share in what lies between two runs.
+`compare` says how far two runs under the same valve commands lie apart. `MeasuredDifference` is that of a
+plant from what was measured of the robot, by signal, over time. `Attribution` splits the gap between the
+plants into the shares of the assumptions in which they differ.
 """
 
 from __future__ import annotations
@@ -69,21 +69,24 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
         require(trajectory, "com_x", "com_y", "heading", "x", "y", "bend")
     _same_connectors(reference, candidate)
     time = _common_times(reference, candidate)
-    ours, theirs = _Sampled.at(reference, time), _Sampled.at(candidate, time)
+    (our_com, our_heading, ours, our_bend), (com, heading, theirs, bend) = (
+        _sampled(each, time) for each in (reference, candidate)
+    )
 
     # Whole turns between two unwrapped headings say where counting began, not where the snakes point.
-    heading_error = theirs.heading - ours.heading
+    heading_error = heading - our_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
-    distance = np.linalg.norm(theirs.in_body_frame() - ours.in_body_frame(), axis=-1)
-    path_error = np.linalg.norm(theirs.com - ours.com, axis=-1)
-    bend_error = theirs.bend - ours.bend
+    apart = in_body_frame(theirs, com, heading) - in_body_frame(ours, our_com, our_heading)
+    distance = np.linalg.norm(apart, axis=-1)
+    path_error = np.linalg.norm(com - our_com, axis=-1)
+    bend_error = bend - our_bend
     metrics = {
         **_gait_differences(reference, candidate, _gap_factor(reference, candidate) if gap_factor else 1.0),
         "shape_rms_m": rms(distance),
         "shape_rms_body": rms(distance) / body_length(reference),
         "path_rms_m": rms(path_error),
         "bend_rms_rad": rms(bend_error),
-        "bend_rms_rel": _ratio(rms(bend_error), rms(ours.bend)),
+        "bend_rms_rel": _ratio(rms(bend_error), rms(our_bend)),
         "heading_rms_rad": rms(heading_error),
     }
     shape_error = np.sqrt((distance**2).mean(axis=-1))
@@ -106,24 +109,12 @@ def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) ->
     return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
 
 
-@dataclass(frozen=True)
-class _Sampled:
-    """What is compared of one run, at given times: com (T, 2), heading (T,), position (T, N, 2), bend."""
-
-    com: np.ndarray
-    heading: np.ndarray
-    position: np.ndarray
-    bend: np.ndarray
-
-    @classmethod
-    def at(cls, run: Trajectory, time: np.ndarray) -> _Sampled:
-        signals = (run.com, run["heading"], run.position, run.stack("bend"))
-        if len(run) == len(time) and np.allclose(run.time, time, rtol=0, atol=_ROUNDING_S):
-            return cls(*signals)
-        return cls(*(interpolant(run, values)(time) for values in signals))
-
-    def in_body_frame(self) -> np.ndarray:
-        return in_body_frame(self.position, self.com, self.heading)
+def _sampled(run: Trajectory, time: np.ndarray) -> list[np.ndarray]:
+    """Return centre of mass (T, 2), heading (T,), positions (T, N, 2) and bends of a run at given times."""
+    signals = [run.com, run["heading"], run.position, run.stack("bend")]
+    if len(run) == len(time) and np.allclose(run.time, time, rtol=0, atol=_ROUNDING_S):
+        return signals
+    return [interpolant(run, values)(time) for values in signals]
 
 
 def _same_connectors(reference: Trajectory, candidate: Trajectory) -> None:
@@ -182,8 +173,8 @@ def _ratio(part: float, whole: float) -> float | None:
 
 
 _PREFIX = "measured_"
-_OF_BENDS = "measured_bend_rms_rad"
-_OF_A_WAY = ("measured_com_speed_rel", "measured_yaw_rate_abs")
+_BEND_METRICS = {"measured_bend_rms_rad"}
+_TRAVEL_METRICS = {"measured_com_speed_rel", "measured_yaw_rate_abs"}
 _MOST_ROWS = 50
 
 
@@ -214,11 +205,10 @@ class MeasuredDifference:
     @property
     def metrics(self) -> dict[str, float | None]:
         """Metrics of the plant, by the names in `MEASURED_UNITS`; None what was not measured."""
-        told = {_OF_BENDS} if self.only_bends else MEASURED_UNITS.keys() - (_OF_A_WAY if self.held else ())
-        metrics = self.comparison.metrics
-        return {
-            name: metrics[name.removeprefix(_PREFIX)] if name in told else None for name in MEASURED_UNITS
-        }
+        known = MEASURED_UNITS.keys() - (_TRAVEL_METRICS if self.held else set())
+        known = _BEND_METRICS if self.only_bends else known
+        found = self.comparison.metrics
+        return {name: found[name.removeprefix(_PREFIX)] if name in known else None for name in MEASURED_UNITS}
 
     def signals(self) -> dict[str, np.ndarray]:
         """Return the differences over time: shape and path as distances (m), heading, bends (rad)."""

@@ -9,35 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.comparison.centre_line import hull_lines
-from srs_twin.comparison.sampling import positive_number
+from srs_twin.comparison.centre_line import hull_lines, on_both_sides
+from srs_twin.comparison.sampling import positive_number, rms, units_of
 from srs_twin.mjcf.numerics import WALL_M
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from srs_twin.planning import Footprint, Segment
 
-PLAN_UNITS = {"plan_found": "1", "plan_length_m": "m", "plan_nodes": "1", "plan_kink_rad": "rad"}
+PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
 """Metrics of a plan alone."""
 
-PLANNING_UNITS = {**PLAN_UNITS, "plan_s": "s"}
+PLANNING_UNITS = PLAN_UNITS | units_of("plan_s")
 """Metrics of planning where nothing moves: those of the plan, and the wall time that it took."""
 
-FOLLOWING_UNITS = {
-    **PLAN_UNITS,
-    "goal_reached": "1",
-    "arrival_error_m": "m",
-    "arrival_heading_error_rad": "rad",
-    "cross_track_rms_m": "m",
-    "cross_track_max_m": "m",
-    "inside_share": "1",
-    "inside_50mm_share": "1",
-    "contacts": "1",
-    "contact_time_s": "s",
-    "clearance_m": "m",
-    "following_time_s": "s",
-    "replans": "1",
-}
+FOLLOWING_UNITS = PLAN_UNITS | units_of("""
+    goal_reached arrival_error_m arrival_heading_error_rad
+    cross_track_rms_m cross_track_max_m inside_share inside_50mm_share
+    contacts contact_time_s clearance_m following_time_s replans
+""")
 
 TEXT_HALF_WIDTH, TEXT_SHIFT, TEXT_TIGHTEST = 0.025, 0.01, math.pi / 3 / 0.2
 """The box of Section 5.2: 50 mm, shifted by 10 mm at 60 degrees in 0.2 m; m and 1/m."""
@@ -186,18 +176,17 @@ def _deviation(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, An
         ends = np.cumsum([a.length for a in leg.segments])
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
         here = np.where(s < 0, 0.0, here)
-        left, right = (
-            np.interp(here, footprint.curvatures, edge) for edge in (footprint.left, footprint.right)
-        )
+        edges = (footprint.left, footprint.right)
+        left, right = (np.interp(here, footprint.curvatures, edge) for edge in edges)
         inside.append(((n <= left) & (n >= -right)).all(axis=1))
         shift = TEXT_SHIFT * np.clip(-here / TEXT_TIGHTEST, -1, 1)
         text.append((np.abs(n - shift) <= TEXT_HALF_WIDTH).all(axis=1))
     if not aside:
         return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
-    beside = np.concatenate(aside)
+    deviation = np.concatenate(aside)
     return {
-        "cross_track_rms_m": float(np.sqrt((beside**2).mean())),
-        "cross_track_max_m": float(np.abs(beside).max()),
+        "cross_track_rms_m": rms(deviation),
+        "cross_track_max_m": float(np.abs(deviation).max()),
         "inside_share": float(np.concatenate(inside).mean()),
         "inside_50mm_share": float(np.concatenate(text).mean()),
     }
@@ -207,8 +196,7 @@ def body_points(trajectory: Trajectory) -> np.ndarray:
     """Return points on both sides of connectors and of the middles of segments, shape (samples, k, 2), m."""
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
-    across = half * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
-    return np.concatenate([centres + across, centres - across], axis=1)
+    return on_both_sides(centres, heading, half)
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -244,9 +232,9 @@ class Touch:
 
 def touches(trajectory: Trajectory) -> list[Touch]:
     """Return a run's contacts with obstacles, in order; none where there was nothing to touch."""
-    if not trajectory.has("obstacle_force_x"):
+    force = _obstacle_force(trajectory)
+    if force is None:
         return []
-    force = np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
     rows = np.flatnonzero(force.max(axis=1) > TOUCH_N)
     apart = np.flatnonzero(np.diff(trajectory.time[rows]) > _APART_S) + 1
     found = []
@@ -257,10 +245,17 @@ def touches(trajectory: Trajectory) -> list[Touch]:
     return found
 
 
-def _contacts(trajectory: Trajectory) -> dict[str, Any]:
+def _obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
+    """Return the obstacles' force on each connector, shape (samples, N), N; None without obstacles."""
     if not trajectory.has("obstacle_force_x"):
+        return None
+    return np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
+
+
+def _contacts(trajectory: Trajectory) -> dict[str, Any]:
+    force = _obstacle_force(trajectory)
+    if force is None:
         return {"contacts": None, "contact_time_s": None}
-    force = np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
     steps = np.diff(trajectory.time, prepend=trajectory.time[0])
     return {
         "contacts": len(touches(trajectory)),

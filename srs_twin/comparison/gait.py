@@ -1,12 +1,7 @@
-"""Metrics of a gait: its whole periods, how far each carries a snake, on which circle, and at what cost.
+"""Metrics of a gait: how far its periods carry a snake, on which circle, and at what cost.
 
-GaitWindow: the whole gait periods of a run that its averages are taken over.
-
-How far a gait period carries a snake, and by how much it turns it.
-
-The circle on which each gait period carries a snake, and what counts as straight.
-
-What moving costs: power of the segments and of the air they use, and the cost of transport.
+All averages are taken over whole gait periods (`GaitWindow`). What moving costs is the power of the segments
+and of the air that they use, and the cost of transport.
 """
 
 from __future__ import annotations
@@ -139,12 +134,22 @@ def carried(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.
     Both are means over all periods that begin within one: at one phase alone, what the body sways to the side
     would be taken for a part of the radius. K periods give K − 1 numbers of each.
     """
+    speed, turning = running_rates(trajectory, window)
+    each = (window.periods - 1, window.instants)
+    chords = window.period * speed
+    return chords.reshape(each).mean(axis=1), window.period * turning.reshape(each).mean(axis=1)
+
+
+def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
+    """Return the speed of the period-averaged path and the rate of the period-mean heading at each instant.
+
+    The speed (m/s) is negative throughout where that path runs, on the whole, against the heading; the rate
+    (rad/s) is positive to the left.
+    """
     heading, turning = window.running(trajectory, trajectory["heading"])
     _, velocity = window.running(trajectory, trajectory.com)
     along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    apart = np.copysign(window.period, along.mean()) * np.hypot(velocity[:, 0], velocity[:, 1])
-    each = (window.periods - 1, window.instants)
-    return apart.reshape(each).mean(axis=1), window.period * turning.reshape(each).mean(axis=1)
+    return np.copysign(1.0, along.mean()) * np.hypot(velocity[:, 0], velocity[:, 1]), turning
 
 
 # Straight is what turns on a circle of more body lengths than this (for gen 2 some 20 m, where a path of
@@ -179,9 +184,7 @@ def path_curvature(chord: float, turn: float) -> float:
     return 2 * math.sin(turn / 2) / chord
 
 
-ENERGY_METRICS = (
-    "mechanical_power_w", "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport",
-)  # fmt: skip
+ENERGY_METRICS = "mechanical_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport"
 
 
 def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> dict[str, Any]:
@@ -200,7 +203,7 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
         speed: mean speed, m/s.
     """
     mass = positive_number(trajectory, "mass_kg")
-    metrics: dict[str, Any] = dict.fromkeys(ENERGY_METRICS)
+    metrics: dict[str, Any] = dict.fromkeys(ENERGY_METRICS.split())
     for source, power, cost in (
         ("work", "mechanical_power_w", "cost_of_transport"),
         ("air", "pneumatic_power_w", "pneumatic_cost_of_transport"),

@@ -1,10 +1,8 @@
 """Metrics of iterative learning: amplitudes and duties by period, convergence, the path before and after.
 
-ChamberPeriods: a run under iterative learning, cut into the periods of each chamber's own clock.
-
-How far a body reaches to the left and right of the path of its centre of mass (Fig. 58, Table 8).
-
-What is measured is what the sensors said, in the periods of each chamber's own clock (`control.cycles`).
+What is measured is what the sensors read, in the periods of each chamber's own clock (`control.duties`). The
+path of the centre of mass is measured over the last periods, and with it how far the body reaches to the left
+and right of it (Fig. 58, Table 8).
 """
 
 from __future__ import annotations
@@ -15,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.comparison.centre_line import on_both_sides
 from srs_twin.comparison.gait import LEAST_WAY, GaitWindow, carried, path_curvature, turning_radius
-from srs_twin.comparison.sampling import body_length, label, positive_number
+from srs_twin.comparison.sampling import body_length, label, positive_number, units_of
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -55,7 +54,7 @@ class ChamberPeriods:
         time = trajectory.time
         whole = int(math.floor(((time[-1] - begins) / period).min() + _ROUNDING))
         shape = (max(whole, 0), sensed.shape[-1], 2)
-        found = cls(np.full(shape, math.nan), np.full(shape, math.nan), np.full(shape, math.nan))
+        found = cls(*np.full((3, *shape), math.nan))
         for side, name in enumerate(("plus", "minus")):
             target, duty = trajectory.stack(f"target_{name}"), trajectory.stack(f"duty_{name}")
             for j in range(shape[1]):
@@ -74,8 +73,8 @@ class ChamberPeriods:
 def _clocks(trajectory: Trajectory, segments: int) -> tuple[float, np.ndarray]:
     """Return the gait period (s) and when each chamber first fills, shape (segments, 2), s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
-    told = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
-    begins = np.array(told, dtype=float) if isinstance(told, list) else np.empty(0)
+    listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
+    begins = np.array(listed, dtype=float) if isinstance(listed, list) else np.empty(0)
     if frequency is None or begins.shape != (segments, 2) or not np.isfinite(begins).all():
         raise InputError(
             f"{label(trajectory)}: metadata gait_frequency_hz and control.fill_begins_s are needed to tell "
@@ -149,41 +148,27 @@ def box_edges(trajectory: Trajectory, window: GaitWindow, path: PathFit) -> tupl
     seen = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
     theta, position = trajectory.stack("theta")[seen], trajectory.position[seen]
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
-    across = half * np.stack([-np.sin(theta), np.cos(theta)], axis=-1)
-    reach = path.to_the_right(np.concatenate([position + across, position - across]))
+    reach = path.to_the_right(on_both_sides(position, theta, half))
     return float(reach.min()), float(reach.max())
 
 
-# Metrics of a run under iterative learning, each one number or None.
-LEARNING_UNITS = {
-    "amplitude_growth_rel": "1",
-    "periods_to_converge": "1",
-    "amplitude_error_end_rad": "rad",
-    "amplitude_error_end_rel": "1",
-    "path_speed_m_s": "m/s",
-    "path_curvature_before_per_m": "1/m",
-    "path_curvature_per_m": "1/m",
-    "path_bend_before_per_m": "1/m",
-    "path_bend_per_m": "1/m",
-    "path_bend_left_rel": "1",
-    "path_radius_m": "m",
-    "path_radius_spread_rel": "1",
-    "heading_drift_rad": "rad",
-    "duty_lowest": "1",
-    "duty_highest": "1",
-    "box_left_m": "m",
-    "box_right_m": "m",
-}
+LEARNING_UNITS = units_of("""
+    amplitude_growth_rel periods_to_converge amplitude_error_end_rad amplitude_error_end_rel
+    path_speed_m_s path_curvature_before_per_m path_curvature_per_m
+    path_bend_before_per_m path_bend_per_m path_bend_left_rel
+    path_radius_m path_radius_spread_rel heading_drift_rad
+    duty_lowest duty_highest box_left_m box_right_m
+""")
+"""Metrics of a run under iterative learning, each one number or None."""
 
-# Histories: a list a period, of a list a segment, of the + and − chamber; the heading's a number a period.
-LEARNING_LIST_UNITS = {"amplitude_error_rad": "rad", "duty": "1", "heading_drift_by_period_rad": "rad"}
+LEARNING_LIST_UNITS = units_of("amplitude_error_rad duty heading_drift_by_period_rad")
+"""Histories: a list a period, of a list a segment, of the + and − chamber; the heading's numbers a period."""
 
 CONVERGED = 0.05
 """Share of its target by which an amplitude may miss it."""
 LAST_PERIODS = 5
 """Over how many periods at the end the path is measured."""
 
-_LEARNING_ROUNDING = 1e-6  # of a period
 _LEAST_CURVATURE = 1e-3
 """Of a path that is not straight beforehand, 1/m."""
 
@@ -288,13 +273,10 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
     found["path_curvature_per_m"] = path_curvature(float(chords.mean()), float(turns.mean()))
     speeds, yaw_rates = chords / period, turns / period
     mean = turning_radius(float(speeds.mean()), float(yaw_rates.mean()), period, length)
-    radii = [
-        turning_radius(*each, period, length)
-        for each in zip(speeds.tolist(), yaw_rates.tolist(), strict=True)
-    ]
-    each = np.array([radius for radius in radii if radius is not None])
-    if mean is not None and len(each) == len(radii):
-        found["path_radius_spread_rel"] = float(np.ptp(each) / abs(mean))
+    pairs = zip(speeds.tolist(), yaw_rates.tolist(), strict=True)
+    radii = [turning_radius(*each, period, length) for each in pairs]
+    if mean is not None and None not in radii:
+        found["path_radius_spread_rel"] = float(np.ptp(np.array(radii, dtype=float)) / abs(mean))
     found["path_radius_m"] = mean
     found["box_left_m"], found["box_right_m"] = box_edges(trajectory, window, path)
     return found
@@ -306,7 +288,7 @@ def _before(trajectory: Trajectory, period: float) -> float | None:
     changed = np.flatnonzero((duty != duty[0]).any(axis=1))
     end = float(trajectory.time[changed[0] - 1] if len(changed) else trajectory.time[-1])
     window = GaitWindow.last(trajectory, period, end, 2)
-    if window is None or window.start - float(trajectory.time[0]) < 0.5 * period * (1 - _LEARNING_ROUNDING):
+    if window is None or window.start - float(trajectory.time[0]) < 0.5 * period * (1 - _ROUNDING):
         return None
     chords, turns = carried(trajectory, window)
     if not abs(chords.mean()) >= LEAST_WAY * body_length(trajectory):
@@ -315,19 +297,16 @@ def _before(trajectory: Trajectory, period: float) -> float | None:
 
 
 def _straightened(before: float | None, after: float | None) -> dict[str, float | None]:
-    sizes = [None if each is None else abs(each) for each in (before, after)]
-    first, second = sizes
+    first, second = (None if each is None else abs(each) for each in (before, after))
     left = None if first is None or second is None or first < _LEAST_CURVATURE else second / first
     return {"path_bend_before_per_m": first, "path_bend_per_m": second, "path_bend_left_rel": left}
 
 
 def _turns(trajectory: Trajectory, period: float) -> np.ndarray:
     """Return by how much each whole period of a run turns the body, rad."""
-    whole = int(math.floor((trajectory.time[-1] - trajectory.time[0]) / period + _LEARNING_ROUNDING))
-    heading = np.interp(
-        trajectory.time[0] + period * np.arange(whole + 1), trajectory.time, trajectory["heading"]
-    )
-    return np.diff(heading)
+    whole = int(math.floor((trajectory.time[-1] - trajectory.time[0]) / period + _ROUNDING))
+    begins = trajectory.time[0] + period * np.arange(whole + 1)
+    return np.diff(np.interp(begins, trajectory.time, trajectory["heading"]))
 
 
 def _listed(values: np.ndarray) -> list[Any]:

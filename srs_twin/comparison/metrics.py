@@ -1,18 +1,20 @@
-"""Metrics of one trajectory: gait, following a reference, sensor, valve openings, cost of computing.
-
-What a table says of a run's metrics beside the numbers themselves: differences and published values.
-"""
+"""All metrics of one trajectory, and what a table says beside them: differences and published values."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from srs_twin.comparison.following import FOLLOWING_UNITS, following_metrics
-from srs_twin.comparison.gait import ENERGY_METRICS, GaitWindow, energy_metrics, turning_radius
+from srs_twin.comparison.gait import (
+    ENERGY_METRICS,
+    GaitWindow,
+    energy_metrics,
+    running_rates,
+    turning_radius,
+)
 from srs_twin.comparison.learning import (
     LEARNING_LIST_UNITS,
     LEARNING_UNITS,
@@ -20,18 +22,21 @@ from srs_twin.comparison.learning import (
     learning_metrics,
 )
 from srs_twin.comparison.reading import READING_UNITS, reading_metrics
-from srs_twin.comparison.sampling import body_length, require
+from srs_twin.comparison.sampling import body_length, require, units_of
 from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
 from srs_twin.trajectory import Trajectory
 
-RELATIVE = {
-    "com_speed_m_s", "turning_radius_m", "path_length_m", "mean_bend_amplitude_rad", "mechanical_power_w",
-    "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport", "final_bend_rad",
-    "rise_time_s", "settling_2_s", "settling_5_s", "ripple_pp_rad", "ripple_rms_rad", "sensed_ripple_pp_rad",
-    "steady_rms_rad", "error_rms_rad", "amplitude_rel", "fit_residual_rad", "inlet_openings",
-    "outlet_openings", "path_radius_m", "path_speed_m_s", "duty_lowest", "duty_highest", "reading_error_rad",
-    "reading_backstep_rad", "reading_range_t", "cross_track_rms_m", "cross_track_max_m", "following_time_s",
-}  # fmt: skip
+RELATIVE = set(
+    """
+    com_speed_m_s turning_radius_m path_length_m mean_bend_amplitude_rad final_bend_rad
+    mechanical_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport
+    rise_time_s settling_2_s settling_5_s ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad steady_rms_rad
+    error_rms_rad amplitude_rel fit_residual_rad inlet_openings outlet_openings
+    path_radius_m path_speed_m_s duty_lowest duty_highest
+    reading_error_rad reading_backstep_rad reading_range_t
+    cross_track_rms_m cross_track_max_m following_time_s
+    """.split()
+)
 """Metrics whose difference is given over the analytical value; of others in their own unit."""
 
 _ROUNDING = 1e-9  # of a value: what two ways of adding up may differ by
@@ -72,67 +77,42 @@ def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[floa
     return {each["metric"]: (each["near"], each["source"]) for each in stated}
 
 
-# Metrics of a plant against what was measured of the robot: plant less measured, as in `compare`.
-MEASURED_UNITS = {
-    "measured_com_speed_rel": "1",
-    "measured_yaw_rate_abs": "rad/s",
-    "measured_shape_rms_m": "m",
-    "measured_path_rms_m": "m",
-    "measured_bend_rms_rad": "rad",
-    "measured_heading_rms_rad": "rad",
-}
+MEASURED_UNITS = units_of("""
+    measured_com_speed_rel measured_yaw_rate_abs measured_shape_rms_m measured_path_rms_m
+    measured_bend_rms_rad measured_heading_rms_rad
+""")
+"""Metrics of a plant against what was measured of the robot: plant less measured, as in `compare`."""
 
 METRICS_LISTED = "`srs-twin schema`"
 """What prints the names of all metrics, for messages."""
 
-# Metrics of a plant that are one number each: what an expectation can name.
 METRIC_UNITS = {
-    "com_speed_m_s": "m/s",
-    "path_length_m": "m",
-    "yaw_rate_rad_s": "rad/s",
-    "turning_radius_m": "m",
-    "mean_bend_amplitude_rad": "rad",
-    "mechanical_power_w": "W",
-    "cost_of_transport": "1",
-    "pneumatic_power_w": "W",
-    "pneumatic_cost_of_transport": "1",
-    "final_bend_rad": "rad",
+    **units_of("com_speed_m_s path_length_m yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad"),
+    **units_of(ENERGY_METRICS),
+    **units_of("final_bend_rad"),
     **TRACKING_UNITS,
     **LEARNING_UNITS,
     **READING_UNITS,
     **FOLLOWING_UNITS,
     **MEASURED_UNITS,
-    "wall_s": "s",
-    "realtime_factor": "1",
+    **units_of("wall_s realtime_factor"),
 }
+"""Metrics of a plant that are one number each: what an expectation can name."""
 
-# Metrics of a plant that are lists, head first; those of learning have a list a period.
-LIST_METRIC_UNITS = {
-    "bend_amplitude_rad": "rad",
-    "bend_bias_rad": "rad",
-    "valve_switches": "1",
-    **LEARNING_LIST_UNITS,
-}
+LIST_METRIC_UNITS = units_of("bend_amplitude_rad bend_bias_rad valve_switches") | LEARNING_LIST_UNITS
+"""Metrics of a plant that are lists, head first; those of learning have a list a period."""
 
-# Metrics of `compare`, each one number; they stand here so that naming them needs nothing else.
-COMPARISON_UNITS = {
-    "com_speed_rel": "1",
-    "gap_factor": "1",
-    "yaw_rate_abs": "rad/s",
-    "shape_rms_m": "m",
-    "shape_rms_body": "1",
-    "path_rms_m": "m",
-    "bend_rms_rad": "rad",
-    "bend_rms_rel": "1",
-    "heading_rms_rad": "rad",
-}
+COMPARISON_UNITS = units_of("""
+    com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body path_rms_m
+    bend_rms_rad bend_rms_rel heading_rms_rad
+""")
+"""Metrics of `compare`, each one number; they stand here so that naming them needs nothing else."""
 
-_LEARNING = (*LEARNING_UNITS, *LEARNING_LIST_UNITS)
-
-_GAIT_METRICS = (
-    "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
-    "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", *ENERGY_METRICS,
-)  # fmt: skip
+_GAIT_METRICS = f"""
+    com_speed_m_s yaw_rate_rad_s turning_radius_m
+    bend_amplitude_rad bend_bias_rad mean_bend_amplitude_rad {ENERGY_METRICS}
+""".split()
+_NOT_LEARNING = dict.fromkeys(LEARNING_UNITS | LEARNING_LIST_UNITS)
 
 
 def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dict[str, Any]:
@@ -181,7 +161,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     return {
         **gait,
         **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
-        **(learning_metrics(trajectory) if is_learning(trajectory) else dict.fromkeys(_LEARNING)),
+        **(learning_metrics(trajectory) if is_learning(trajectory) else _NOT_LEARNING),
         **reading_metrics(trajectory),
         **following_metrics(trajectory),
         **dict.fromkeys(MEASURED_UNITS),
@@ -194,11 +174,8 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
 
 
 def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, Any]:
-    heading, turning = window.running(trajectory, trajectory["heading"])
-    _, velocity = window.running(trajectory, trajectory.com)
-    along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    speed = math.copysign(np.hypot(velocity[:, 0], velocity[:, 1]).mean(), along.mean())
-    yaw_rate = float(turning.mean())
+    speeds, yaw_rates = running_rates(trajectory, window)
+    speed, yaw_rate = float(speeds.mean()), float(yaw_rates.mean())
     bend = trajectory.stack("bend")
     amplitude = window.amplitude(trajectory, bend)
     return {

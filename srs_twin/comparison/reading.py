@@ -14,17 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.sampling import require
+from srs_twin.comparison.sampling import require, units_of
 from srs_twin.trajectory import Trajectory
 
-# Metrics of a run with a sensor that is not ideal, each one number or None.
-READING_UNITS = {
-    "reading_r_squared": "1",
-    "reading_error_rad": "rad",
-    "reading_backstep_rad": "rad",
-    "reading_backstep_at_rad": "rad",
-    "reading_range_t": "T",
-}
+READING_UNITS = units_of("""
+    reading_r_squared reading_error_rad reading_backstep_rad reading_backstep_at_rad reading_range_t
+""")
+"""Metrics of a run with a sensor that is not ideal, each one number or None."""
 
 BIN_RAD = math.radians(1.0)
 """Width of a bin, rad."""

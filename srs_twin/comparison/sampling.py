@@ -1,4 +1,4 @@
-"""Smooth signals from the samples of a trajectory, so that nothing depends on where the samples fall."""
+"""What all metrics share: their units, the checks of a trajectory, and smooth signals from its samples."""
 
 from __future__ import annotations
 
@@ -11,6 +11,25 @@ from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
+
+
+_UNITS = {
+    "_m_s": "m/s",
+    "_rad_s": "rad/s",
+    "_rate_abs": "rad/s",
+    "_per_m": "1/m",
+    "_rad": "rad",
+    "_m": "m",
+    "_s": "s",
+    "_w": "W",
+    "_t": "T",
+}
+
+
+def units_of(names: str) -> dict[str, str]:
+    """Return metric → unit of the metrics in a text; a name's ending tells its unit, "1" where none does."""
+    units = _UNITS.items()
+    return {name: next((unit for end, unit in units if name.endswith(end)), "1") for name in names.split()}
 
 
 def rms(values: np.ndarray) -> float:

@@ -1,10 +1,8 @@
 r"""Metrics of a module that follows a reference: step response, sine fit, rest, valve openings (Chapter 4).
 
-Sines in recorded signals: their frequency, and amplitude and phase by least squares.
+Sines are fitted to recorded signals by least squares, at the frequency of the reference:
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
-
-The step response of a recorded bend: rise, overshoot, settling.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.comparison.gait import WARM_UP_PERIODS
-from srs_twin.comparison.sampling import require, rms
+from srs_twin.comparison.sampling import require, rms, units_of
 from srs_twin.trajectory import Trajectory
 
 # A sine leaves no more than this share of its amplitude, RMS, when it is fitted.
@@ -44,8 +42,7 @@ def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
     (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
     left = values - basis @ np.array([sine, cosine, offset])
-    rms = float(np.sqrt(np.mean(left**2)))
-    return SineFit(float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine)), float(offset), rms)
+    return SineFit(float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine)), float(offset), rms(left))
 
 
 def frequency_of(time: np.ndarray, values: np.ndarray) -> float | None:
@@ -135,27 +132,13 @@ def _between(time: np.ndarray, share: np.ndarray, k: int, level: float) -> float
     return float(time[k - 1] + part * (time[k] - time[k - 1]))
 
 
-# Metrics of a run with a reference, each one number or None.
-TRACKING_UNITS = {
-    "rise_time_s": "s",
-    "overshoot_rel": "1",
-    "overshoot_rad": "rad",
-    "settling_2_s": "s",
-    "settling_5_s": "s",
-    "steady_error_rad": "rad",
-    "steady_rms_rad": "rad",
-    "ripple_pp_rad": "rad",
-    "ripple_rms_rad": "rad",
-    "sensed_ripple_pp_rad": "rad",
-    "error_rms_rad": "rad",
-    "amplitude_rel": "1",
-    "amplitude_spread_rel": "1",
-    "phase_lag_rad": "rad",
-    "phase_lag_spread_rad": "rad",
-    "fit_residual_rad": "rad",
-    "inlet_openings": "1",
-    "outlet_openings": "1",
-}
+TRACKING_UNITS = units_of("""
+    rise_time_s overshoot_rel overshoot_rad settling_2_s settling_5_s
+    steady_error_rad steady_rms_rad ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad error_rms_rad
+    amplitude_rel amplitude_spread_rel phase_lag_rad phase_lag_spread_rad fit_residual_rad
+    inlet_openings outlet_openings
+""")
+"""Metrics of a run with a reference, each one number or None."""
 
 # Less of a step than this is none, rad.
 _LEAST_STEP = 1e-3
@@ -238,8 +221,13 @@ def _sine(
     if whole < 2:
         return {}
     first = min(WARM_UP_PERIODS, whole // 2)
-    asked, done = _fits(time, reference, bend, frequency, start, first, whole)
-    each = [_fits(time, reference, bend, frequency, start, n, n + 1) for n in range(first, whole)]
+
+    def fits(begin: int, end: int) -> list[SineFit]:
+        within = slice(*np.searchsorted(time, start + np.array([begin, end]) / frequency - 1e-9))
+        return [fit_sine(time[within], signal[within], frequency) for signal in (reference, bend)]
+
+    asked, done = fits(first, whole)
+    each = [fits(n, n + 1) for n in range(first, whole)]
     gains = [b.amplitude / a.amplitude for a, b in each]
     lags = [_lag(a, b) for a, b in each]
     several = len(each) > 1
@@ -250,23 +238,6 @@ def _sine(
         "phase_lag_spread_rad": float(np.std(np.unwrap(lags), ddof=1)) if several else None,
         "fit_residual_rad": done.residual,
     }
-
-
-def _fits(
-    time: np.ndarray,
-    reference: np.ndarray,
-    bend: np.ndarray,
-    frequency: float,
-    start: float,
-    first: int,
-    end: int,
-) -> tuple[SineFit, SineFit]:
-    """Return the sines of reference and bend over the periods from `first` up to `end`."""
-    within = slice(*np.searchsorted(time, start + np.array([first, end]) / frequency - 1e-9))
-    return (
-        fit_sine(time[within], reference[within], frequency),
-        fit_sine(time[within], bend[within], frequency),
-    )
 
 
 def _lag(reference: SineFit, bend: SineFit) -> float:
