@@ -12,6 +12,8 @@ preload, no hinges out of the plane, in which gravity does no work.
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -119,17 +121,12 @@ def _set_options(mj: mujoco.MjSpec, numerics: Numerics) -> None:
 
 
 def _set_inertia(
-    body: mujoco.MjsBody,
-    mass: float,
-    added_mass: float = 0.0,
-    added: np.ndarray | float = 0.0,
-    *,
-    x: float = 0.0,
+    body: mujoco.MjsBody, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0
 ) -> None:
-    """Give a body a compact mass at x (m), and what is fixed to it there."""
-    body.mass = mass + added_mass
+    """Give a body a compact mass at x (m), and the mass and inertia of what is fixed to it there."""
+    body.mass = mass + extra[0]
     body.ipos = [x, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
-    body.inertia = np.full(3, mass * GYRATION**2) + added
+    body.inertia = np.full(3, mass * GYRATION**2) + extra[1]
     body.explicitinertial = True
 
 
@@ -146,7 +143,7 @@ def _add_connector(
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     neighbours = (i > 1) + (i < g.connectors)
     links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
-    _set_inertia(body, mass - 2 * spec.mass.wheel - links, *fixed_inertia(spec, numerics))
+    _set_inertia(body, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, numerics))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
     if numerics.base == "free":
         add_wheels(mj, body, spec, i, numerics)
@@ -213,20 +210,17 @@ def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics)
     for k in range(1, numerics.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
     for name, sign, own in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
-        actuator = mj.add_actuator(
-            mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name,
-            trntype=mujoco.mjtTrn.mjTRN_TENDON,
-        )  # fmt: skip
+        actuator = mj.add_actuator(mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
         actuator.gainprm[0] *= sign * own
 
 
 def _bend_alike(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
     """Constrain all hinges of segment j to the angle of the first."""
     for k in range(2, numerics.hinges_per_segment + 1):
-        arc = mj.add_equality(
-            name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT, name1=f"hinge_{j}_{k}", name2=f"hinge_{j}_1",
-            solref=[2 * numerics.timestep, 1], solimp=[0.999, 0.999, 0.001, 0.5, 2],
-        )  # fmt: skip
+        arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
+        arc.name1, arc.name2 = f"hinge_{j}_{k}", f"hinge_{j}_1"
+        arc.solref, arc.solimp = [2 * numerics.timestep, 1], [0.999, 0.999, 0.001, 0.5, 2]
         arc.data[:5] = [0, 1, 0, 0, 0]
 
 

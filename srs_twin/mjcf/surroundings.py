@@ -1,26 +1,21 @@
-"""What a snake crawls on and runs into: floor, sky, light, obstacles.
-
-Obstacles as what a snake can run into, and the body that touches them.
+"""What a snake crawls on, is seen in and runs into: floor, sky, light, obstacles.
 
 An obstacle is made of capsules: a round one is an upright capsule of its radius, a polygon has one along
 each side, a millimetre thick, so that it is a millimetre larger all round. The body is the capsules of its
-skin once more, at the height of the centres of mass and as wide as the robot is: between two capsules MuJoCo
-finds the contact in closed form, in the plane.
-
-Hulls touch obstacles and nothing else, and they are there only where obstacles are: a snake in the open costs
-what it cost before.
-
-What a snake crawls on and is seen in: floor, sky and light.
+skin once more (hulls), at the height of the centres of mass and as wide as the robot is: between two capsules
+MuJoCo finds the contact in closed form, in the plane. Hulls touch obstacles and nothing else, and exist only
+where obstacles are, so that a snake in the open costs nothing more.
 """
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
+from mujoco import mjtGeom, mjtObj
 
 from srs_twin.mjcf.classes import ROOT
 from srs_twin.mjcf.numerics import WALL_M, Numerics
-from srs_twin.mjcf.wheels import add_force_sensor
+from srs_twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.world import World
 
@@ -32,12 +27,13 @@ _HEIGHT = 2.0  # of a round obstacle over the body's width
 _SHARPEST = 2.0  # contact time over the time step: what MuJoCo takes at least
 _GREY = [0.45, 0.47, 0.5, 1]
 _UNSEEN = 4  # geom group
+_GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
 
 def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
     """Add class ``hull``, the body that touches obstacles."""
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
-    hull.type, hull.size = mujoco.mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
+    hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
     hull.conaffinity, hull.group, hull.priority = _BIT, _UNSEEN, 1
     hull.condim, hull.friction = 3, [FRICTION, 0.005, 0.0001]
     hull.solref, hull.solimp = [_SHARPEST * numerics.timestep, 1], [0.95, 0.99, 0.0005, 0.5, 2]
@@ -50,37 +46,30 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     (world, m/s).
     """
     solid = mj.add_default("obstacle", mj.default).geom
-    solid.type, solid.contype, solid.conaffinity = mujoco.mjtGeom.mjGEOM_CAPSULE, _BIT, 0
+    solid.type, solid.contype, solid.conaffinity = mjtGeom.mjGEOM_CAPSULE, _BIT, 0
     solid.condim, solid.friction, solid.rgba = 3, [FRICTION, 0.005, 0.0001], _GREY
-    default = mj.find_default("obstacle")
     height = _HEIGHT * spec.geometry.width
     for k, circle in enumerate(world.obstacles, start=1):
-        mj.worldbody.add_geom(
-            default, name=f"obstacle_{k}", size=[circle.radius, 0, 0],
-            fromto=[circle.x, circle.y, -height, circle.x, circle.y, height],
-        )  # fmt: skip
+        foot, top = [circle.x, circle.y, -height], [circle.x, circle.y, height]
+        _add_capsule(mj, f"obstacle_{k}", circle.radius, foot, top)
     z = spec.geometry.com_height
     for k, polygon in enumerate(world.polygons, start=1):
         corners = np.array(polygon.corners)
         for side, (begin, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
-            mj.worldbody.add_geom(
-                default, name=f"polygon_{k}_side_{side}", size=[WALL_M, 0, 0], fromto=[*begin, z, *end, z]
-            )
-    _add_sensors(mj)
+            _add_capsule(mj, f"polygon_{k}_side_{side}", WALL_M, [*begin, z], [*end, z])
+    for hull in hulls(mj):
+        add_force_sensor(mj, f"obstacle_force_{hull}", mjtObj.mjOBJ_BODY, "world", on=hull)
+        add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
+
+
+def _add_capsule(mj: mujoco.MjSpec, name: str, radius: float, begin: list[float], end: list[float]) -> None:
+    default = mj.find_default("obstacle")
+    mj.worldbody.add_geom(default, name=name, size=[radius, 0, 0], fromto=[*begin, *end])
 
 
 def hulls(mj: mujoco.MjSpec) -> list[str]:
     """Return the names of the body's parts that touch obstacles."""
     return [geom.name for geom in mj.geoms if geom.name.startswith("hull_")]
-
-
-def _add_sensors(mj: mujoco.MjSpec) -> None:
-    for hull in hulls(mj):
-        add_force_sensor(mj, f"obstacle_force_{hull}", mujoco.mjtObj.mjOBJ_BODY, "world", on=hull)
-        mj.add_sensor(
-            name=f"velocity_{hull}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
-            objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=hull,
-        )  # fmt: skip
 
 
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
@@ -98,29 +87,18 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     visual.headlight.specular = [0, 0, 0]
     visual.rgba.haze = [0.62, 0.7, 0.78, 1]
     visual.global_.azimuth, visual.global_.elevation = 120, -25
-    mj.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.72, 0.82, 0.92], rgb2=[0.3, 0.42, 0.55], width=256, height=1536,
-    )  # fmt: skip
-    mj.add_texture(
-        name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE, rgb1=[0.58, 0.62, 0.67], rgb2=[0.52, 0.56, 0.62],
-        markrgb=[0.7, 0.73, 0.77], width=300, height=300,
-    )  # fmt: skip
+    sky = mj.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536)
+    sky.builtin, sky.rgb1, sky.rgb2 = _GRADIENT, [0.72, 0.82, 0.92], [0.3, 0.42, 0.55]
+    tiles = mj.add_texture(name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, width=300, height=300)
+    tiles.builtin, tiles.rgb1, tiles.rgb2 = _CHECKER, [0.58, 0.62, 0.67], [0.52, 0.56, 0.62]
+    tiles.mark, tiles.markrgb = mujoco.mjtMark.mjMARK_EDGE, [0.7, 0.73, 0.77]
     material = mj.add_material(name="floor", texuniform=True, texrepeat=[10, 10], reflectance=0.05)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    mj.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], contype=0, conaffinity=0,
-        material="floor",
-    )  # fmt: skip
+    floor = mj.worldbody.add_geom(name="floor", type=mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
+    floor.contype, floor.conaffinity, floor.material = 0, 0, "floor"
     follow = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
     # Straight from above: a slanted directional light leaves specks of shadow on an endless floor.
-    mj.worldbody.add_light(
-        name="sun", pos=[0, 0, 1], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, mode=follow
-    )
-    mj.worldbody.add_camera(
-        name="track",
-        pos=[0, -1.5 * body_length, 1.2 * body_length],
-        xyaxes=[1, 0, 0, 0, 0.62, 0.78],
-        mode=follow,
-    )
+    sun = mj.worldbody.add_light(name="sun", pos=[0, 0, 1], dir=[0, 0, -1], mode=follow)
+    sun.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    camera = mj.worldbody.add_camera(name="track", xyaxes=[1, 0, 0, 0, 0.62, 0.78], mode=follow)
+    camera.pos = [0, -1.5 * body_length, 1.2 * body_length]

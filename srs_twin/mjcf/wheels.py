@@ -24,6 +24,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import mjtObj, mjtSensor
 
 from srs_twin.mjcf.classes import ROOT, foot_radius
 from srs_twin.mjcf.numerics import Numerics
@@ -80,10 +81,8 @@ def add_wheels(mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int,
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
             z = foot_radius(spec, numerics) - spec.geometry.com_height - _DIP
-            body.add_geom(
-                mj.find_default("tread"), name=f"tread_{side}_{i}",
-                fromto=[0, y, z, reach, y, z + _RISE * reach],
-            )  # fmt: skip
+            runner = [0, y, z, reach, y, z + _RISE * reach]
+            body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
 
 
 def _add_wheel(
@@ -91,15 +90,11 @@ def _add_wheel(
 ) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     spin = spec.mass.wheel * g.wheel_radius**2 / 2
-    inertia = [spin / 2, scale * spin, spin / 2]
-    wheel = body.add_body(
-        name=f"wheel_{side}_{i}", pos=[0, sign * g.half_track, g.wheel_radius - g.com_height],
-        mass=spec.mass.wheel, ipos=[0, 0, 0], inertia=inertia, explicitinertial=True,
-    )  # fmt: skip
-    wheel.add_joint(
-        mj.find_default("axle"), name=f"axle_{side}_{i}",
-        frictionloss=spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius,
-    )  # fmt: skip
+    wheel = body.add_body(name=f"wheel_{side}_{i}", mass=spec.mass.wheel, explicitinertial=True)
+    wheel.pos, wheel.ipos = [0, sign * g.half_track, g.wheel_radius - g.com_height], [0, 0, 0]
+    wheel.inertia = [spin / 2, scale * spin, spin / 2]
+    axle = wheel.add_joint(mj.find_default("axle"), name=f"axle_{side}_{i}")
+    axle.frictionloss = spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius
     wheel.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}")
     wheel.add_geom(mj.find_default("rim"), name=f"rim_{side}_{i}")
 
@@ -115,10 +110,8 @@ def add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
     for i, force in enumerate(preload_force(spec, numerics).sum(axis=1), start=1):
         site = f"{_PRESSED[numerics.wheels]}_{i}"
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=site, pos=[0, 0, height])
-        actuator = mj.add_actuator(
-            mj.find_default("press"), name=f"press_{i}", target=site,
-            trntype=mujoco.mjtTrn.mjTRN_SITE, refsite="origin",
-        )  # fmt: skip
+        actuator = mj.add_actuator(mj.find_default("press"), name=f"press_{i}", target=site)
+        actuator.trntype, actuator.refsite = mujoco.mjtTrn.mjTRN_SITE, "origin"
         actuator.biasprm[0] = -force
 
 
@@ -144,22 +137,22 @@ def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None
     for pair, slower in zip(pairs, _slower(mj, spec), strict=True):
         pair.solref = [round(numerics.contact_time * slower, 7), 1]
     for tread in treads(spec):
-        add_force_sensor(mj, f"floor_force_{tread}", mujoco.mjtObj.mjOBJ_GEOM, "floor", on=tread)
+        add_force_sensor(mj, f"floor_force_{tread}", mjtObj.mjOBJ_GEOM, "floor", on=tread)
     for tread in treads(spec):
         foot = tread.replace("tread", "foot")
-        mj.add_sensor(
-            name=f"velocity_{foot}", type=mujoco.mjtSensor.mjSENS_FRAMELINVEL,
-            objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot,
-        )  # fmt: skip
+        add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)
 
 
-def add_force_sensor(mj: mujoco.MjSpec, name: str, kind: mujoco.mjtObj, of: str, *, on: str) -> None:
+def add_velocity_sensor(mj: mujoco.MjSpec, name: str, kind: mjtObj, of: str) -> None:
+    """Add a sensor of the velocity of a site or of a geom's middle, world frame, m/s."""
+    mj.add_sensor(name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=of)
+
+
+def add_force_sensor(mj: mujoco.MjSpec, name: str, kind: mjtObj, of: str, *, on: str) -> None:
     """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N."""
-    mj.add_sensor(
-        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of,
-        reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=on,
-        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
-    )  # fmt: skip
+    sensor = mj.add_sensor(name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of)
+    sensor.reftype, sensor.refname = mjtObj.mjOBJ_GEOM, on
+    sensor.intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1]
 
 
 def _slower(mj: mujoco.MjSpec, spec: RobotSpec) -> np.ndarray:
