@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from srs_twin.plants.physics import Stretch
+from srs_twin.plants.physics import StepBatch
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.rollout import Recorder
 from srs_twin.scenario import Scenario
@@ -63,10 +63,10 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     return [recorder.trajectory() for recorder in recorders]
 
 
-def _stretch(twin: TwinSnake, states: np.ndarray, sensed: np.ndarray) -> Stretch:
+def _stretch(twin: TwinSnake, states: np.ndarray, sensed: np.ndarray) -> StepBatch:
     physics = twin.physics
     physics.refresh()
-    return Stretch(
+    return StepBatch(
         states,
         physics._at_feet(sensed, physics._force_columns),
         physics._at_feet(sensed, physics._foot_columns),

@@ -1,9 +1,4 @@
-"""Arrays of a simulation: whether their numbers are finite and possible, and records of them joined.
-
-Whether numbers can be true of a snake: finite, and far below what any snake reaches.
-
-Records: dataclasses whose fields are arrays with the samples first.
-"""
+"""Numbers of a simulation: whether they are finite and possible, and records of arrays joined."""
 
 from __future__ import annotations
 
@@ -12,6 +7,8 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
+
+from srs_twin.errors import InputError
 
 LARGEST = 1e9
 """Nothing of a snake comes near it in SI units: pressures reach 1e7 Pa, places 1e6 m."""
@@ -30,6 +27,22 @@ def implausible(values: Any) -> float | None:
     flat = np.ravel(values)
     wrong = flat[~(np.abs(flat) < LARGEST)]
     return float(wrong[0]) if len(wrong) else None
+
+
+def check_positive(what: str, value: Any, unit: str = "") -> None:
+    """Refuse a number, or an array with one, that is not finite and above 0.
+
+    Args:
+        what: its name.
+        value: number or array.
+        unit: for the message.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
+        shown = f"{value!r} {unit}".strip()
+        raise InputError(f"{what} {shown} is not allowed; it must be finite and above 0")
 
 
 Record = TypeVar("Record")

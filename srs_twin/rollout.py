@@ -1,14 +1,9 @@
-"""rollout: drive a plant with a controller and record it; run_many and run_batch: many at once.
+"""Run plants under controllers and record them: `rollout` one, `run_many` many at once, `run_batch` a batch.
 
-rollout: drive a plant with a controller and record what happens.
-
-rollouts: many runs at once, each as `rollout` alone would have made it.
-
-`run_many` runs jobs that do not know of each other, on any plants; `run_batch` lets one policy look at all
-twins of a batch and command them, tick by tick.
-
-Kernels and engine free the interpreter's lock while they step, so runs overlap on threads; bytes do not
-depend on how many there are.
+Jobs of `run_many` do not know of each other, on any plants, and each gives what `rollout` alone would have
+given; with `run_batch` one policy looks at all twins of a batch and commands them, tick by tick. Kernels and
+engine free the interpreter's lock while they step, so runs overlap on threads; bytes do not depend on how
+many there are.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -23,14 +18,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, whole_steps
 from srs_twin.parallel import Stopped, Workers
-from srs_twin.plants.base import Plant, Pose, SnakeState, believed, refuse_wild
+from srs_twin.plants.base import Plant, Pose, SnakeState, check_commands, check_plausible
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
@@ -40,7 +35,6 @@ if TYPE_CHECKING:
 
 
 Observer = Callable[[SnakeState], None]
-Progress = Callable[[float], None]
 
 
 def rollout(
@@ -53,7 +47,7 @@ def rollout(
     record_hz: float = 100,
     until: Callable[[SnakeState], bool] | None = None,
     observers: Iterable[Observer] = (),
-    progress: Progress | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
     """Run a plant under a controller from rest.
 
@@ -84,7 +78,7 @@ def rollout(
             until then.
     """
     ticks = whole_steps("duration", duration, "tick", plant.tick)
-    samples, stride = sampling(plant.tick, record_hz)
+    recorder = Recorder(plant, controller, record_hz, duration)
     if plant.layout not in controller.layouts:
         raise InputError(
             f"controller '{controller.kind}' drives valves of layout {', '.join(controller.layouts)}; "
@@ -92,15 +86,12 @@ def rollout(
         )
     state = plant.reset(pose=pose, seed=seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
-    recorder = Recorder(plant, controller, record_hz, duration)
     recorder.add(state)
     watchers = tuple(observers)
     script = None if until is not None or watchers else controller.script(ticks * plant.tick)
     try:
-        if script is None or not _follow(
-            plant, controller, script, ticks, samples, stride, recorder, progress
-        ):
-            _meet(plant, controller, ticks, samples, stride, recorder, state, until, watchers, progress)
+        if script is None or not _play_script(recorder, script, ticks, progress):
+            _step_ticks(recorder, state, ticks, until, watchers, progress)
     except DivergedError as error:
         if error.history is not None and len(error.history.time):
             recorder.add(error.history)
@@ -109,31 +100,25 @@ def rollout(
     return recorder.trajectory()
 
 
-def _follow(
-    plant: Plant,
-    controller: Controller,
-    script: Schedule,
-    ticks: int,
-    samples: int,
-    stride: int,
-    recorder: Recorder,
-    progress: Progress | None,
+def _play_script(
+    recorder: Recorder, script: Schedule, ticks: int, progress: Callable[[float], None] | None
 ) -> bool:
     """Let a plant follow a script; return whether it can.
 
     Stretches are whole numbers of recorded ticks, the last one apart, whose unrecorded rest is only played.
     """
+    plant, stride, controller = recorder.plant, recorder.stride, _described(recorder.controller)
     stretch = max(1, round(plant.stretch / plant.tick / stride)) * stride
     recorded = ticks - ticks % stride
     begun = 0
     while begun < ticks:
         now = min(stretch, (recorded if begun < recorded else ticks) - begun)
         part = script.part(begun * plant.tick, (begun + now) * plant.tick)
-        refuse_wild(_named(controller), begun * plant.tick, part.states)
-        history = plant.play(part, now * samples // stride if begun < recorded else 1)
+        check_commands(controller, begun * plant.tick, part.states)
+        history = plant.play(part, now * recorder.samples // stride if begun < recorded else 1)
         if history is None:
             return False
-        believed(plant.name, history)
+        check_plausible(plant.name, history)
         if begun < recorded:
             recorder.add(history)
         begun += now
@@ -142,34 +127,31 @@ def _follow(
     return True
 
 
-def _meet(
-    plant: Plant,
-    controller: Controller,
-    ticks: int,
-    samples: int,
-    stride: int,
+def _step_ticks(
     recorder: Recorder,
     state: SnakeState,
+    ticks: int,
     until: Callable[[SnakeState], bool] | None,
     watchers: tuple[Observer, ...],
-    progress: Progress | None,
+    progress: Callable[[float], None] | None,
 ) -> None:
-    """Let plant and controller meet every tick."""
+    """Let the controller sense and command every tick."""
+    plant, controller = recorder.plant, recorder.controller
     for watch in watchers:
         watch(state)
     for k in range(1, ticks + 1):
         valves = controller.step(state)
-        refuse_wild(_named(controller), (k - 1) * plant.tick, valves)
-        states = plant.advance(valves, samples)
+        check_commands(_described(controller), (k - 1) * plant.tick, valves)
+        states = plant.advance(valves, recorder.samples)
         for sample in states:
-            believed(plant.name, sample)
+            check_plausible(plant.name, sample)
         state = states[-1]
         if controller.finished:
             recorder.ended_by = "controller"
         elif until is not None and until(state):
             recorder.ended_by = "until"
         ends = recorder.ended_by is not None
-        if k % stride == 0 or ends:
+        if k % recorder.stride == 0 or ends:
             for sample in states:
                 recorder.add(sample)
         recorder.events.extend(controller.events())
@@ -181,7 +163,7 @@ def _meet(
             break
 
 
-def _named(controller: Controller) -> str:
+def _described(controller: Controller) -> str:
     return f"controller '{controller.kind}'"
 
 
@@ -201,12 +183,17 @@ class Recorder:
     """Collects states and signals, and turns them into columns.
 
     Attributes:
+        plant: what is recorded.
+        controller: whose signals are recorded.
+        samples: a tick.
+        stride: ticks a recorded tick.
         events: of the controller.
         ended_by: what ended the run before its time, "until" or "controller".
     """
 
     def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
-        self._plant, self._controller = plant, controller
+        self.plant, self.controller = plant, controller
+        self.samples, self.stride = sampling(plant.tick, record_hz)
         self._about = {"record_hz": record_hz, "duration_s": duration}
         self._parts: list[SnakeState] = []
         self._signals: list[tuple[int, dict[str, float]]] = []
@@ -216,7 +203,7 @@ class Recorder:
     def add(self, state: SnakeState) -> None:
         """Add a moment or a history, with the controller's signals of now."""
         self._parts.append(state)
-        self._signals.append((np.size(state.time), _numbered(self._controller.signals())))
+        self._signals.append((np.size(state.time), _numbered(self.controller.signals())))
 
     def trajectory(self) -> Trajectory:
         """Return what was added."""
@@ -232,11 +219,12 @@ class Recorder:
             values = self._column(quantity)
             columns |= _spread(f"{name}_plus_", values[..., 0]) | _spread(f"{name}_minus_", values[..., 1])
         columns["work"] = self._column("work")
-        if self._plant.metered:
+        if self.plant.metered:
             columns["air"] = self._column("air")
-        if self._plant.touches:
-            met = self._column("obstacle_force")
-            columns |= _spread("obstacle_force_x_", met[..., 0]) | _spread("obstacle_force_y_", met[..., 1])
+        if self.plant.touches:
+            force = self._column("obstacle_force")
+            columns |= _spread("obstacle_force_x_", force[..., 0])
+            columns |= _spread("obstacle_force_y_", force[..., 1])
         counts = [count for count, _ in self._signals]
         for name in self._signals[0][1]:
             columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)
@@ -247,23 +235,21 @@ class Recorder:
         return np.asarray(getattr(self._states, name), dtype=float)
 
     def _metadata(self) -> dict[str, object]:
-        plant = self._plant
-        return (
-            plant.describe()
-            | self._about
-            | {
-                "body_length_m": plant.spec.geometry.body_length,
-                "body_width_m": plant.spec.geometry.width,
-                "segment_length_m": plant.spec.geometry.segment_length,
-                "rigid_gap_m": plant.spec.geometry.rigid_gap,
-                "mass_kg": plant.spec.mass.total,
-                "controller": self._controller.kind,
-                "gait_frequency_hz": self._controller.frequency,
-                "control": self._controller.describe(),
-                "ended_by": self.ended_by,
-                "valve_switches": plant.openings().tolist() if plant.metered else None,
-            }
-        )
+        plant, geometry = self.plant, self.plant.spec.geometry
+        return {
+            **plant.describe(),
+            **self._about,
+            "body_length_m": geometry.body_length,
+            "body_width_m": geometry.width,
+            "segment_length_m": geometry.segment_length,
+            "rigid_gap_m": geometry.rigid_gap,
+            "mass_kg": plant.spec.mass.total,
+            "controller": self.controller.kind,
+            "gait_frequency_hz": self.controller.frequency,
+            "control": self.controller.describe(),
+            "ended_by": self.ended_by,
+            "valve_switches": plant.openings().tolist() if plant.metered else None,
+        }
 
 
 def _numbered(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
@@ -338,10 +324,8 @@ def run_many(
         job = jobs[k]
         try:
             controller = job.controller if isinstance(job.controller, Controller) else job.controller()
-            return rollout(
-                _plant(job, here), controller, job.duration,
-                pose=job.pose, seed=job.seed, record_hz=job.record_hz, progress=go_on,
-            )  # fmt: skip
+            start: dict[str, Any] = {"pose": job.pose, "seed": job.seed, "record_hz": job.record_hz}
+            return rollout(_plant(job, here), controller, job.duration, **start, progress=go_on)
         except DivergedError as error:
             return error.with_traceback(None)  # its frames hold the plant
         except InputError as error:
@@ -381,8 +365,7 @@ def run_batch(
     """
     ticks = whole_steps("duration", duration, "tick", batch.tick)
     samples, stride = sampling(batch.tick, record_hz)
-    told = _Told()
-    recorders = [Recorder(twin, told, record_hz, duration) for twin in batch.twins]
+    recorders = [Recorder(twin, _PolicyController(), record_hz, duration) for twin in batch.twins]
     resting = batch.reset(poses=poses, seed=seed)
     for k, recorder in enumerate(recorders):
         recorder.add(resting.at(k))
@@ -395,10 +378,10 @@ def run_batch(
             progress(tick * batch.tick)
         if all(batch.errors):
             break
-    return [_outcome(recorder, error) for recorder, error in zip(recorders, batch.errors, strict=True)]
+    return [_result(recorder, error) for recorder, error in zip(recorders, batch.errors, strict=True)]
 
 
-def _outcome(recorder: Recorder, error: DivergedError | None) -> Trajectory | DivergedError:
+def _result(recorder: Recorder, error: DivergedError | None) -> Trajectory | DivergedError:
     if error is None:
         return recorder.trajectory()
     error.trajectory = recorder.trajectory()
@@ -434,7 +417,7 @@ class _StoppedError(Exception):
     """Nobody waits for this run any more."""
 
 
-class _Told(Controller):
+class _PolicyController(Controller):
     """Stands in a recording for a policy that commands many snakes: it has no signals of its own."""
 
     kind = "policy"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 
@@ -18,6 +19,10 @@ class Pose:
     x: float
     y: float
     heading: float
+
+    def __iter__(self) -> Iterator[float]:
+        """Yield x, y and heading."""
+        return iter((self.x, self.y, self.heading))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from srs_twin import (
 )
 from srs_twin.parallel import Workers
 from srs_twin.plants import batch as batch_module
-from srs_twin.plants.physics import HEARD
+from srs_twin.plants.physics import ENGINE_WARNINGS
 from srs_twin.pneumatics import make_pneumatics
 
 SPEC = robot()
@@ -239,11 +239,11 @@ def test_a_twin_that_diverges_says_what_it_says_alone(threads):
 
 
 def test_warnings_are_heard_by_the_thread_that_caused_them_only():
-    HEARD.clear()
-    thread = threading.Thread(target=lambda: HEARD.append("elsewhere"))
+    ENGINE_WARNINGS.last.clear()
+    thread = threading.Thread(target=lambda: ENGINE_WARNINGS.last.append("elsewhere"))
     thread.start()
     thread.join()
-    assert list(HEARD) == []
+    assert list(ENGINE_WARNINGS.last) == []
 
 
 def test_nothing_to_do():

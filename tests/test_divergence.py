@@ -32,7 +32,7 @@ from srs_twin import (
 from srs_twin.arrays import LARGEST, implausible, plausible
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.analytical.compliant_kernels import BENDS
-from srs_twin.plants.base import believed
+from srs_twin.plants.base import check_plausible
 from srs_twin.pneumatics.valves import Schedule
 
 SPEC = robot()
@@ -318,10 +318,10 @@ def test_a_job_whose_controller_runs_away_leaves_the_others():
 def test_the_first_implausible_sample_of_a_history_ends_it():
     plant = AnalyticalSnake(SPEC)
     history = SnakeState.history([plant.step(vented(SPEC)) for _ in range(4)])
-    assert believed("analytical", history) is history
+    assert check_plausible("analytical", history) is history
     history.com[2, 1] = -np.inf
     with pytest.raises(DivergedError, match=r"^analytical diverged at t = 0.06 s: com is -inf") as caught:
-        believed("analytical", history)
+        check_plausible("analytical", history)
     assert caught.value.history.time == pytest.approx([0.02, 0.04])
 
 

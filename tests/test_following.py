@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from unicycle import Unicycle, Wheel
 
 from srs_twin import InputError
-from srs_twin.control.camera import Camera, Frames, PeriodMean
+from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.control.following import ENDINGS, BearingLaw, Conditions, Follower, PathLaw, Predictor, Steering
 from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
@@ -169,7 +169,7 @@ def test_prediction_is_better_than_what_the_camera_last_showed():
     wheel = Wheel()
     plant = Unicycle(wheel, as_told)
     state, orders, far, lag = plant.reset(), [(0.1, 0.2)], [], []
-    frames = Frames(Camera(), 0)
+    frames = CameraFrames(Camera(), 0)
     for _ in range(400):
         time = float(state.time)
         if frame := frames.take(state):
@@ -210,7 +210,10 @@ def test_headings_are_counted_on_over_the_turn():
 
 def test_frames_come_at_their_rate_with_noise_of_their_size_and_the_same_for_a_seed():
     def frames(seed, rate=30.0):
-        camera, plant = Frames(Camera(rate, 0.01, 0.1), seed), Unicycle(Wheel(), as_told, speed=0.0, wag=0.0)
+        camera, plant = (
+            CameraFrames(Camera(rate, 0.01, 0.1), seed),
+            Unicycle(Wheel(), as_told, speed=0.0, wag=0.0),
+        )
         state, found = plant.reset(), []
         for _ in range(5000):
             found.append(camera.take(state))

@@ -120,8 +120,8 @@ def test_unknown_policy_is_told_the_known_ones():
     [
         (lambda: Constant(math.nan), "level nan is not allowed"),
         (lambda: Step(math.inf), "after inf is not allowed"),
-        (lambda: Sine(0.0, 1.0), "amplitude 0.0 is not allowed; it must be above 0"),
-        (lambda: Sine(0.5, -1.0), "frequency -1.0 is not allowed; it must be above 0"),
+        (lambda: Sine(0.0, 1.0), "amplitude 0.0 is not allowed; it must be finite and above 0"),
+        (lambda: Sine(0.5, -1.0), "frequency -1.0 is not allowed; it must be finite and above 0"),
         (lambda: Square(0.5, 1.0, math.nan), "phase nan is not allowed"),
         (lambda: Staircase((), 1.0), "one or more"),
         (lambda: Staircase((0.1, math.nan), 1.0), "all finite"),

@@ -1,7 +1,4 @@
-"""Controller: what decides the valves. It never knows which plant it drives.
-
-Readings: what the sensors said last, without what no segment can be.
-"""
+"""Controller: what decides the valves; it never knows which plant it drives. Readings: what it senses."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Camera:
     heading_noise: float = 0.0
 
 
-class Frames:
+class CameraFrames:
     """The frames of one run."""
 
     def __init__(self, camera: Camera, seed: int) -> None:
@@ -49,7 +49,7 @@ class Frames:
         """Return the pose of the centre of mass where a frame is due; None between frames."""
         if float(state.time) * self._camera.rate_hz < self._taken - _ROUNDING:
             return None
-        # Frames that fell into one tick are one.
+        # CameraFrames that fell into one tick are one.
         self._taken = math.floor(float(state.time) * self._camera.rate_hz + _ROUNDING) + 1
         error = self._rng.standard_normal(3)
         noise = self._camera.position_noise

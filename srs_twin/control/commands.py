@@ -1,9 +1,4 @@
-"""Commands that steer a gait from outside, and offsets that change at given times.
-
-GaitCommand: what steers a crawling snake from outside, and how it takes effect while the snake crawls.
-
-Steered: a controller whose offset changes at given times, to see what a change of offset does.
-"""
+"""Steering from outside: commands that a crawling gait obeys, and offsets that change at given times."""
 
 from __future__ import annotations
 

@@ -1,21 +1,19 @@
 r"""The parts of iterative learning: each chamber's clock, its target, and the law of its duty (Eq. 32).
 
-How far each side of a snake under iterative learning is to bend for a steering offset (Section 5.1).
-
-The side towards which it turns keeps the amplitude A (0.7 rad in the text), the other one gets less, linear
+Targets: how far each side of the snake is to bend for a steering offset (Section 5.1). The side towards which
+it turns keeps the amplitude A (0.7 rad in the text), the other one gets less, linear
 in the offset φ, down to A · 4/7 (0.4 rad) at |φ| = 0.3:
 
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
-Cycles: each chamber's own clock, and how far its segment bends in each of its periods.
-
+Cycles: each chamber has a clock of its own, and its segment's bend is measured in each of its periods.
 Period n of a chamber runs from the begin of its n-th fill to that of the next. The bend that a fill causes
 comes late, by air and inertia, but by less than the vent that follows: its whole peak falls into one period,
 and what is learnt from it is there when the chamber fills again. One clock for all chambers, as Section 5.1
 has it, cuts through the peaks of some of them, and gives a new duty in the middle of their fills.
 
-Duties: the law of iterative learning, one duty a chamber (Eq. 32).
+Duties: the law of iterative learning, one duty a chamber (Eq. 32),
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$

@@ -1,6 +1,9 @@
 r"""Follower: has a snake go along a plan by the offset of the gait underneath (Section 5.2.2).
 
-Prediction: where a snake will be when a command of now takes effect.
+Camera → mean over a gait period → prediction (`Predictor`) → steering law (`Steering`) → offset, which
+arrives after the command delay → gait or ILC, which knows nothing of all this. It ends at the goal; where it
+cannot get there it ends as well and says why (`ENDINGS`). A snake that strays from its path too far gets a
+new plan, if there is somebody to plan.
 
 A mean over a gait period is T/2 old, and a command takes a delay to arrive. Over that time a model moves the
 snake on (a Smith predictor): a unicycle whose curvature follows the footprint's for the commanded offset
@@ -10,8 +13,6 @@ with a first-order lag over a length ℓ of path, the measured transient,
 
 The speed is the measured one. What the snake turns besides, per metre of path, is measured as well and
 counted as a disturbance, which takes up what the footprint has wrong.
-
-Steering laws: from the pose of a snake and a plan to the offset of its gait.
 
 `BearingLaw`, Section 5.2.2: the nodes of the plan are gone to one after the other. The offset is
 proportional to the bearing of the next node less the heading, saturated; when the snake is within a
@@ -28,12 +29,6 @@ makes n die out over the length L like a second-order system with damping ζ. A 
 length ℓ like a first-order lag, the measured transient: the plan's curvature is looked up ahead by ℓ, and the
 rate of the error, which the model knows without noise, undoes the lag in the feedback. d is the predictor's
 disturbance, and the footprint gives the offset for κ.
-
-Camera (`camera`) → mean over a gait period → prediction (`prediction`) → steering law (`steering`) → offset,
-which arrives after the command delay → gait or ILC, which knows nothing of all this.
-
-It ends at the goal; where it cannot get there it ends as well and says why (`ENDINGS`). A snake that strays
-from its path too far gets a new plan, if there is somebody to plan.
 """
 
 from __future__ import annotations
@@ -50,11 +45,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.control.base import Controller
-from srs_twin.control.camera import Camera, Frames, PeriodMean
+from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import Plan
-from srs_twin.planning.route import Place, Route
+from srs_twin.planning.route import PathPoint, Route
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 from srs_twin.world import Goal, Pose, World
@@ -188,7 +183,7 @@ _STEEPEST = 0.7
 
 
 @dataclass(frozen=True)
-class Seen:
+class SteeringInput:
     """What a law may look at.
 
     Attributes:
@@ -199,7 +194,7 @@ class Seen:
     """
 
     pose: Pose
-    place: Place
+    place: PathPoint
     curvature: float
     disturbance: float
 
@@ -220,7 +215,7 @@ class Steering(ABC):
         """Take a new path."""
 
     @abstractmethod
-    def offset(self, seen: Seen) -> float:
+    def offset(self, seen: SteeringInput) -> float:
         """Return the offset, as yet unlimited."""
 
 
@@ -245,7 +240,7 @@ class BearingLaw(Steering):
         self._nodes = [route.pose(min(k * self._spacing, route.length)) for k in range(1, count + 1)]
         self.node = 0
 
-    def offset(self, seen: Seen) -> float:
+    def offset(self, seen: SteeringInput) -> float:
         """See `Steering.offset`."""
         x, y, heading = seen.pose.x, seen.pose.y, seen.pose.heading
         last = len(self._nodes) - 1
@@ -281,7 +276,7 @@ class PathLaw(Steering):
         self._route = route
         self.node = 0
 
-    def offset(self, seen: Seen) -> float:
+    def offset(self, seen: SteeringInput) -> float:
         """See `Steering.offset`."""
         s, n, heading, _ = seen.place
         while self.node < len(self._route.arcs) - 2 and s > self._route.arcs[self.node + 1, 4]:
@@ -315,7 +310,7 @@ _SENT = 1e-3
 _WINDOW = 0.3
 """How far along the path, m, the nearest point is looked for about the last one: paths may cross."""
 
-_NOWHERE = Pose(math.nan, math.nan, math.nan), Place(math.nan, math.nan, math.nan, math.nan)
+_NOWHERE = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, math.nan, math.nan)
 
 Replan = Callable[[Pose], Plan]
 
@@ -397,7 +392,7 @@ class Follower(Controller):
         self._gait.reset(spec, tick, seed=seed)
         self._period = period = 1 / self.frequency
         conditions = self._conditions
-        self._frames, self._mean = Frames(conditions.camera, seed), PeriodMean(period)
+        self._frames, self._mean = CameraFrames(conditions.camera, seed), PeriodMean(period)
         self._predictor = Predictor(self._footprint, period, conditions.delay, conditions.settle)
         self._slow = STUCK_SHARE * min(self._footprint.speeds) * period
         self._moving_at = 0.0
@@ -469,7 +464,7 @@ class Follower(Controller):
             return
         law, later = self._law, time + self._conditions.delay
         pose = predictor.predict(mean.middle, mean.pose, later) if law.predicts else mean.pose
-        wanted = law.offset(Seen(pose, self._near(pose), predictor.turning, predictor.disturbance))
+        wanted = law.offset(SteeringInput(pose, self._near(pose), predictor.turning, predictor.disturbance))
         wanted = min(max(wanted, self._low), self._high)
         # At its bounds an offset is sent however little it changes.
         if abs(wanted - self._commanded) >= _SENT or wanted in (self._low, self._high):
@@ -522,7 +517,7 @@ class Follower(Controller):
         self._law.begin(self._route)
         self._s = 0.0
 
-    def _near(self, pose: Pose) -> Place:
+    def _near(self, pose: Pose) -> PathPoint:
         """Return the place on the route, not far from the last one."""
         return self._route.nearest(pose.x, pose.y, self._s - _WINDOW, self._s + _WINDOW)
 

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from srs_twin.arrays import check_positive
 from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.plants.base import SnakeState
@@ -140,8 +141,7 @@ class Gait(Controller):
 
 
 def _checked_frequency(frequency: float) -> float:
-    if not (math.isfinite(frequency) and frequency > 0):
-        raise InputError(f"gait frequency {frequency!r} Hz is not allowed; it must be above 0")
+    check_positive("gait frequency", frequency, "Hz")
     return frequency
 
 

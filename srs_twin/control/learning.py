@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.arrays import check_positive
 from srs_twin.control.base import Controller, Readings
 from srs_twin.control.duties import Cycles, Duties, checked_offset, targets
 from srs_twin.control.gait import Gait
@@ -43,6 +44,7 @@ ON_FAULT = ("go_on", "stop")
 CLOCKS = ("chamber", "common")
 TARGETS = "targets"
 STEERINGS = (TARGETS, "targets_and_wave")
+_WORDS = {"on_fault": ON_FAULT, "clock": CLOCKS, "steering": STEERINGS}
 
 _MOST_LOST = 0.5
 """Share of a period's readings that may be lost before its peak teaches nothing."""
@@ -97,24 +99,18 @@ class ILC(Controller):
             InputError: a number out of its range, or too few pulses in a fill.
             UnknownNameError: a word that is none of those above.
         """
-        words = (
-            ("on_fault", on_fault, ON_FAULT),
-            ("clock", clock, CLOCKS),
-            ("steering", steering, STEERINGS),
-        )
-        for what, word, known in words:
-            if word not in known:
-                raise UnknownNameError(what, word, known)
+        for what, word in {"on_fault": on_fault, "clock": clock, "steering": steering}.items():
+            if word not in _WORDS[what]:
+                raise UnknownNameError(what, word, _WORDS[what])
         if isinstance(target, str) and target != SMALLEST:
             raise UnknownNameError("target", target, [SMALLEST])
         given = None if isinstance(target, str) else float(target)
-        for name, value in (
-            ("k", k),
-            ("carrier_hz", carrier_hz),
-            ("target", 1.0 if given is None else given),
-        ):
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"ilc {name} {value!r} is not allowed; it must be finite and above 0")
+        for name, value in {
+            "k": k,
+            "carrier_hz": carrier_hz,
+            "target": 1.0 if given is None else given,
+        }.items():
+            check_positive(f"ilc {name}", value)
         if free_periods < 1:
             raise InputError(f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or more")
         self._gait = Gait(frequency, phase=phase, phase_step=phase_step)
@@ -257,8 +253,8 @@ class ILC(Controller):
     def _choose(self, time: float, measured: np.ndarray) -> None:
         """Record what was measured up to the period after the free ones; once all is there, choose A."""
         number, working = self._cycles.number, self.faults.working
-        heard = measured & ((number <= self._free + 2) | np.isnan(self._record[1]))
-        self._record = np.where(heard, np.stack([self._record[1], self._peak]), self._record)
+        recorded = measured & ((number <= self._free + 2) | np.isnan(self._record[1]))
+        self._record = np.where(recorded, np.stack([self._record[1], self._peak]), self._record)
         if (number[working] < self._free + 2).any() or np.isnan(self._record[1][working]).all():
             return
         self.faults.judge_record(time, self._record)

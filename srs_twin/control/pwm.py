@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from srs_twin.arrays import check_positive
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import InputError, whole_steps
 
@@ -51,8 +52,7 @@ class PulseWidth:
             InputError: a carrier or tick it cannot do: the tick must not be longer than a period, unless
                 `long_ticks`.
         """
-        if not (math.isfinite(carrier_hz) and carrier_hz > 0):
-            raise InputError(f"carrier_hz {carrier_hz!r} is not allowed; it must be finite and above 0")
+        check_positive("carrier_hz", carrier_hz)
         self._slots = whole_steps("tick", tick, "valve slot", SLOT_S)
         self.period = 1 / carrier_hz
         if tick > self.period and not long_ticks:

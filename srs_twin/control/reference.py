@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from srs_twin.arrays import check_positive
 from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]
@@ -58,8 +59,7 @@ class Reference(ABC):
         """
         if policy not in POLICIES:
             raise UnknownNameError("policy for a reference beyond the range", policy, POLICIES)
-        if not (math.isfinite(limit) and limit > 0):
-            raise InputError(f"range limit {limit!r} rad is not allowed; it must be finite and above 0")
+        check_positive("range limit", limit, "rad")
         if self.peak <= limit:
             return self
         if policy == "refuse":
@@ -111,12 +111,11 @@ class Staircase(Reference):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (len(self.levels) and all(math.isfinite(level) for level in self.levels)):
+        if not (len(self.levels) and np.isfinite(self.levels).all()):
             raise InputError(
                 f"staircase levels {self.levels!r} are not allowed; give one or more, all finite"
             )
-        if not self.hold > 0:
-            raise InputError(f"staircase hold {self.hold!r} s is not allowed; it must be above 0")
+        check_positive("staircase hold", self.hold, "s")
 
     @property
     def peak(self) -> float:
@@ -163,10 +162,7 @@ class _Periodic(Reference):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("amplitude", "frequency"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"reference: {name} {getattr(self, name)!r} is not allowed; it must be above 0"
-                )
+            check_positive(f"reference: {name}", getattr(self, name))
 
     @property
     def frequency_hz(self) -> float:

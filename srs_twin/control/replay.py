@@ -1,9 +1,4 @@
-"""Valves that were recorded, commanded again, or held for ever.
-
-Replay: valves that were recorded, commanded again.
-
-HoldValves: the valves of all chambers in one state for ever, to see where that leads (Fig. 41).
-"""
+"""Open loop: recorded valves commanded again (`Replay`), or one state for ever (`HoldValves`, Fig. 41)."""
 
 from __future__ import annotations
 

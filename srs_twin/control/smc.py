@@ -1,8 +1,14 @@
 r"""Sliding mode control of one module (Chapter 4): by valve states, or by the duty of a carrier.
 
-VelocityFilter: the rate of a noisy reading, without the noise of its differences.
+Both controllers bring the sensed bend q of each segment to a reference r by way of the sliding variable
 
-A second-order low-pass (Butterworth) with its rate read beside its value,
+$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}): $$
+
+on σ = 0 the error fades as e^{−Dt}. How they find ė from noisy readings, and how σ becomes valve states, is
+each controller's own.
+
+`VelocityFilter` gives the rate of a noisy reading without the noise of its differences: a second-order
+low-pass (Butterworth) with its rate read beside its value,
 
 $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
 
@@ -11,16 +17,7 @@ outputs lag by √2/ω_c at frequencies well below the cutoff (9 ms at 25 Hz, 0.
 noise of deviation s, read every T, leaves about s √(ω_c³ T / √8) in the rate (a little less), where plain
 differences would leave s √2 / T: of 0.2° read every ms at 25 Hz, 7°/s instead of 283°/s.
 
-Sliding mode control: what both controllers of Chapter 4 share.
-
-They bring the sensed bend q of each segment to a reference r by way of the sliding variable
-
-$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}): $$
-
-on σ = 0 the error fades as e^{−Dt}. How they find ė from noisy readings, and how σ becomes valve states, is
-each controller's own.
-
-DirectSMC: sliding mode control by valve states, with separate inlet and outlet valves (Eq. 31).
+`DirectSMC` sets valve states, of separate inlet and outlet valves (Eq. 31):
 
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
@@ -30,9 +27,7 @@ with the same lag in both, σ is the true one a little later, and the noise of D
 The printed D = 0.5 1/s would slide with a time constant of 2 s, and the printed ε = 2°/s is less than the
 noise of any rate that is fast enough (E6).
 
-IterativeSMC: sliding mode control through the duty of pulse-width modulated 3/2 valves (Eq. 30).
-
-Once a carrier period T
+`IterativeSMC` sets the duty of pulse-width modulated 3/2 valves (Eq. 30). Once a carrier period T
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
@@ -54,6 +49,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.arrays import check_positive
 from srs_twin.control.base import Controller, Readings
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.reference import Reference
@@ -85,8 +81,7 @@ class VelocityFilter:
             InputError: a cutoff that is not finite and above 0.
         """
         cutoff = np.asarray(cutoff_hz, dtype=float)
-        if not (np.isfinite(cutoff).all() and (cutoff > 0).all()):
-            raise InputError(f"cutoff_hz {cutoff_hz!r} is not allowed; it must be finite and above 0")
+        check_positive("cutoff_hz", cutoff_hz)
         # The poles of a Butterworth filter are w (−1 ± i).
         self._w = math.sqrt(2) * math.pi * cutoff
         self._tick = tick
@@ -126,10 +121,7 @@ class SlidingMode(Controller):
 
     def __init__(self, reference: Reference, **gains: Gain) -> None:
         for name, value in gains.items():
-            if not (np.isfinite(value).all() and np.all(np.asarray(value) > 0)):
-                raise InputError(
-                    f"{self.kind}: {name} {value!r} is not allowed; it must be finite and above 0"
-                )
+            check_positive(f"{self.kind}: {name}", value)
         self.reference = reference
         self._gains = gains
 

@@ -75,10 +75,10 @@ def data() -> str:
 def models() -> str:
     """Compile every shipped model and move each under random control."""
     from srs_twin.io.files import shipped_names
-    from srs_twin.mjcf.check import examine
+    from srs_twin.mjcf.check import examine_model
 
     scenes = {name: _scene(name) for name in shipped_names("robot") if _scene(name).is_file()}
-    reports = {name: examine(scene, _PATIENCE_S, _SIMULATED_S) for name, scene in scenes.items()}
+    reports = {name: examine_model(scene, _PATIENCE_S, _SIMULATED_S) for name, scene in scenes.items()}
     bad = [f"{name}: {fault}" for name, report in reports.items() for fault in report["faults"]]
     if bad:
         raise Fault("broken", "; ".join(bad), "`srs-twin models check` says more; else install srs-twin anew")

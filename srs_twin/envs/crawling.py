@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.control.base import LARGEST_READING, Readings
-from srs_twin.control.camera import Camera, Frames
+from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, Variation, numbered, twin_settings
 from srs_twin.errors import InputError, whole_steps
@@ -144,7 +144,7 @@ class CrawlTask(Task):
         twin = self._same(spec, world, last) or TwinSnake(
             spec, tick=STEP_S, supply_pa=self.limits.pressure[1], world=world, **self._twin
         )
-        return CrawlEpisode(self, twin, world, heading, Frames(self._camera, seed), seed)
+        return CrawlEpisode(self, twin, world, heading, CameraFrames(self._camera, seed), seed)
 
     def _obstacles(self, goal: Goal, seed: int) -> tuple[Any, ...]:
         if self.place.strewn is None:
@@ -168,7 +168,7 @@ class CrawlEpisode(Episode):
     """
 
     def __init__(
-        self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: Frames, seed: int
+        self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int
     ) -> None:
         """Lay the snake at the origin."""
         if world.goal is None:

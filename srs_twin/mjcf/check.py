@@ -1,16 +1,12 @@
-"""Check MJCF that may come from anybody: scanned first, then compiled in a child with limits.
+"""Check MJCF that may come from anybody: scanned first, then compiled in a child process with limits.
 
-What an MJCF file would make MuJoCo do, read before MuJoCo does it.
+A hundred bytes of ``<replicate>`` keep MuJoCo's compiler busy for minutes, and its parser opens whatever path
+a file names. So the XML is read here first, element by element: no document types (entities), bounded depth,
+size and number of what it multiplies to, and paths that stay in the model's folder.
 
-A hundred bytes of ``<replicate>`` keep MuJoCo's compiler busy for minutes, and its parser opens whatever
-path a file names. So the XML is read here first, element by element: no document types (entities), bounded
-depth, size and number of what it multiplies to, and paths that stay in the model's folder.
-
-Check MJCF that may come from anybody: in a child process, with limits on time and memory.
-
-A file of a hundred bytes can keep MuJoCo's compiler busy for minutes, and MuJoCo itself accepts paths that
-lead out of the model's folder, time steps of NaN and negative friction. What passes here opens in any
-MuJoCo program and stands a second of random control without a warning.
+What passes the scan is compiled in a child with limits on time and memory, for MuJoCo accepts time steps of
+NaN and negative friction as well. What passes that opens in any MuJoCo program and stands a second of random
+control without a warning.
 """
 
 from __future__ import annotations
@@ -23,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +38,8 @@ MAX_BODIES = 1_000
 MAX_CELLS = 1 << 24
 """Pixels of all textures and points of all height fields together."""
 
+_CELLS = "pixels of textures and points of height fields"
+_COUNT_LIMITS = {"elements": MAX_ELEMENTS, "bodies": MAX_BODIES, _CELLS: MAX_CELLS}
 _SIZE_LIMITS = {"memory": 1 << 30, "nstack": 1 << 27, "njmax": 1 << 20, "nconmax": 1 << 20, "nkey": 10_000}
 _OTHER_SIZE_LIMIT = 1_000
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
@@ -50,16 +49,6 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 class _Refused(Exception):  # noqa: N818
     """Nothing further is to be read."""
-
-
-@dataclass
-class _Count:
-    """What a file and all that it includes multiply to."""
-
-    elements: int = 0
-    bodies: int = 0
-    cells: int = 0
-    attached: int = 0
 
 
 @dataclass
@@ -80,7 +69,7 @@ class _Scan:
     faults: list[str] = field(default_factory=list)
     folders: set[str] = field(default_factory=lambda: {"."})
     assets: list[tuple[str, str]] = field(default_factory=list)
-    models: dict[Path, _Count | None] = field(default_factory=dict)
+    models: dict[Path, Counter[str] | None] = field(default_factory=dict)
     seen: set[Path] = field(default_factory=set)
     bytes: int = 0
 
@@ -100,7 +89,7 @@ def scan_mjcf(path: Path) -> list[str]:
     """
     scan = _Scan(path)
     try:
-        _Reader(scan, path, _Count()).read()
+        _Reader(scan, path, Counter()).read()
         _check_assets(scan)
     except _Refused as fault:
         scan.faults.append(str(fault))
@@ -110,13 +99,13 @@ def scan_mjcf(path: Path) -> list[str]:
 class _Reader:
     """Reads one file, element by element."""
 
-    def __init__(self, scan: _Scan, path: Path, count: _Count) -> None:
+    def __init__(self, scan: _Scan, path: Path, count: Counter[str]) -> None:
         self._scan, self._path, self._count = scan, path, count
         self._times = [1]
-        self._models: list[_Count] = []
+        self._models: list[Counter[str]] = []
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler = self._start
-        self._parser.EndElementHandler = self._end
+        self._parser.EndElementHandler = lambda _: self._times.pop()
         self._parser.StartDoctypeDeclHandler = self._doctype
 
     def read(self) -> None:
@@ -135,22 +124,25 @@ class _Reader:
         except (OSError, LookupError, ValueError) as error:
             # LookupError, ValueError: an encoding that does not exist, or has no place in XML.
             self._refuse(f"not readable as XML ({error})")
-        self._count.elements += self._count.attached * sum(model.elements for model in self._models)
-        self._count.bodies += self._count.attached * sum(model.bodies for model in self._models)
+        for model in self._models:
+            for what in ("elements", "bodies"):
+                self._count[what] += self._count["attached"] * model[what]
         self._check_count()
 
     def _start(self, tag: str, attributes: Mapping[str, str]) -> None:
-        times = self._times[-1]
+        times, count = self._times[-1], self._count
         if tag in ("replicate", "composite", "flexcomp"):
-            made = _product(attributes.get("count", "1"))
-            self._count.bodies += times * made if tag != "replicate" else 0
-            self._count.elements += times * made
-            times *= made if tag == "replicate" else 1
+            made = times * _product(attributes.get("count", "1"))
+            count["elements"] += made
+            if tag == "replicate":
+                times = made
+            else:
+                count["bodies"] += made
         self._times.append(times)
-        self._count.elements += times
-        self._count.bodies += times if tag == "body" else 0
-        self._count.attached += times if tag == "attach" else 0
-        self._count.cells += _cells(attributes, "width", "height") + _cells(attributes, "nrow", "ncol")
+        count["elements"] += times
+        count["bodies"] += times * (tag == "body")
+        count["attached"] += times * (tag == "attach")
+        count[_CELLS] += _cells(attributes, "width", "height") + _cells(attributes, "nrow", "ncol")
         self._check_count()
         if len(self._times) > MAX_DEPTH:
             self._refuse(f"nested more than {MAX_DEPTH} deep")
@@ -163,19 +155,12 @@ class _Reader:
             elif name.startswith("file"):
                 self._refer(tag, value)
 
-    def _end(self, tag: str) -> None:
-        self._times.pop()
-
     def _doctype(self, *_: object) -> None:
         self._refuse("a document type (<!DOCTYPE>) is not allowed; MJCF needs no entities")
 
     def _check_count(self) -> None:
-        for what, number, most in (
-            ("elements", self._count.elements, MAX_ELEMENTS),
-            ("bodies", self._count.bodies, MAX_BODIES),
-            ("pixels of textures and points of height fields", self._count.cells, MAX_CELLS),
-        ):
-            if number > most:
+        for what, most in _COUNT_LIMITS.items():
+            if self._count[what] > most:
                 self._refuse(f"more than {most} {what}, counting what is replicated")
 
     def _check_sizes(self, attributes: Mapping[str, str]) -> None:
@@ -202,7 +187,7 @@ class _Reader:
             return
         if tag not in ("include", "model"):
             self._scan.assets.append((self._place(), given))
-        elif not _is_file(target):
+        elif not os.path.isfile(target):
             self._refuse(f"<{tag}> names '{given}', which is not a file")
         elif tag == "include" and target not in self._scan.seen:
             self._scan.seen.add(target)
@@ -210,12 +195,12 @@ class _Reader:
         elif tag == "model":
             self._models.append(self._model(given, target))
 
-    def _model(self, given: str, target: Path) -> _Count:
+    def _model(self, given: str, target: Path) -> Counter[str]:
         """Return what an attachable model multiplies to, read once."""
         models = self._scan.models
         if target not in models and target != self._scan.root:
             models[target] = None
-            count = _Count()
+            count: Counter[str] = Counter()
             _Reader(self._scan, target, count).read()
             models[target] = count
         found = models.get(target)
@@ -261,13 +246,6 @@ def _png_pixels(path: Path) -> int:
     with path.open("rb") as stream:
         head = stream.read(24)
     return int.from_bytes(head[16:20]) * int.from_bytes(head[20:24]) if head.startswith(_PNG) else 0
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _numbers(text: str) -> list[float]:
@@ -397,7 +375,7 @@ def _first(wrong: np.ndarray) -> str:
     return f"[{np.argwhere(np.atleast_1d(wrong))[0][0]}]"
 
 
-def _shake(model: Any, time_limit_s: float, control_s: float) -> list[str]:
+def _random_control(model: Any, time_limit_s: float, control_s: float) -> list[str]:
     """Simulate some seconds under random control; return what MuJoCo warned of."""
     import mujoco
 
@@ -427,12 +405,12 @@ def _shake(model: Any, time_limit_s: float, control_s: float) -> list[str]:
     return faults
 
 
-def examine(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict[str, Any]:
-    """Compile a model and shake it, in this process; return faults and sizes, as in `ModelReport`.
+def examine_model(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict[str, Any]:
+    """Compile a model and simulate it, in this process; return faults and sizes, as in `ModelReport`.
 
     Args:
         path: the MJCF file.
-        time_limit_s: a model that would take longer to shake is a fault, s.
+        time_limit_s: a model that would take longer to simulate is a fault, s.
         control_s: simulated time under random control, s.
     """
     import mujoco
@@ -441,7 +419,7 @@ def examine(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, MemoryError) as error:
         return {"faults": [f"does not compile: {' '.join(str(error).split())}"], "sizes": {}}
-    faults = _bad_numbers(model) or _shake(model, time_limit_s, control_s)
+    faults = _bad_numbers(model) or _random_control(model, time_limit_s, control_s)
     sizes = {
         "bodies": model.nbody - 1,
         "joints": model.njnt,
@@ -457,7 +435,7 @@ def _child(path: str, time_limit_s: str) -> None:
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT_BYTES, MEMORY_LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (int(time_limit_s), int(time_limit_s)))
-    json.dump(examine(Path(path), int(time_limit_s)), sys.stdout)
+    json.dump(examine_model(Path(path), int(time_limit_s)), sys.stdout)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Planning: from start to goal among obstacles with the floor that the body sweeps (Section 5.2).
 
-`plan(problem)` → `Plan`. footprint → primitives → search; geometry in `swept`, `dubins`, `collision`.
+`plan(problem)` → `Plan`. footprint → primitives → search; geometry in `arcs`, `dubins`, `collision`.
 """
 
 from srs_twin.planning.arcs import Primitives as Primitives

@@ -1,14 +1,13 @@
 """Best-first search over arcs of constant curvature, compiled (hybrid A*).
 
-Open list and closed set of a search: a binary heap and a hash table of pose cells, in arrays.
-
 A node is a pose that arcs lead to from the start; its key is g + w h, with g the length of the path so far
 and h the Dubins length of the rest at the tightest curvature the footprint has. No path of the snake to the
 goal is shorter than h, and h falls along no arc by more than the arc's length, so with w = 1 keys never fall;
 with w > 1 a path is at most w times as long as the best that the same arcs and cells admit.
 
 When a node is taken from the open list, the Dubins path from it to the goal is tried. If it is free, the two
-together are a plan. The closed set holds one node a cell of poses: a later one is kept only if it is nearer
+together are a plan. The open list is a binary heap, the closed set a hash
+table that holds one node a cell of poses: a later one is kept only if it is nearer
 to the start. That is what makes the search finite, and what makes it incomplete: a pose in the same cell
 might have got through where the one that stands for it does not.
 """

@@ -1,4 +1,4 @@
-"""Collision checks of arcs and plans against a world, exact up to `swept.MARGIN`."""
+"""Collision checks of arcs and plans against a world, exact up to `arcs.MARGIN`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import compiled
 from srs_twin.planning.arcs import blocked
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import Segment
-from srs_twin.world import Bounds, Circle, Polygon, Pose, World
+from srs_twin.world import Bounds, Pose, World
 
 _ANYWHERE = Bounds((-math.inf, math.inf), (-math.inf, math.inf))
 
@@ -36,15 +36,11 @@ class Surroundings(NamedTuple):
 def surroundings(world: World) -> Surroundings:
     """Return a world as arrays."""
     circles = np.array([(c.x, c.y, c.radius) for c in world.obstacles], dtype=float).reshape(-1, 3)
-    sides = [
-        (*a, *b)
-        for p in world.polygons
-        for a, b in zip(p.corners, p.corners[1:] + p.corners[:1], strict=True)
-    ]
+    rings = [(*p.corners, p.corners[0]) for p in world.polygons]
+    sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
     bounds = world.bounds or _ANYWHERE
-    return Surroundings(
-        circles, np.array(sides, dtype=float).reshape(-1, 4), np.array([*bounds.x, *bounds.y], dtype=float)
-    )
+    limits = np.array([*bounds.x, *bounds.y], dtype=float)
+    return Surroundings(circles, np.array(sides, dtype=float).reshape(-1, 4), limits)
 
 
 @dataclass(frozen=True)
@@ -77,34 +73,8 @@ class Checker:
         """
         body, motion = self.footprint, self.footprint.at(curvature)
         left, right = motion.left + wider[0], motion.right + wider[1]
-        return not blocked(
-            pose.x,
-            pose.y,
-            pose.heading,
-            curvature,
-            length,
-            body.ahead,
-            body.behind,
-            left,
-            right,
-            *self.surroundings,
-        )
-
-    def free_arcs(self, poses: np.ndarray, curvatures: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Say of many arcs whether each is free.
-
-        Args:
-            poses: x, y, heading of the beginnings, shape (n, 3).
-            curvatures: 1/m, shape (n,).
-            lengths: m, shape (n,).
-        """
-        table = self.footprint
-        left = np.interp(curvatures, table.curvatures, table.left)
-        right = np.interp(curvatures, table.curvatures, table.right)
-        found: np.ndarray = _free_arcs(
-            poses, curvatures, lengths, table.ahead, table.behind, left, right, self.surroundings
-        )
-        return found
+        reach = body.ahead, body.behind
+        return not blocked(*pose, curvature, length, *reach, left, right, *self.surroundings)
 
     def free_path(self, segments: Sequence[Segment]) -> bool:
         """Say whether a path is free, wider by the transients where its changes of offset still last."""
@@ -126,11 +96,9 @@ class Checker:
     def blocker(self, pose: Pose, length: float = 0.0) -> str:
         """Return in words what the body touches that goes straight from a pose (length in m), or nothing."""
         body, motion = self.footprint, self.footprint.at(0.0)
+        edges = body.ahead, body.behind, motion.left, motion.right
         for name, world in _pieces(self.world):
-            if blocked(
-                pose.x, pose.y, pose.heading, 0.0, length, body.ahead, body.behind, motion.left, motion.right,
-                *surroundings(world),
-            ):  # fmt: skip
+            if blocked(*pose, 0.0, length, *edges, *surroundings(world)):
                 return name
         return ""
 
@@ -141,9 +109,7 @@ def inside(world: World, x: float, y: float) -> str:
 
     point = shapely.Point(x, y)
     for name, each in _pieces(world):
-        if each.bounds and not (
-            each.bounds.x[0] <= x <= each.bounds.x[1] and each.bounds.y[0] <= y <= each.bounds.y[1]
-        ):
+        if (b := each.bounds) and not (b.x[0] <= x <= b.x[1] and b.y[0] <= y <= b.y[1]):
             return name
         if any(math.hypot(x - c.x, y - c.y) <= c.radius for c in each.obstacles):
             return name
@@ -157,33 +123,13 @@ def _pieces(world: World) -> list[tuple[str, World]]:
     found: list[tuple[str, World]] = []
     if (bounds := world.bounds) is not None:
         (west, east), (south, north) = bounds.x, bounds.y
-        found.append(
-            (f"the bounds (x {west:g} to {east:g} m, y {south:g} to {north:g} m)", World(bounds=bounds))
-        )
-    for k, circle in enumerate(world.obstacles):
-        found.append((f"obstacle {k + 1} ({_circle(circle)})", World((circle,))))
-    for k, polygon in enumerate(world.polygons):
-        found.append((f"polygon {k + 1} ({_polygon(polygon)})", World(polygons=(polygon,))))
-    return found
-
-
-def _circle(circle: Circle) -> str:
-    return f"radius {circle.radius:g} m at ({circle.x:g}, {circle.y:g})"
-
-
-def _polygon(polygon: Polygon) -> str:
-    return (
-        f"{len(polygon.corners)} corners, the first at ({polygon.corners[0][0]:g}, {polygon.corners[0][1]:g})"
-    )
-
-
-@compiled
-def _free_arcs(poses, curvatures, lengths, ahead, behind, left, right, around):  # type: ignore[no-untyped-def]
-    found = np.empty(len(lengths), dtype=np.bool_)
-    for i in range(len(lengths)):
-        x, y, heading = poses[i, 0], poses[i, 1], poses[i, 2]
-        found[i] = not blocked(
-            x, y, heading, curvatures[i], lengths[i], ahead, behind, left[i], right[i],
-            around.circles, around.sides, around.bounds,
-        )  # fmt: skip
+        name = f"the bounds (x {west:g} to {east:g} m, y {south:g} to {north:g} m)"
+        found.append((name, World(bounds=bounds)))
+    for k, circle in enumerate(world.obstacles, start=1):
+        name = f"obstacle {k} (radius {circle.radius:g} m at ({circle.x:g}, {circle.y:g}))"
+        found.append((name, World((circle,))))
+    for k, polygon in enumerate(world.polygons, start=1):
+        (x, y), count = polygon.corners[0], len(polygon.corners)
+        name = f"polygon {k} ({count} corners, the first at ({x:g}, {y:g}))"
+        found.append((name, World(polygons=(polygon,))))
     return found

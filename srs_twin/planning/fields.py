@@ -20,8 +20,9 @@ FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
 
 FIG54_SITES = tuple(
     Circle(0.4 + 0.3 * column, 0.5 + 0.4 * (row - 1) + 0.1 * (1 if column % 2 else -1), 0.1)
-    for column in range(5) for row in range(3)
-) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))  # fmt: skip
+    for column in range(5)
+    for row in range(3)
+) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))
 """18 sites of circles of 200 mm diameter between start and target; ours, for Fig. 54's are lost."""
 
 _TRIES = 200
@@ -44,10 +45,14 @@ def fig54_world(count: int, seed: int) -> World:
 
 
 def strewn(
-    count: int, bounds: Bounds, seed: int, *,
-    radius: tuple[float, float] = (0.05, 0.15), gap: float = 0.0,
+    count: int,
+    bounds: Bounds,
+    seed: int,
+    *,
+    radius: tuple[float, float] = (0.05, 0.15),
+    gap: float = 0.0,
     clear: tuple[tuple[float, float, float], ...] = (),
-) -> tuple[Circle, ...]:  # fmt: skip
+) -> tuple[Circle, ...]:
     """Strew circles uniformly over a rectangle, their centres inside it.
 
     Args:

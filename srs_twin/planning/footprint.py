@@ -8,20 +8,18 @@ arcs about the same centre bound the body: on a point of the path, the body stay
 where n is the distance to the left of the path, l the left and r the right edge. Across the path the
 footprint ends where head and tail are: `ahead` before and `behind` after the centre of mass, along the arc.
 
-Offset, speed and edges are read from a table by curvature, linear between its rows.
-
-Footprint files: a table as Table 8, every column with unit, status and source.
-
-The published ones are in calibration/footprints; `srs-twin calibrate footprint` writes others.
+Offset, speed and edges are read from a table by curvature, linear between its rows. A footprint file holds
+such a table as Table 8 has it, every column with unit, status and source. The published ones are in
+calibration/footprints; `srs-twin calibrate footprint` writes others.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from itertools import chain
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -37,7 +35,7 @@ SMALL_TURN = 1e-9
 
 
 @dataclass(frozen=True)
-class Motion:
+class FootprintRow:
     """What one curvature means for the snake.
 
     Attributes:
@@ -111,9 +109,16 @@ class Footprint:
 
     @classmethod
     def box(
-        cls, width: float, shift: float, *, speed: float, curvature: float, offset: float = 0.3,
-        ahead: float = 0.0, behind: float = 0.0,
-    ) -> Footprint:  # fmt: skip
+        cls,
+        width: float,
+        shift: float,
+        *,
+        speed: float,
+        curvature: float,
+        offset: float = 0.3,
+        ahead: float = 0.0,
+        behind: float = 0.0,
+    ) -> Footprint:
         """Return the text's box: constant width, shifted outward as it turns (Fig. 54, Table 9).
 
         Outward, since Table 8's inner edges draw nearer and the outer ones hardly do.
@@ -128,11 +133,10 @@ class Footprint:
             behind: see the class, m.
         """
         half = width / 2
-        return cls(
-            "box", f"box {1000 * width:g} mm, shift {1000 * shift:g} mm", (-offset, 0.0, offset),
-            (-curvature, 0.0, curvature), (speed,) * 3, (half + shift, half, half - shift),
-            (half - shift, half, half + shift), ahead, behind,
-        )  # fmt: skip
+        wide, narrow = half + shift, half - shift
+        title = f"box {1000 * width:g} mm, shift {1000 * shift:g} mm"
+        turns = (-offset, 0.0, offset), (-curvature, 0.0, curvature), (speed,) * 3
+        return cls("box", title, *turns, (wide, half, narrow), (narrow, half, wide), ahead, behind)
 
     @property
     def tightest(self) -> tuple[float, float]:
@@ -155,14 +159,18 @@ class Footprint:
         """
         low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
         inner = [k for k in self.curvatures if low + SMALL_TURN < k < high - SMALL_TURN]
-        rows = [(k, self.at(k)) for k in (low, *inner, high)]
+        curvatures = (low, *inner, high)
+        rows = [self.at(k) for k in curvatures]
         return replace(
-            self, offsets=tuple(m.offset for _, m in rows), curvatures=tuple(k for k, _ in rows),
-            speeds=tuple(m.speed for _, m in rows), left=tuple(m.left + margin for _, m in rows),
-            right=tuple(m.right + margin for _, m in rows),
-        )  # fmt: skip
+            self,
+            offsets=tuple(row.offset for row in rows),
+            curvatures=curvatures,
+            speeds=tuple(row.speed for row in rows),
+            left=tuple(row.left + margin for row in rows),
+            right=tuple(row.right + margin for row in rows),
+        )
 
-    def at(self, curvature: float) -> Motion:
+    def at(self, curvature: float) -> FootprintRow:
         """Return what a curvature (1/m) means.
 
         Raises:
@@ -171,11 +179,8 @@ class Footprint:
         low, high = self.curvatures[0], self.curvatures[-1]
         if not low - SMALL_TURN <= curvature <= high + SMALL_TURN:
             raise InputError(f"curvature {curvature:g} 1/m is not in the footprint's {low:g} to {high:g} 1/m")
-        offset, speed, left, right = (
-            float(np.interp(curvature, self.curvatures, column))
-            for column in (self.offsets, self.speeds, self.left, self.right)
-        )
-        return Motion(offset, speed, left, right)
+        columns = (self.offsets, self.speeds, self.left, self.right)
+        return FootprintRow(*(float(np.interp(curvature, self.curvatures, column)) for column in columns))
 
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
         """Return (left, right, length), m, of a change of offset, linear in how large the change is.
@@ -194,9 +199,8 @@ class Footprint:
             old = widest.get(size, (0.0, 0.0))
             widest[size] = max(old[0], t.left), max(old[1], t.right)
         sizes = sorted(widest)
-        left, right = (
-            float(np.interp(abs(change), sizes, [widest[size][side] for size in sizes])) for side in (0, 1)
-        )
+        edges = zip(*(widest[size] for size in sizes), strict=True)
+        left, right = (float(np.interp(abs(change), sizes, edge)) for edge in edges)
         return left, right, max(t.length for t in same)
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
@@ -212,16 +216,13 @@ class Footprint:
             if (t.after - t.before) * change > 0 and t.dheading * turned < 0:
                 late, square = -t.dheading / turned, 2 * t.dy / turned
                 # Shorter than it is late cannot be: then all of it is lateness.
-                known.setdefault(round(abs(t.after - t.before), 9), []).append(
-                    (late, max(square / late, late))
-                )
+                lag = late, max(square / late, late)
+                known.setdefault(round(abs(t.after - t.before), 9), []).append(lag)
         if not known:
             return 0.0, 0.0
         sizes = sorted(known)
-        late, long = (
-            float(np.interp(abs(change), sizes, [np.mean(known[size], axis=0)[k] for size in sizes]))
-            for k in (0, 1)
-        )
+        means = zip(*(np.mean(known[size], axis=0) for size in sizes), strict=True)
+        late, long = (float(np.interp(abs(change), sizes, mean)) for mean in means)
         return late, long
 
     def _curvature(self, offset: float) -> float:
@@ -249,11 +250,10 @@ def problems(footprint: Footprint) -> list[tuple[str, str]]:
         edges = [edge + _extra(footprint, row, side) for row, edge in enumerate(getattr(footprint, name))]
         row = int(np.argmax(turn * edges))
         if turn[row] * edges[row] >= 1:
-            which = (
-                "tightest turn" if turn[row] == turn.max() else f"turn of offset {footprint.offsets[row]:g}"
-            )
-            radius = f"radius {1 / turn[row]:g} m"
-            found.append((name, f"{edges[row]:g} m reaches the centre of the {which}, {radius}"))
+            tightest, offset = turn[row] == turn.max(), footprint.offsets[row]
+            which = "tightest turn" if tightest else f"turn of offset {offset:g}"
+            where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
+            found.append((name, f"{edges[row]:g} m reaches {where}"))
     return found
 
 
@@ -269,14 +269,9 @@ def checked(footprint: Footprint) -> Footprint:
     Raises:
         InputError: it cannot be one, or a number is not finite.
     """
-    numbers = (
-        *footprint.offsets,
-        *footprint.curvatures,
-        *footprint.speeds,
-        footprint.ahead,
-        footprint.behind,
-    )
-    if not all(math.isfinite(value) for value in (*numbers, *footprint.left, *footprint.right)):
+    columns = (getattr(footprint, name) for name in _KEYS)
+    numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
+    if not np.isfinite(numbers).all():
         raise InputError(f"footprint {footprint.name}: a number is not finite")
     if min(footprint.speeds) <= 0 or footprint.narrowest <= 0 or min(footprint.ahead, footprint.behind) < 0:
         raise InputError(
@@ -316,10 +311,7 @@ class TransientFile(Strict):
 
     def transient(self) -> Transient:
         """Return it as the planner takes it."""
-        return Transient(
-            self.from_offset, self.to_offset, self.left_m, self.right_m, self.length_m,
-            self.dx_m, self.dy_m, self.dheading_rad,
-        )  # fmt: skip
+        return Transient(*self.model_dump().values())
 
 
 class TransientsFile(Strict):
@@ -360,16 +352,14 @@ class FootprintFile(Strict):
 
     def footprint(self) -> Footprint:
         """Return the table without its sources."""
+        columns = [tuple(getattr(self, key).value) for key in _KEYS.values()]
+        values: list[Any] = [self.name, self.title, *columns, self.ahead_m.value, self.behind_m.value]
         changes = self.transients.changes if self.transients else []
-        return Footprint(
-            self.name, self.title, tuple(self.offset.value), tuple(self.curvature_per_m.value),
-            tuple(self.speed_m_s.value), tuple(self.left_m.value), tuple(self.right_m.value),
-            self.ahead_m.value, self.behind_m.value,
-            tuple(change.transient() for change in changes),
-        )  # fmt: skip
+        values.append(tuple(each.transient() for each in changes))
+        return Footprint(*values)
 
 
-# What a problem of the table is called in the file.
+# Columns of `Footprint`, in its order → what they are called in the file.
 _KEYS = {
     "offsets": "offset",
     "curvatures": "curvature_per_m",

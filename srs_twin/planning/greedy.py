@@ -22,6 +22,7 @@ The backward branch grows from the goal with the heading turned by π, on the mi
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from srs_twin.errors import InputError
 from srs_twin.planning.collision import Checker
@@ -59,17 +60,13 @@ def greedy(problem: Problem) -> Plan:
             return Plan(Outcome.FOUND, "the branches met", path, turn)
         taken = _best(tips[side], tips[1 - side], problem, (there, back)[side])
         if taken is None:
-            name = ("start", "goal")[side]
-            reason = (
-                f"every arc is blocked {turn // 2} arcs from the {name}, and greedy does not go "
-                "back; try best_first"
-            )
-            return Plan(Outcome.STUCK, reason, (), turn)
+            where = f"{turn // 2} arcs from the {('start', 'goal')[side]}"
+            why = f"every arc is blocked {where}, and greedy does not go back; try best_first"
+            return Plan(Outcome.STUCK, why, (), turn)
         branches[side].append((tips[side], taken[0]))
         tips[side] = taken[1]
-    return Plan(
-        Outcome.BUDGET_SPENT, f"the branches did not meet in {_MOST} arcs each; try best_first", (), 2 * _MOST
-    )
+    why = f"the branches did not meet in {_MOST} arcs each; try best_first"
+    return Plan(Outcome.BUDGET_SPENT, why, (), 2 * _MOST)
 
 
 def arc_to(pose: Pose, x: float, y: float) -> tuple[float, float]:
@@ -88,12 +85,17 @@ def arc_to(pose: Pose, x: float, y: float) -> tuple[float, float]:
 
 def mirrored(footprint: Footprint) -> Footprint:
     """Return the footprint of one that goes the same paths from their end: turned by π, sides exchanged."""
-    return Footprint(
-        footprint.name, footprint.title,
-        tuple(-v for v in reversed(footprint.offsets)), tuple(-v for v in reversed(footprint.curvatures)),
-        footprint.speeds[::-1], footprint.right[::-1], footprint.left[::-1],
-        footprint.behind, footprint.ahead,
-    )  # fmt: skip
+    return replace(
+        footprint,
+        offsets=tuple(-value for value in reversed(footprint.offsets)),
+        curvatures=tuple(-value for value in reversed(footprint.curvatures)),
+        speeds=footprint.speeds[::-1],
+        left=footprint.right[::-1],
+        right=footprint.left[::-1],
+        ahead=footprint.behind,
+        behind=footprint.ahead,
+        transients=(),
+    )
 
 
 def _best(tip: Pose, other: Pose, problem: Problem, checker: Checker) -> tuple[float, Pose] | None:
@@ -119,7 +121,7 @@ def _joint(here: Pose, there: Pose, problem: Problem, checker: Checker) -> tuple
 
 def _path(
     branches: list[list[tuple[Pose, float]]], joint: tuple[float, float], problem: Problem
-) -> tuple[Segment, ...]:  # fmt: skip
+) -> tuple[Segment, ...]:
     arcs, body = problem.primitives, problem.footprint
     assert arcs is not None, "checked before"
 

@@ -1,9 +1,6 @@
-r"""plan(problem) -> Plan: the one verb of this package; shaping of changes of offset.
+r"""plan(problem) -> Plan: the one verb of this package, also with the way of each change of offset in it.
 
-plan(problem) -> Plan: the one verb of this package.
-
-Shaping: the way that a change of offset takes, as it was measured, in place of a jump of the curvature.
-
+Shaping puts the way that a change of offset takes, as it was measured, in place of a jump of the curvature.
 After a change from curvature κ_a to κ_b the path is late: it turns by Δκ δ less than an instant change would
 have it, and ends up Δκ m/2 beside (`Transient`: dheading = −Δκ δ, dy = Δκ m/2). One arc between the two does
 the same to first order,

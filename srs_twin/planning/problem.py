@@ -1,9 +1,4 @@
-"""What a planner is asked, how hard it tries, and what it answers.
-
-How hard a planner tries.
-
-What a planner is asked, and what it answers.
-"""
+"""What a planner is asked, how hard it tries, and what it answers."""
 
 from __future__ import annotations
 
@@ -44,10 +39,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
-            raise InputError(
-                f"planner: nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}: "
-                "all must be 1 at least"
-            )
+            given = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
+            raise InputError(f"planner: {given}: all must be 1 at least")
         if self.levels > _MOST_LEVELS:
             raise InputError(f"planner: levels {self.levels}, {_MOST_LEVELS} at most")
         if self.seconds is not None and not self.seconds > 0:
@@ -111,8 +104,7 @@ class Segment:
 
     def pose(self, length: float) -> Pose:
         """Return the pose after a length (m)."""
-        start = self.start
-        return Pose(*map(float, along(start.x, start.y, start.heading, self.curvature, length)))
+        return Pose(*map(float, along(*self.start, self.curvature, length)))
 
     @property
     def end(self) -> Pose:
@@ -179,10 +171,9 @@ class Plan:
         rows = []
         for segment in self.segments:
             pieces = max(1, math.ceil(segment.length / spacing))
-            poses = [segment.pose(segment.length * k / pieces) for k in range(pieces)]
-            rows += [(p.x, p.y, p.heading) for p in poses]
+            rows += [(*segment.pose(segment.length * k / pieces),) for k in range(pieces)]
         if self.end:
-            rows.append((self.end.x, self.end.y, self.end.heading))
+            rows.append((*self.end,))
         return np.array(rows, dtype=float).reshape(-1, 3)
 
 

@@ -21,7 +21,7 @@ BEYOND = 2.0
 """Length of the straight ends, m."""
 
 
-class Place(NamedTuple):
+class PathPoint(NamedTuple):
     """A point's place on a route: s and n, m; the path's heading and curvature there, rad and 1/m."""
 
     s: float
@@ -56,9 +56,9 @@ class Route:
         self.length = begin
         self.arcs = np.array(rows)
 
-    def nearest(self, x: float, y: float, low: float = -BEYOND, high: float = math.inf) -> Place:
+    def nearest(self, x: float, y: float, low: float = -BEYOND, high: float = math.inf) -> PathPoint:
         """Return the place of the path's point nearest to a point, of those from `low` to `high` (s, m)."""
-        return Place(*map(float, _nearest(x, y, self.arcs, low, high)))
+        return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def places(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return s and n of points, shape (k, 2); shape (k,) each."""

@@ -1,10 +1,8 @@
-"""The default planner: best-first search from both ends with a budget, shortening, proofs of no path.
+"""The default planner: best-first search from both ends, coarse first, with a budget and a named outcome.
 
-Proof that there is no path: obstacles so close together that start and goal lie in different rooms.
-
-Shortening of a found path: Dubins paths between two of its poses where they are free and shorter.
-
-The default planner: best-first search from both ends, coarse first, with a budget and a named outcome.
+A found path is shortened by Dubins paths between two of its poses where they are free and shorter. Where
+obstacles stand so close together that start and goal lie in different rooms, that is proven, and no path is
+sought.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ from srs_twin.planning.tree import (
     reversed_moves,
     target_of,
     turned,
-)  # fmt: skip
+)
 from srs_twin.world import Goal, Pose, World
 
 _PIECES = 32
@@ -113,7 +111,7 @@ def shortened(start: Pose, path: Pieces, moves: Moves, around: Surroundings, rad
 def _cut(start: Pose, path: Pieces, moves: Moves, around: Surroundings, radius: float) -> Pieces:
     """Go along the path once, from each pose as far as a short cut leads."""
     poses, places = np.empty((len(path) + 1, 3)), np.zeros(len(path) + 1)
-    poses[0] = start.x, start.y, start.heading
+    poses[0] = (*start,)
     for k, (curvature, length) in enumerate(path):
         poses[k + 1] = along(*poses[k], curvature, length)
         places[k + 1] = places[k] + length
@@ -141,7 +139,7 @@ def _passes(start: Pose, path: Pieces, moves: Moves, around: Surroundings) -> bo
     pieces = [(c, length) for c, length in path if length > 0]
     which = np.array([int(np.argmin(abs(moves.curvatures - c))) for c, _ in pieces])
     lengths = np.array([length for _, length in pieces])
-    return bool(_all_free(start.x, start.y, start.heading, which, lengths, moves, around))
+    return bool(_all_free(*start, which, lengths, moves, around))
 
 
 @compiled
@@ -225,7 +223,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     for level, resolution in enumerate(_resolutions(problem, settings.levels)):
         trees = _trees(resolution, problem, settings, checker.surroundings)
         guided = partial(_guided, resolution, problem, settings, checker.surroundings)
-        ended = _at(trees, guided, problem, budget, _search_length(best), prove=level == 0)
+        ended = _search_level(trees, guided, problem, budget, _search_length(best), level == 0)
         if ended.path is not None:
             best = _finished(ended.path, trees[0], problem, settings, checker)
         if ended.final or budget.spent or (best is not None and not settings.improve):
@@ -235,11 +233,11 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
         return Plan(Outcome.FOUND, "a free path", best, expanded, cell)
     if ended.final:
         return Plan(Outcome.UNREACHABLE, ended.why, (), expanded)
-    words = f"cells of {1000 * cell[0]:.3g} mm and {math.degrees(cell[1]):.3g} degrees"
+    at = f"at cells of {1000 * cell[0]:.3g} mm and {math.degrees(cell[1]):.3g} degrees"
     if ended.why:
-        reason = f"{ended.why}, at {words}; finer ones (more levels) may still find a way"
+        reason = f"{ended.why}, {at}; finer ones (more levels) may still find a way"
         return Plan(Outcome.UNREACHABLE, reason, (), expanded, cell)
-    reason = f"neither a path nor a proof after {expanded} nodes, at {words}; give more nodes or seconds"
+    reason = f"neither a path nor a proof after {expanded} nodes, {at}; give more nodes or seconds"
     return Plan(Outcome.BUDGET_SPENT, reason, (), expanded, cell)
 
 
@@ -254,10 +252,9 @@ def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
         yield Resolution(arcs, _CELL * arcs.length, 2 * math.pi / (_SECTORS * part))
 
 
-def _at(
-    trees: list[Tree], guided: Callable[[], Tree], problem: Problem, budget: _Budget, best: float, *,
-    prove: bool,
-) -> _Ended:  # fmt: skip
+def _search_level(
+    trees: list[Tree], guided: Callable[[], Tree], problem: Problem, budget: _Budget, best: float, prove: bool
+) -> _Ended:
     """Search at one resolution.
 
     The trees take turns with growing shares. The one from the goal rarely is the first to find a path; it is
@@ -298,12 +295,11 @@ def _trees(resolution: Resolution, problem: Problem, settings: Settings, around:
     moves = moves_of(resolution.primitives, body)
     trees = [Tree([start], moves, target_of(problem.goal, body), around, resolution, settings.weight)]
     if not body.transients:
-        back = turned(start)
-        home = target_of(Goal(back.x, back.y, back.heading, radius=0.0, heading_tolerance=0.0), body)
+        end = turned(start)
+        home = target_of(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
         roots = [turned(pose) for pose in arrivals(problem.goal, resolution.sector)]
-        trees.append(
-            Tree(roots, reversed_moves(moves), home, around, resolution, settings.weight, backward=True)
-        )
+        back = reversed_moves(moves)
+        trees.append(Tree(roots, back, home, around, resolution, settings.weight, backward=True))
     return trees
 
 

@@ -1,9 +1,8 @@
 """Plant: what takes valve commands and moves. SnakeState: what can be seen of it at one moment.
 
-Divergence that no integrator sees, found within a tick.
-
-A number that was wrong before a step need not hurt it: a place of 1e15 m, a pressure of infinity that the
-engine takes for nought, a valve state that is no number.
+`check_plausible` and `check_commands` find divergence that no integrator sees, within a tick: a number that
+was wrong before a step need not hurt it, be it a place of 1e15 m, a pressure of infinity that the engine
+takes for 0, or a valve state that is no number.
 """
 
 from __future__ import annotations
@@ -186,7 +185,7 @@ class Plant(ABC):
 _STATES = np.iinfo(np.int8)
 
 
-def believed(plant: str, state: SnakeState) -> SnakeState:
+def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     """Return a moment or a history that is plausible.
 
     Args:
@@ -213,7 +212,7 @@ def believed(plant: str, state: SnakeState) -> SnakeState:
     return state
 
 
-def refuse_wild(who: str, time: float, valves: Any) -> None:
+def check_commands(who: str, time: float, valves: Any) -> None:
     """Tell commands that have diverged from those that are merely wrong, which the chambers refuse.
 
     Args:

@@ -29,7 +29,7 @@ import numpy as np
 
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.parallel import Workers
-from srs_twin.plants.base import Pose, SnakeState, refuse_wild
+from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -172,7 +172,7 @@ class TwinBatch:
     def _wild(self, k: int, valves: np.ndarray) -> DivergedError | None:
         """Return what ends a run whose commands have diverged."""
         try:
-            refuse_wild("policy", float(np.asarray(self.state.time)[k]), valves)
+            check_commands("policy", float(np.asarray(self.state.time)[k]), valves)
         except DivergedError as error:
             return error.with_traceback(None)
         return None

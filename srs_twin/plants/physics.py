@@ -1,7 +1,4 @@
-"""Stretch and View: what the engine did over some steps, and what can be seen of the bodies.
-
-SnakePhysics: the twin's bodies in MuJoCo, driven by its chambers, and what can be read off them.
-"""
+"""SnakePhysics: the twin's bodies in MuJoCo, driven by its chambers, and what can be read off them."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import copy
 import os
 import threading
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,7 +25,7 @@ from srs_twin.world import World
 
 
 @dataclass(frozen=True)
-class Stretch:
+class StepBatch:
     """What the engine did over some steps.
 
     Attributes:
@@ -78,29 +74,17 @@ class View:
 os.environ.setdefault("MUJOCO_GL", "disabled")
 
 
-class Heard(threading.local):
+class EngineWarnings(threading.local):
     """MuJoCo's last warnings on this thread, on which the twin that caused them runs."""
 
     def __init__(self) -> None:
-        self._said: deque[str] = deque(maxlen=4)
-
-    def __iter__(self) -> Iterator[str]:
-        """Return the warnings, oldest first."""
-        return iter(self._said)
-
-    def append(self, text: str) -> None:
-        """Hear a warning."""
-        self._said.append(text)
-
-    def clear(self) -> None:
-        """Forget all of them."""
-        self._said.clear()
+        self.last: deque[str] = deque(maxlen=4)
 
 
-HEARD = Heard()
-"""Part of a DivergedError's message; unheard, warnings go to a log file or to stderr."""
+ENGINE_WARNINGS = EngineWarnings()
+"""Part of a DivergedError's message; without a handler, warnings go to a log file or to stderr."""
 
-mujoco.set_mju_user_warning(HEARD.append)
+mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -228,7 +212,7 @@ class SnakePhysics(dm.Physics):
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates())
 
-    def run(self, pressure: np.ndarray) -> Stretch:
+    def run(self, pressure: np.ndarray) -> StepBatch:
         """Advance the bodies under given pressures, a row a time step; the engine makes all steps in one.
 
         Args:
@@ -242,17 +226,23 @@ class SnakePhysics(dm.Physics):
         states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
         mujoco.mj_getState(model, data, self._start[0], _STATE)
         _ENGINE.rollout(
-            [model], [data], self._start, controls, nstep=steps, skip_checks=True,
-            initial_warmstart=data.qacc_warmstart[None].copy(), state=states, sensordata=sensed,
-        )  # fmt: skip
+            *([model], [data], self._start, controls),
+            nstep=steps,
+            skip_checks=True,
+            initial_warmstart=data.qacc_warmstart[None].copy(),
+            state=states,
+            sensordata=sensed,
+        )
         self.refresh()
         pushed = sensed[0][:, self._hull_force]
-        stretch = Stretch(
-            states[0], self._at_feet(sensed[0], self._force_columns),
-            self._at_feet(sensed[0], self._foot_columns), sensed[0][:, self._energy_column],
+        stretch = StepBatch(
+            states[0],
+            self._at_feet(sensed[0], self._force_columns),
+            self._at_feet(sensed[0], self._foot_columns),
+            sensed[0][:, self._energy_column],
             np.einsum("ih,thk->tik", self._owners, pushed),
             -(pushed * sensed[0][:, self._hull_velocity]).sum(axis=(1, 2)),
-        )  # fmt: skip
+        )
         self._floor_force = stretch.floor_force.mean(axis=0)
         return stretch
 
@@ -265,7 +255,7 @@ class SnakePhysics(dm.Physics):
         self._place(self.data.ptr)
 
     def look(self, states: np.ndarray) -> View:
-        """Return what is to be seen in given states (`Stretch.states`), without touching the present one."""
+        """Return what is to be seen in given states (`StepBatch.states`); the present one stays."""
         count, n, nq = len(states), len(self._connectors), self.model.nq
         qpos, qvel = states[:, 1 : 1 + nq], states[:, 1 + nq :]
         com, velocity = np.empty((count, 3)), np.empty((count, 3))
@@ -306,10 +296,6 @@ class SnakePhysics(dm.Physics):
     def center_of_mass(self) -> np.ndarray:
         """Return the snake's centre of mass, shape (3,), m."""
         return self.data.subtree_com[0].copy()
-
-    def center_of_mass_velocity(self) -> np.ndarray:
-        """Return its velocity, shape (3,), m/s."""
-        return self.data.subtree_linvel[0].copy()
 
     def floor_forces(self) -> np.ndarray:
         """Return the floor's force on each wheel less the preload, mean over the last `step`, world frame.

@@ -10,8 +10,8 @@ import numpy as np
 from srs_twin.arrays import implausible, joined, plausible
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.mjcf.numerics import PRELOAD, WHEELS, Numerics
-from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, believed
-from srs_twin.plants.physics import HEARD, SnakePhysics, Stretch
+from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, check_plausible
+from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import RobotSpec
@@ -156,7 +156,7 @@ class TwinSnake(Plant):
                 error.history = SnakeState.history(kept) if kept else None
                 raise
         self._ticks += ticks
-        return believed(self.name, SnakeState.history(parts))
+        return check_plausible(self.name, SnakeState.history(parts))
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""
@@ -182,7 +182,7 @@ class TwinSnake(Plant):
 
     def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
         """Follow a schedule for some samples of so many steps each."""
-        HEARD.clear()
+        ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
         if not plausible(before, self._theta, self._spent):
             # Before the engine sees it: it would take a quaternion of any length for a direction.
@@ -200,7 +200,7 @@ class TwinSnake(Plant):
             raise self._diverged(begun + (good + 1) * self.timestep, last, history if whole else None)
         return history
 
-    def _drive(self, schedule: Schedule, steps: int) -> tuple[Trace, Stretch]:
+    def _drive(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
         """Advance chambers and bodies; return what the chambers did at the steps' ends, and the bodies."""
         felt = self.pneumatics.felt_s
         most = max(1, math.floor(felt / self.timestep * (1 + 1e-9))) if self.pneumatics.feels_bend else steps
@@ -214,7 +214,7 @@ class TwinSnake(Plant):
             traces.append(trace.at(np.arange(1, last - first + 1)))
         return joined(traces), joined(stretches)
 
-    def _history(self, times: np.ndarray, trace: Trace, stretch: Stretch, steps: int) -> SnakeState:
+    def _history(self, times: np.ndarray, trace: Trace, stretch: StepBatch, steps: int) -> SnakeState:
         """Return what was to be seen at these times, each at the end of so many steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
@@ -285,20 +285,16 @@ class TwinSnake(Plant):
         return int(np.argmin(fine)) if not fine.all() else len(fine)
 
     def _diverged(self, time: float, before: np.ndarray, history: SnakeState | None) -> DivergedError:
-        """Go back to the state before and say what it was and what MuJoCo said."""
-        said = " ".join(" ".join(dict.fromkeys(HEARD)).split()) or "speeds beyond the plausible"
+        """Go back to the state before and say what it was and what MuJoCo warned of."""
+        warned = " ".join(" ".join(dict.fromkeys(ENGINE_WARNINGS.last)).split())
         physics = self.physics
         count = physics.model.nq
         physics.data.qpos[:], physics.data.qvel[:] = before[1 : 1 + count], before[1 + count :]
         physics.refresh()
         x, y, z = physics.center_of_mass()
         bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
-        heading = float(self._theta.mean())
-        fastest = np.abs(before[1 + count :]).max()
-        return DivergedError(
-            self.name,
-            time,
-            f"{said}; before: centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading "
-            f"{heading:.3g} rad, bends {bends} rad, largest speed {fastest:.3g} m/s or rad/s",
-            history=history,
-        )
+        where = f"centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading {float(self._theta.mean()):.3g} rad"
+        fastest = f"largest speed {np.abs(before[1 + count :]).max():.3g} m/s or rad/s"
+        why = warned or "speeds beyond the plausible"
+        text = f"{why}; before: {where}, bends {bends} rad, {fastest}"
+        return DivergedError(self.name, time, text, history=history)

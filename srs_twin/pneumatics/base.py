@@ -1,4 +1,4 @@
-"""Pneumatics: what turns valve commands into pressures. Trace: what the chambers did."""
+"""Pneumatics: what turns valve commands into pressures and free bends. Trace: what the chambers did."""
 
 from __future__ import annotations
 

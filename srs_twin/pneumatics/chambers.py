@@ -1,7 +1,5 @@
 r"""Chambers: how much air is where, and the bend that their pressures give.
 
-Chambers: how much air is where.
-
 A chamber grows as the segment bends its own way, by the volume that bending displaces, and is never
 smaller than its dead volume:
 
@@ -10,9 +8,8 @@ $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45, 70 ml) over π/2. Air is
 an ideal gas at one temperature, so its amount is told by n = P V in J, with P the absolute pressure.
 
-The bend that pressures give: linear at first, and never beyond what the module can do.
-
-With the gain g of each chamber as a multiple of the nominal G, and the module's bias b,
+The bend that pressures give is linear at first, and never beyond what the module can do. With the gain g of
+each chamber as a multiple of the nominal G, and the module's bias b,
 
 $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 \varphi(x) = \frac{x}{\bigl(1 + (x/q_m)^4\bigr)^{1/4}}. $$

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.arrays import check_positive
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, gains, volume
@@ -98,8 +99,7 @@ class OrificePneumatics(Pneumatics):
         most = 1.0 if flow_limit is None else flow_limit
         given = {"flow_limit": most, "line_volume": line_volume, "substep": substep}
         for name, value in given.items():
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} {value!r} is not allowed; it must be finite and above 0")
+            check_positive(name, value)
         if not 0 <= critical_ratio <= MOST_CRITICAL:
             raise InputError(
                 f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to {MOST_CRITICAL}"
@@ -201,10 +201,8 @@ def _each_chambers(spec: RobotSpec, critical: float) -> tuple[np.ndarray, np.nda
     known, which = np.unique(rows, axis=0, return_inverse=True)
     found = []
     for gain, fill, vent in known:
-        own = replace(
-            actuator, gain=gain * actuator.gain, tau_fill=fill * actuator.tau_fill,
-            tau_vent=vent * actuator.tau_vent,
-        )  # fmt: skip
-        found.append(conductances(replace(spec, actuator=own), critical)[:2])
+        own = {"gain": gain * actuator.gain}
+        own |= {"tau_fill": fill * actuator.tau_fill, "tau_vent": vent * actuator.tau_vent}
+        found.append(conductances(replace(spec, actuator=replace(actuator, **own)), critical)[:2])
     fill, vent = np.array(found)[which.ravel()].T.reshape(2, spec.segments, 2)
     return fill, vent

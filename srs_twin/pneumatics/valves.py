@@ -1,9 +1,4 @@
-"""Valves: which stands how and from when, and which are stuck.
-
-StuckValve: a fault of the valves.
-
-Schedule: which valve stands how, and from when.
-"""
+"""Schedule: which valve stands how, and from when. StuckValve: a fault of one."""
 
 from __future__ import annotations
 

@@ -18,7 +18,6 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning import Footprint, Outcome, Primitives, Problem, Settings, load_footprint, plan
 from srs_twin.planning.arcs import along
 from srs_twin.planning.best_first import rest
-from srs_twin.planning.collision import Checker
 from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.planning.search import disconnected
 from srs_twin.planning.tree import moves_of, target_of
@@ -276,21 +275,6 @@ def test_unknown_planners_and_idle_settings_are_refused():
         Settings(levels=9)
     with pytest.raises(InputError, match="seconds -1 must be above 0"):
         Settings(seconds=-1)
-
-
-def test_arcs_at_once_are_arcs_one_by_one():
-    problem = drawn_problem(21)
-    checker, rng = Checker(problem.world, problem.footprint), np.random.default_rng(0)
-    poses = np.column_stack([rng.uniform(0, 6, 300), rng.uniform(0, 4, 300), rng.uniform(-3, 3, 300)])
-    curvatures, lengths = (
-        rng.uniform(*problem.footprint.curvatures[:: len(problem.footprint.curvatures) - 1], 300),
-        rng.uniform(0, 1, 300),
-    )
-    one_by_one = [
-        checker.free(Pose(*p), k, s) for p, k, s in zip(poses.tolist(), curvatures, lengths, strict=True)
-    ]
-    assert checker.free_arcs(poses, curvatures, lengths).tolist() == one_by_one
-    assert 0 < sum(one_by_one) < 300
 
 
 def test_fields_are_drawn_alike_from_one_seed_and_keep_their_gaps():

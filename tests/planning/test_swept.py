@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, along, blocked, swept_polygon
+from srs_twin.planning.arcs import Primitives, along, blocked
 from srs_twin.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
@@ -103,22 +103,7 @@ def test_bounds_are_left_as_by_the_drawn_region(arc, west, east, south, north):
     assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (not inside)
 
 
-@given(ARC, st.sampled_from([1e-2, 1e-3, 1e-4]))
-def test_polygon_of_a_region_contains_it_and_little_more(arc, excess):
-    region = drawn(arc)
-    pose, k, length, ahead, behind, left, right = arc
-    assume(max(k * left, -k * right) < 0.95)
-    polygon = swept_polygon(
-        pose, k, length, left=left, right=right, ahead=ahead, behind=behind, excess=excess
-    )  # fmt: skip
-    assert polygon.is_valid
-    assert polygon.buffer(1e-5).contains(region)
-    assert region.buffer(excess * 1.01 + 1e-5).contains(polygon)
-
-
-def test_whole_turns_have_no_outline_and_primitives_have_a_middle():
-    with pytest.raises(InputError, match="no simple outline"):
-        swept_polygon(Pose(0, 0, 0), 2.0, 4.0, left=0.1, right=0.1)
+def test_primitives_have_a_middle():
     with pytest.raises(InputError, match="4 primitives: the number must be odd"):
         Primitives(4, 1.0, 0.1)
     with pytest.raises(InputError, match="below pi"):

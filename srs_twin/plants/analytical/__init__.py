@@ -1,12 +1,14 @@
-r"""Steps: where an integrator's steps end within a stretch of time, and after which of them to look.
+r"""AnalyticalSnake: the dissertation's planar model, masses on constant-curvature segments.
 
-Step control of `complete` and `simplified`: short steps where the friction turns, long ones elsewhere.
+What moves is a `Body`: bends as given (`GivenBends`), a chain held at its head (`ClampedBends`), or bends
+that yield, as springs with dampers that the chambers pull (`YieldingBends`, model `compliant`).
 
-Where the slip of a connector changes its sign, its friction turns from one side to the other within a few
-times ε, mostly far less than a step. A step that takes such a turn at the wrong moment errs by an impulse.
-The three rates of momentum that a step knows anyhow, k₀ at its start (the last stage of the step before),
-k₁ and k₂, tell: as long as they change evenly, k₁ lies on the line between the other two. What it lies off,
-over the step, as a velocity,
+Steps end on valve events (`Steps`). Those of `complete` and `simplified` are short where the friction turns
+and long elsewhere. Where the slip of a connector changes its sign, its friction turns from one side to the
+other within a few times ε, mostly far less than a step. A step that takes such a turn at the wrong moment
+errs by an impulse. The three rates of momentum that a step knows anyhow, k₀ at its start (the last stage of
+the step before), k₁ and k₂, tell: as long as they change evenly, k₁ lies on the line between the other two.
+What it lies off, over the step, as a velocity,
 
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
@@ -15,20 +17,13 @@ is smooth. The moment of momentum counts by the radius of gyration of a straight
 tolerance is made anew in halves, each of which may be halved again; parts that fall well below it are doubled
 again. Bends between the stages, where the chambers have told them, are cubics through bends and rates.
 
-What moves an analytical snake: `Body`, and the models' whose bends are given.
-
-ClampedBends: a chain whose head is held fast; its bends are the free ones of Eq. 14, as on a bench.
-
+The bends of a clamped chain are the free ones of Eq. 14, as on a bench.
 Nothing but the clamp touches it, so that its motion is geometry. What its segments must exert follows from
 the head to the tail and back: accelerations of the connectors outwards,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
 
 with ψ the direction of chord j, and moments inwards: T_j is the force conjugate to the bend q_j.
-
-The `compliant` model's body: bends that yield, as springs with dampers that the chambers pull.
-
-AnalyticalSnake: the dissertation's planar model, masses on constant-curvature segments.
 """
 
 from __future__ import annotations
@@ -42,7 +37,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.arrays import implausible, joined
+from srs_twin.arrays import check_positive, implausible, joined
 from srs_twin.compiled import compiled
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.friction import AT_TRACK, LAWS
@@ -60,7 +55,7 @@ from srs_twin.plants.analytical.kernels import (
     step,
 )
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, chord_terms
-from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, believed
+from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, check_plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import RobotSpec
@@ -551,20 +546,17 @@ class AnalyticalSnake(Plant):
             InputError: an unknown model, law, inertia or layout, a tick, time step or tolerance that is not
                 above 0, or no friction torque with another model.
         """
-        for kind, given, known in (
-            ("model", model, MODELS), ("friction law", friction, LAWS), ("inertia", inertia, INERTIAS),
-            ("base", base, BASES),
-        ):  # fmt: skip
-            one_of(kind, given, known)
+        one_of("model", model, MODELS)
+        one_of("friction law", friction, LAWS)
+        one_of("inertia", inertia, INERTIAS)
+        one_of("base", base, BASES)
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
         if base == "clamped" and model == "compliant":
             raise InputError("model 'compliant' is for a free snake; on a bench 'complete' and the twin run")
-        for name, value, unit in (
-            ("tick", tick, "s"), ("time step", timestep, "s"), ("tolerance", tolerance, "m/s"),
-        ):  # fmt: skip
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} {value!r} {unit} is not allowed; it must be finite and above 0")
+        check_positive("tick", tick, "s")
+        check_positive("time step", timestep, "s")
+        check_positive("tolerance", tolerance, "m/s")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
         self._model, self._inertia, self._turning = model, inertia, friction_torque
         self.base = base
@@ -620,7 +612,7 @@ class AnalyticalSnake(Plant):
                 history=history,
             )
         self._ticks += ticks
-        return believed(self.name, history)
+        return check_plausible(self.name, history)
 
     def _drive(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
         """Advance chambers and body; return the steps made, and what was at the marks that were reached.
@@ -671,16 +663,12 @@ class AnalyticalSnake(Plant):
     def _make_body(self) -> Body:
         g = self.spec.geometry
         frozen = 1.0 if self._model == "simplified" else 0.0
-        solid = Solid(
-            self.spec.mass.array(), self._own_inertia(), g.segment_length, g.rigid_gap, frozen
-        )  # fmt: skip
+        lengths = g.segment_length, g.rigid_gap
+        solid = Solid(self.spec.mass.array(), self._own_inertia(), *lengths, frozen)
         if self.base == "clamped":
             return ClampedBends(solid, self._floor)
         if self._model != "compliant":
             return GivenBends(solid, self._floor, turning=self._turning, tolerance=self._tolerance)
-        # Its kernels take a second to load: not before they are asked for.
-        pass
-
         return YieldingBends(self.spec, solid, self._floor)
 
     @property

@@ -1,8 +1,7 @@
 r"""Compiled friction on the connectors of a moving body, with its slopes.
 
-A straight body that slides without turning: a point under the friction laws of the floor.
-
-Thrown across the floor, all its connectors move alike, so its mass cancels:
+A straight body that slides without turning (`slide`) is a point under the same laws: thrown across the floor,
+all its connectors move alike, so its mass cancels:
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 

@@ -1,23 +1,5 @@
 r"""Compiled kernels of the models whose bends are given (`complete`, `simplified`).
 
-Compiled: what the segments must exert for the bends to move as given, Newton and Euler's way.
-
-First from head to tail, how the connectors accelerate while the head does not and the mean heading turns at
-its rate; then what the whole body adds, a and α, from the balance of forces and of moments,
-
-$$ M a = \sum f_i - m_i a_i, \qquad
-   I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i); $$
-
-last, from tail to head, what each segment hands on. A massless segment j with its chord L e along the mean of
-its ends' headings gives what is behind it the force F_j and the moment N_j about its rear end, and does no
-work but
-
-$$ T_j\,\delta q_j, \qquad T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
-
-This is Eq. 11 solved for T at a cost that grows with the number of segments, not with its square.
-
-Compiled kernel of the analytical models whose bends are given, `complete` and `simplified`.
-
 Point masses m_i sit at the connectors; the bends q(t) are given by the actuators; the pose of the body is
 what moves. With ρ_i(q) the connectors about the centre of mass in the frame of the mean heading θ and
 φ_i(q) their headings in it,
@@ -30,9 +12,25 @@ of connector i's wheels. Using the moment of momentum L as the state needs no q�
 cost no accuracy. This is Eq. 11 contracted with eᵀ (segment torques cancel).
 The friction is stiff, so the three velocities are solved implicitly with the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977), Newton's method in each stage. Friction has a convex potential; its
-slope along a step tells whether the step was too long. How long steps are says `step_control`.
+slope along a step tells whether the step was too long. The step control of `analytical` says how long steps
+are.
 
-Compiled: what can be seen of an analytical snake at given moments.
+What the segments must exert for the bends to move as given (`inverse_dynamics`) is found Newton and Euler's
+way: first from head to tail, how the connectors accelerate while the head does not and the mean heading turns
+at its rate; then what the whole body adds, a and α, from the balance of forces and of moments,
+
+$$ M a = \sum f_i - m_i a_i, \qquad
+   I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i); $$
+
+last, from tail to head, what each segment hands on. A massless segment j with its chord L e along the mean of
+its ends' headings gives what is behind it the force F_j and the moment N_j about its rear end, and does no
+work but
+
+$$ T_j\,\delta q_j, \qquad T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
+
+This is Eq. 11 solved for T at a cost that grows with the number of segments, not with its square.
+
+`observe` tells what can be seen of such a snake at given moments.
 """
 
 from __future__ import annotations
