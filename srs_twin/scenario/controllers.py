@@ -41,7 +41,7 @@ _SLOPE = quantity("D, slope of the sliding manifold", 0.001, 1000.0)
 Bend = Annotated[float, Field(ge=-_RIGHT, le=_RIGHT)]
 
 
-class _ControllerFile(Section):
+class ControllerSection(Section):
     """What all controllers have in common; `constructors` begin with the controller's class.
 
     Attributes:
@@ -78,7 +78,7 @@ class _ControllerFile(Section):
         return iter(())
 
 
-class GaitFile(_ControllerFile):
+class GaitFile(ControllerSection):
     """Lateral undulation, open loop (Eq. 13)."""
 
     constructors = (Gait,)
@@ -90,7 +90,7 @@ class GaitFile(_ControllerFile):
     phase_step_rad: float | None = _PHASE_STEP
 
 
-class LearningFile(_ControllerFile):
+class LearningFile(ControllerSection):
     """Iterative learning control of a gait: the duty of each chamber, learnt once a period (Eq. 32)."""
 
     constructors = (ILC,)
@@ -129,11 +129,11 @@ class LearningFile(_ControllerFile):
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `_ControllerFile.check`: a period needs enough ticks to learn from."""
+        """See `ControllerSection.check`: a period needs enough ticks to learn from."""
         Cycles(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """See `_ControllerFile.warnings`."""
+        """See `ControllerSection.warnings`."""
         if self.target_rad and self.target_rad > limit:
             yield (
                 f"controller.target_rad: {self.target_rad:.4g} rad is more than the {limit:.4g} rad that the "
@@ -207,14 +207,14 @@ ReferenceFile = Annotated[
 ]
 
 
-class _TrackingFile(_ControllerFile):
+class _TrackingFile(ControllerSection):
     reference: ReferenceFile = section("The bend that every segment is to follow.")
     beyond_range: Literal["refuse", "saturate"] = section(
         "What becomes of a reference beyond what the segments bend by at the supply pressure.", "refuse"
     )
 
     def controller(self, scenario: Scenario) -> Controller:
-        """See `_ControllerFile.controller`."""
+        """See `ControllerSection.controller`."""
         wanted = self.within(largest_bend(scenario.robot, scenario.supply_pa))
         controller: Controller = self.constructors[0](**self.arguments() | {"reference": wanted})
         return controller
@@ -229,7 +229,7 @@ class _TrackingFile(_ControllerFile):
         return reference.within(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """See `_ControllerFile.warnings`."""
+        """See `ControllerSection.warnings`."""
         if wanted := getattr(self.within(limit), "wanted", None):
             yield (
                 f"controller.reference: asks for {wanted.peak:.4g} rad and is cut at {limit:.4g} rad, the "
@@ -259,11 +259,11 @@ class IterativeFile(_TrackingFile):
     carrier_hz: float = _CARRIER
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `_ControllerFile.check`: the carrier's periods must not be shorter than ticks."""
+        """See `ControllerSection.check`: the carrier's periods must not be shorter than ticks."""
         PulseWidth(self.carrier_hz, tick, spec.segments)
 
 
-class HoldFile(_ControllerFile):
+class HoldFile(ControllerSection):
     """Valves that stay as they are."""
 
     constructors = (HoldValves,)
@@ -273,21 +273,21 @@ class HoldFile(_ControllerFile):
     minus: Literal["fill", "hold", "vent"] = section("Valves of the - chambers.")
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:
-        """See `_ControllerFile.layouts`."""
+        """See `ControllerSection.layouts`."""
         return layouts_for([STATES[self.plus], STATES[self.minus]])
 
 
-class ReplayFile(_ControllerFile):
+class ReplayFile(ControllerSection):
     """Valves that were recorded, or chambers that hold recorded pressures; the scenario needs a recording."""
 
     kind: Literal["replay"] = section(_KIND)
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:
-        """See `_ControllerFile.layouts`."""
+        """See `ControllerSection.layouts`."""
         return layouts_for(commands(recording, self.kind).states) if recording else ()
 
     def controller(self, scenario: Scenario) -> Controller:
-        """See `_ControllerFile.controller`."""
+        """See `ControllerSection.controller`."""
         recording = scenario.recording
         assert recording is not None, "a replay without a recording was reported"
         return Replay(
@@ -312,7 +312,7 @@ FOLLOWERS = {"bearing": ("gain_per_rad", "node_m", "near_m"), "path": ("lookahea
 """Keys that belong to one follower only."""
 
 
-class FollowFile(_ControllerFile):
+class FollowFile(ControllerSection):
     """Following of a plan by the offset of a gait (Section 5.2.2); the scenario needs a planner."""
 
     constructors = (Conditions,)
@@ -361,7 +361,7 @@ class FollowFile(_ControllerFile):
         return self
 
     def controller(self, scenario: Scenario) -> Controller:
-        """See `_ControllerFile.controller`; the first time this plans.
+        """See `ControllerSection.controller`; the first time this plans.
 
         Raises:
             InputError: start or goal cannot be, or the extra `ompl` is missing.
@@ -393,15 +393,15 @@ class FollowFile(_ControllerFile):
         return longest / 3 if self.settle_m is None else self.settle_m
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:
-        """See `_ControllerFile.layouts`."""
+        """See `ControllerSection.layouts`."""
         return self.gait.layouts(recording)
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `_ControllerFile.check`."""
+        """See `ControllerSection.check`."""
         self.gait.check(spec, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """See `_ControllerFile.warnings`."""
+        """See `ControllerSection.warnings`."""
         return self.gait.warnings(limit)
 
 
