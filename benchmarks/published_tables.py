@@ -21,16 +21,10 @@ from pydantic import Field, RootModel
 from srs_twin.io.documents import Loc, load_yaml
 from srs_twin.io.files import find
 from srs_twin.io.validation import Strict, validate
-from srs_twin.robot.sourced import between
+from srs_twin.robot.sourced import between, split_unit
 
 TABLES = tuple(f"table{number}" for number in range(1, 11))
 """Their names."""
-
-# End of a key → unit; longer ends first.
-_UNITS = {
-    "_rad_per_m": "rad/m", "_rad_per_s": "rad/s", "_deg_per_s": "deg/s", "_m_s": "m/s", "_kg": "kg",
-    "_rad": "rad", "_m": "m",
-}  # fmt: skip
 
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
 Text = Annotated[str, Field(min_length=1, max_length=300)]
@@ -175,8 +169,7 @@ def _contradictions(table: Table) -> Iterator[tuple[Loc, str]]:
     """Yield path and message of what does not fit together."""
     if isinstance(table, ParameterTable):
         for key, entry in table.values.items():
-            unit = next((unit for end, unit in _UNITS.items() if key.endswith(end)), "1")
-            if entry.unit != unit:
+            if entry.unit != (unit := split_unit(key)[1]):
                 yield ("values", key, "unit"), f"must be {unit} as in the key, not {entry.unit}"
             for erratum in set(entry.errata) - set(table.errata):
                 yield ("values", key, "errata"), f"{erratum} is not among the table's errata"

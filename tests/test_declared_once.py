@@ -11,7 +11,8 @@ import pytest
 from pydantic import BaseModel
 
 import srs_twin.scenario
-from srs_twin.scenario.fields import UNITS, Section, split_unit
+from srs_twin.robot.sourced import UNITS, split_unit
+from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import ScenarioFile
 
 ROOM = Path(srs_twin.scenario.__file__).parent

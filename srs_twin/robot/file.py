@@ -1,17 +1,9 @@
-"""Robot files: every number with its unit, status and source; robots by name, path or override.
+"""Robot files: one snake, every number with its unit, status and source; robots by name, path or override.
 
-What a robot file says of its modules: numbers of each, and spreads from which the rest is drawn.
-
-A spread is a standard deviation. Each quantity is drawn from a stream of its own, so that one spread more
-does not change what the others give; numbers beyond three standard deviations are taken at three. What is
-drawn comes on top of what is listed: factors multiply, biases add.
-
-Robot files: one snake, every number with its unit, status and source; converted to a RobotSpec in SI.
-
-The unit stands in the key and again in the record, and the two are checked against each other, so that a
-number copied from a table with another unit is refused. The published robots are in calibration/robots.
-
-Robots by name, by path, or as a scenario changes them.
+The published robots are in calibration/robots. What a file says of the modules are numbers of each, and
+spreads from which the rest is drawn. A spread is a standard deviation. Each quantity is drawn from a stream
+of its own, so that one spread more does not change what the others give; numbers beyond three standard
+deviations are taken at three. What is drawn comes on top of what is listed: factors multiply, biases add.
 """
 
 from __future__ import annotations
@@ -28,7 +20,7 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import Document, Loc, load_yaml
 from srs_twin.io.files import find
 from srs_twin.io.validation import Strict, validate
-from srs_twin.robot.sourced import Record, between, restated
+from srs_twin.robot.sourced import Record, Records, between, number, restated
 from srs_twin.robot.spec import (
     WHEEL_SHARE,
     Actuator,
@@ -134,136 +126,103 @@ PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
 
 
-Seconds = Annotated[float, between(1e-6, 100.0)]
-Pressure = Annotated[float, between(0.1, 2000.0)]
-Stiffness = Record[Annotated[float, between(1e-4, 1e6)], Literal["N*m/rad"]]
-Length = Record[Annotated[float, between(1e-4, 1.0)], Literal["m"]]
-Kilograms = Annotated[float, between(1e-4, 100.0)]
-
-
 def _one_or_many(value: Any) -> str:
     return "each" if isinstance(value, list) else "all"
 
 
-Masses = Annotated[
-    Annotated[Kilograms, Tag("all")]
-    | Annotated[Annotated[list[Kilograms], Field(min_length=2, max_length=64)], Tag("each")],
-    Discriminator(_one_or_many),
-]
+def _one_or_each(value: Any) -> Any:
+    many = Annotated[list[value], Field(min_length=2, max_length=64)]
+    return Annotated[Annotated[value, Tag("all")] | Annotated[many, Tag("each")], Discriminator(_one_or_many)]
 
 
-class GeometryFile(Strict):
+# A record with a number, a whole one or a list; what it may be stands in its field.
+Number = Record[Any, str]
+
+
+class GeometryFile(Records):
     """Lengths of the body."""
 
-    connectors: Record[Annotated[int, between(2, 64)], Literal["1"]] = Field(
-        description="Number of connectors N (the text's links), 2 to 64; one more than segments."
+    connectors: Number = number(
+        "Number of connectors N (the text's links); one more than segments", 2, 64, int
     )
-    segment_length_m: Record[Annotated[float, between(1e-3, 1.0)], Literal["m"]] = Field(
-        description="Length of the part of a segment that bends, m, 0.001 to 1."
+    segment_length_m: Number = number("Length of the part of a segment that bends", 1e-3, 1.0)
+    rigid_gap_m: Number = number(
+        "Length of the part of a segment that stays straight, half of it at each end", 0.0, 1.0
     )
-    rigid_gap_m: Record[Annotated[float, between(0.0, 1.0)], Literal["m"]] = Field(
-        description="Length of the part of a segment that stays straight, half of it at each end, m, 0 to 1."
-    )
-    half_track_m: Length = Field(description="Distance of a wheel from the centre line, m, 0.0001 to 1.")
-    wheel_radius_m: Length = Field(description="Radius of a wheel, m, 0.0001 to 1.")
-    com_height_m: Length = Field(description="Height of the centre of mass over the floor, m, 0.0001 to 1.")
-    width_m: Length = Field(description="Width of the soft body, m, 0.0001 to 1; no effect on the motion.")
+    half_track_m: Number = number("Distance of a wheel from the centre line", 1e-4, 1.0)
+    wheel_radius_m: Number = number("Radius of a wheel", 1e-4, 1.0)
+    com_height_m: Number = number("Height of the centre of mass over the floor", 1e-4, 1.0)
+    width_m: Number = number("Width of the soft body; no effect on the motion", 1e-4, 1.0)
 
 
-class MassFile(Strict):
+class MassFile(Records):
     """Masses."""
 
-    connectors_kg: Record[Masses, Literal["kg"]] = Field(
-        description="Mass at a connector with its wheels and its share of the body, kg, 0.0001 to 100: "
-        "one number for all, or a list, head first."
+    connectors_kg: Number = number(
+        "Mass at a connector with its wheels and its share of the body; one for all, or a list, head first",
+        1e-4,
+        100.0,
+        shape=_one_or_each,
     )
-    wheel_kg: Record[Annotated[float, between(1e-6, 100.0)], Literal["kg"]] = Field(
-        description="Mass of one wheel, part of its connector's, kg, 0.000001 to 100."
-    )
+    wheel_kg: Number = number("Mass of one wheel, part of its connector's", 1e-6, 100.0)
 
 
-class FrictionFile(Strict):
+class FrictionFile(Records):
     """Coulomb coefficients of the wheels on the floor."""
 
-    mu_t: Record[Annotated[float, between(0.0, 10.0)], Literal["1"]] = Field(
-        description="Along the heading (drag of a rolling wheel), 0 to 10."
-    )
-    mu_n: Record[Annotated[float, between(0.0, 10.0)], Literal["1"]] = Field(
-        description="Across the heading (a wheel that slides sideways), 0 to 10."
-    )
+    mu_t: Number = number("Along the heading (drag of a rolling wheel)", 0.0, 10.0)
+    mu_n: Number = number("Across the heading (a wheel that slides sideways)", 0.0, 10.0)
 
 
-class BendingFile(Strict):
+class BendingFile(Records):
     """Compliance of one segment."""
 
-    stiffness_nm_per_rad: Stiffness = Field(description="Stiffness of bending, N*m/rad, 0.0001 to 1e6.")
-    damping_time_s: Record[Seconds, Literal["s"]] = Field(
-        description="Damping over stiffness, s, 1e-6 to 100; the actuator's tau_mode makes a free module "
-        "obey Eq. 14 exactly."
+    stiffness_nm_per_rad: Number = number("Stiffness of bending", 1e-4, 1e6)
+    damping_time_s: Number = number(
+        "Damping over stiffness; the actuator's tau_mode makes a free module obey Eq. 14 exactly", 1e-6, 100.0
     )
-    pitch_stiffness_nm_per_rad: Stiffness = Field(
-        description="Stiffness against bending out of the floor plane, N*m/rad, 0.0001 to 1e6."
-    )
-    roll_stiffness_nm_per_rad: Stiffness = Field(
-        description="Stiffness against twisting, N*m/rad, 0.0001 to 1e6."
-    )
-    out_of_plane_damping_time_s: Record[Seconds, Literal["s"]] = Field(
-        description="Damping over stiffness of pitch and roll, s, 1e-6 to 100."
-    )
+    pitch_stiffness_nm_per_rad: Number = number("Stiffness against bending out of the floor plane", 1e-4, 1e6)
+    roll_stiffness_nm_per_rad: Number = number("Stiffness against twisting", 1e-4, 1e6)
+    out_of_plane_damping_time_s: Number = number("Damping over stiffness of pitch and roll", 1e-6, 100.0)
 
 
-class ActuatorFile(Strict):
+class ActuatorFile(Records):
     """Pneumatic response of one module; its gain is bend_rad over at_pressure_kpa."""
 
-    tau_fill_s: Record[Seconds, Literal["s"]] = Field(description="tau_1 of filling, s, 1e-6 to 100.")
-    tau_vent_s: Record[Seconds, Literal["s"]] = Field(description="tau_1 of venting, s, 1e-6 to 100.")
-    tau_mode_s: Record[Seconds, Literal["s"]] = Field(
-        description="tau_2, the valve and the fast mechanical mode, s, 1e-6 to 100."
-    )
-    bend_rad: Record[Annotated[float, between(1e-3, 6.3)], Literal["rad"]] = Field(
-        description="Bend of a free module at rest under at_pressure_kpa, rad, 0.001 to 6.3."
-    )
-    at_pressure_kpa: Record[Pressure, Literal["kPa"]] = Field(
-        description="Pressure in one chamber that gives bend_rad, kPa, 0.1 to 2000."
-    )
-    bend_limit_rad: Record[Annotated[float, between(0.1, 6.3)], Literal["rad"]] | None = Field(
-        None,
-        description="Bend that no pressure exceeds, rad, 0.1 to 6.3; the law flattens towards it "
-        "(default: none, linear throughout).",
+    tau_fill_s: Number = number("tau_1 of filling", 1e-6, 100.0)
+    tau_vent_s: Number = number("tau_1 of venting", 1e-6, 100.0)
+    tau_mode_s: Number = number("tau_2, the valve and the fast mechanical mode", 1e-6, 100.0)
+    bend_rad: Number = number("Bend of a free module at rest under at_pressure_kpa", 1e-3, 6.3)
+    at_pressure_kpa: Number = number("Pressure in one chamber that gives bend_rad", 0.1, 2000.0)
+    bend_limit_rad: Number | None = number(
+        "Bend that no pressure exceeds; the law flattens towards it (default: none, linear throughout)",
+        0.1,
+        6.3,
+        optional=True,
     )
 
 
-class ChamberFile(Strict):
+class ChamberFile(Records):
     """Air space of one chamber."""
 
-    dead_volume_ml: Record[Annotated[float, between(0.1, 10_000.0)], Literal["ml"]] = Field(
-        description="Volume of a straight segment's chamber with its tube, ml, 0.1 to 10000."
-    )
-    air_volume_ml: Record[Annotated[float, between(0.1, 10_000.0)], Literal["ml"]] = Field(
-        description="Volume by which a chamber grows up to a bend of 90 degrees, ml, 0.1 to 10000."
-    )
+    dead_volume_ml: Number = number("Volume of a straight segment's chamber with its tube", 0.1, 10_000.0)
+    air_volume_ml: Number = number("Volume by which a chamber grows to a bend of 90 degrees", 0.1, 10_000.0)
 
 
-class SupplyFile(Strict):
+class SupplyFile(Records):
     """Gauge pressures."""
 
-    nominal_kpa: Record[Pressure, Literal["kPa"]] = Field(
-        description="What a scenario gets that names no pressure, kPa, 0.1 to 2000."
-    )
-    continuous_limit_kpa: Record[Pressure, Literal["kPa"]] = Field(
-        description="Most that a chamber may hold, kPa, 0.1 to 2000."
-    )
-    pulsed_limit_kpa: Record[Pressure, Literal["kPa"]] = Field(
-        description="Most that may be supplied while chambers alternate (a gait, PWM), kPa, 0.1 to 2000."
+    nominal_kpa: Number = number("What a scenario gets that names no pressure", 0.1, 2000.0)
+    continuous_limit_kpa: Number = number("Most that a chamber may hold", 0.1, 2000.0)
+    pulsed_limit_kpa: Number = number(
+        "Most that may be supplied while chambers alternate (a gait, PWM)", 0.1, 2000.0
     )
 
 
-class GaitFile(Strict):
+class GaitFile(Records):
     """What the robot's gaits have in common."""
 
-    phase_step_rad: Record[Annotated[float, between(-6.3, 6.3)], Literal["rad"]] = Field(
-        description="Lag of a segment's gait behind the one before it, rad, -6.3 to 6.3 (E18)."
-    )
+    phase_step_rad: Number = number("Lag of a segment's gait behind the one before it (E18)", -6.3, 6.3)
 
 
 class RobotFile(Strict):
@@ -298,47 +257,24 @@ class RobotFile(Strict):
         Args:
             seed: of what its modules leave to chance, where they name none themselves.
         """
-        geometry, bending, actuator, supply = self.geometry, self.bending, self.actuator, self.supply
+        actuator, chamber = self.actuator.in_si(), self.chamber
+        gain = actuator.pop("bend") / actuator.pop("at_pressure")
+        segments = self.geometry.connectors.value - 1
         return RobotSpec(
             name=self.name,
             title=self.title,
-            geometry=Geometry(
-                connectors=geometry.connectors.value,
-                segment_length=geometry.segment_length_m.value,
-                rigid_gap=geometry.rigid_gap_m.value,
-                half_track=geometry.half_track_m.value,
-                wheel_radius=geometry.wheel_radius_m.value,
-                com_height=geometry.com_height_m.value,
-                width=geometry.width_m.value,
-            ),
+            geometry=Geometry(**self.geometry.in_si()),
             mass=Mass(connectors=tuple(self.masses()), wheel=self.mass.wheel_kg.value),
-            friction=Friction(mu_t=self.friction.mu_t.value, mu_n=self.friction.mu_n.value),
-            bending=Bending(
-                stiffness=bending.stiffness_nm_per_rad.value,
-                damping_time=bending.damping_time_s.value,
-                pitch_stiffness=bending.pitch_stiffness_nm_per_rad.value,
-                roll_stiffness=bending.roll_stiffness_nm_per_rad.value,
-                out_of_plane_damping_time=bending.out_of_plane_damping_time_s.value,
-            ),
-            actuator=Actuator(
-                tau_fill=actuator.tau_fill_s.value,
-                tau_vent=actuator.tau_vent_s.value,
-                tau_mode=actuator.tau_mode_s.value,
-                gain=actuator.bend_rad.value / (actuator.at_pressure_kpa.value * PA_PER_KPA),
-                bend_limit=actuator.bend_limit_rad.value if actuator.bend_limit_rad else math.inf,
-            ),
+            friction=Friction(**self.friction.in_si()),
+            bending=Bending(**self.bending.in_si()),
+            actuator=Actuator(**{"bend_limit": math.inf} | actuator, gain=gain),
             chamber=Chamber(
-                dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
-                displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
+                dead_volume=chamber.dead_volume_ml.value * M3_PER_ML,
+                displacement=chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
             ),
-            supply=Supply(
-                nominal=supply.nominal_kpa.value * PA_PER_KPA,
-                continuous_limit=supply.continuous_limit_kpa.value * PA_PER_KPA,
-                pulsed_limit=supply.pulsed_limit_kpa.value * PA_PER_KPA,
-                limit_source=supply.pulsed_limit_kpa.source,
-            ),
+            supply=Supply(**self.supply.in_si(), limit_source=self.supply.pulsed_limit_kpa.source),
             phase_step=self.gait.phase_step_rad.value,
-            variation=self.modules.draw(geometry.connectors.value - 1, seed) if self.modules else None,
+            variation=self.modules.draw(segments, seed) if self.modules else None,
         )
 
     def masses(self) -> list[float]:

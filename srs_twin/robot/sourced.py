@@ -1,13 +1,64 @@
-"""Record: one number of a file with its unit, its status and where it comes from."""
+"""Numbers of files: the unit that a key names, and records with status and source.
+
+The unit of a number stands in its key and nowhere else: ``segment_length_m``, ``stiffness_nm_per_rad``. A
+`Record` repeats it beside the number, and the two are checked against each other, so that a number copied
+from a table with another unit is refused.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Generic, Literal, TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Field
 
 from srs_twin.io.validation import Strict
+
+UNITS = {
+    "_nm_per_rad": "N*m/rad",
+    "_rad_per_m": "rad/m",
+    "_rad_per_s": "rad/s",
+    "_deg_per_s": "deg/s",
+    "_s_per_rad": "s/rad",
+    "_l_per_min": "L/min",
+    "_per_rad": "1/rad",
+    "_per_s": "1/s",
+    "_m_s": "m/s",
+    "_kpa": "kPa",
+    "_rad": "rad",
+    "_hz": "Hz",
+    "_kg": "kg",
+    "_mm": "mm",
+    "_ml": "ml",
+    "_uv": "µV",
+    "_m": "m",
+    "_s": "s",
+    "_v": "V",
+}
+"""How a key ends → the unit of its number; longer ends first."""
+
+# One of the unit in SI, as a numerator and a denominator: 3.1 mm divided by 1000 are the double 0.0031.
+_IN_SI = {"kPa": (1000, 1), "mm": (1, 1000), "ml": (1, 1e6), "µV": (1, 1e6), "L/min": (1, 60_000)}
+
+
+def split_unit(key: str) -> tuple[str, str]:
+    """Return a key without its unit, and the unit; "1" where it names none."""
+    ending = next((each for each in UNITS if key.endswith(each)), "")
+    return key.removesuffix(ending), UNITS.get(ending, "1")
+
+
+def in_si(key: str, value: Any) -> Any:
+    """Return a value of a key in SI."""
+    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
+    return value if value is None or up == down else value * up / down
+
+
+def in_unit(key: str, value: Any) -> Any:
+    """Return a value in SI in the unit that a key names."""
+    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
+    return value if value is None or up == down else round(value * down / up, 6)
+
 
 Status = Literal["measured", "calibrated", "estimated"]
 Value = TypeVar("Value")
@@ -34,6 +85,60 @@ class Record(Strict, Generic[Value, Unit]):
 def between(low: float, high: float) -> Any:
     """Return the bounds of a number."""
     return Field(ge=low, le=high)
+
+
+@dataclass(frozen=True)
+class _Number:
+    """What a section says of a record, before its key is known."""
+
+    text: str
+    bounds: tuple[float, float]
+    kind: type
+    shape: Callable[[Any], Any]
+    optional: bool
+
+
+def number(
+    text: str,
+    low: float,
+    high: float,
+    kind: type = float,
+    shape: Callable[[Any], Any] = lambda value: value,
+    optional: bool = False,
+) -> Any:
+    """Return the field of a `Record` in a `Records` section; unit and range go into its description.
+
+    Args:
+        text: what it is; what follows a semicolon stands behind unit and range.
+        low: the lowest allowed.
+        high: the highest allowed.
+        kind: of number, float or int.
+        shape: returns what a record may hold, given what a number may be; default one number.
+        optional: whether the file may leave it out.
+    """
+    return _Number(text, (low, high), kind, shape, optional)
+
+
+class Records(Strict):
+    """A section of a file whose numbers are records."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for key, given in list(vars(cls).items()):
+            if isinstance(given, _Number):
+                (low, high), unit = given.bounds, split_unit(key)[1]
+                text, semicolon, more = given.text.partition(";")
+                named = "" if unit == "1" else f", {unit}"
+                words = f"{text}{named}, {low:.10g} to {high:.10g}{semicolon}{more}."
+                value: Any = Annotated[given.kind, between(low, high)]
+                record: Any = Record[given.shape(value), Literal[unit]]  # type: ignore[misc]
+                cls.__annotations__[key] = record | None if given.optional else record
+                setattr(cls, key, Field(None if given.optional else ..., description=words))
+
+    def in_si(self) -> dict[str, Any]:
+        """Return the numbers by key without its unit, in SI."""
+        given = {key: getattr(self, key) for key in type(self).model_fields}
+        return {split_unit(key)[0]: in_si(key, each.value) for key, each in given.items() if each is not None}
 
 
 def restated(before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str) -> dict[str, Any]:

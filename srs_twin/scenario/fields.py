@@ -15,34 +15,7 @@ from typing import Any, ClassVar, Self
 from pydantic import Field
 
 from srs_twin.io.validation import Strict
-
-UNITS = {
-    "_rad_per_s": "rad/s",
-    "_s_per_rad": "s/rad",
-    "_l_per_min": "L/min",
-    "_per_rad": "1/rad",
-    "_per_s": "1/s",
-    "_m_s": "m/s",
-    "_kpa": "kPa",
-    "_rad": "rad",
-    "_hz": "Hz",
-    "_mm": "mm",
-    "_ml": "ml",
-    "_uv": "µV",
-    "_m": "m",
-    "_s": "s",
-    "_v": "V",
-}
-"""How a key ends → the unit of its number."""
-
-# One of the unit in SI, as a numerator and a denominator: 3.1 mm divided by 1000 are the double 0.0031.
-_IN_SI = {"kPa": (1000, 1), "mm": (1, 1000), "ml": (1, 1e6), "µV": (1, 1e6), "L/min": (1, 60_000)}
-
-
-def split_unit(key: str) -> tuple[str, str]:
-    """Return a key without its unit, and the unit; "1" where it names none."""
-    ending = next((each for each in UNITS if key.endswith(each)), "")
-    return key.removesuffix(ending), UNITS.get(ending, "1")
+from srs_twin.robot.sourced import in_si, in_unit, split_unit
 
 
 @dataclass(frozen=True)
@@ -60,7 +33,7 @@ class _Key:
         if self.bounds is None:
             return Field(default, title=self.text.partition(";")[0].rstrip("."), description=self.text)
         (low, high), unit = self.bounds, self.unit or split_unit(key)[1]
-        title = self.text.format(default=None if own is ... else _in_unit(key, own))
+        title = self.text.format(default=None if own is ... else in_unit(key, own))
         text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
         return Field(
             default, title=title, description=text, ge=low, le=high, json_schema_extra={"unit": unit}
@@ -116,7 +89,7 @@ class Section(Strict):
         for key in type(self).model_fields:
             parameter, value = self.parameter(key), getattr(self, key)
             if parameter and not (value is None and parameter.default is not parameter.empty):
-                found[parameter.name] = _in_si(key, value)
+                found[parameter.name] = in_si(key, value)
         return found
 
     def build(self) -> Any:
@@ -126,14 +99,4 @@ class Section(Strict):
     def with_defaults(self, *keys: str) -> Self:
         """Return the section with the constructor's defaults for these keys where it says nothing."""
         missing = {key: self.parameter(key) for key in keys if getattr(self, key) is None}
-        return self.model_copy(update={k: _in_unit(k, each.default) for k, each in missing.items() if each})
-
-
-def _in_si(key: str, value: Any) -> Any:
-    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
-    return value if value is None or up == down else value * up / down
-
-
-def _in_unit(key: str, value: Any) -> Any:
-    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
-    return value if value is None or up == down else round(value * down / up, 6)
+        return self.model_copy(update={k: in_unit(k, each.default) for k, each in missing.items() if each})
