@@ -13,7 +13,6 @@ from xml.etree.ElementTree import Element, SubElement
 from srs_twin.cli.batch import Case
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
-from srs_twin.scenario.expectation import verdict
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
 # What XML 1.0 has no way to write: control characters, and the halves of a file name that is not UTF-8.
@@ -65,6 +64,8 @@ def write_tree(path: Path, root: Element) -> None:
 
 
 def _suite(case: Case, fails: Set[str]) -> Element:
+    from srs_twin.scenario.expectation import verdict
+
     suite = Element("testsuite", name=writable(case.name))
     wall_s = case.ended.wall_s if case.ended else 0.0
     run = _test(suite, case, "runs", wall_s)
