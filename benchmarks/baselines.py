@@ -13,11 +13,10 @@ from statistics import mean
 import numpy as np
 from grid import table
 
-from srs_twin.envs import TASKS
+from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.baseline import Balance, Pilot, Score, play_episode
 from srs_twin.envs.crawling import CrawlTask
 from srs_twin.envs.module import ModuleTask
-from srs_twin.envs.tasks import make_task
 
 
 def scored(name: str, seed: int) -> Score:

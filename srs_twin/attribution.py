@@ -1,20 +1,13 @@
 r"""Why twin and analytical model differ: assumptions switched one at a time, and each one's share.
 
-Shapley's value: what each of several switches contributes when their effects depend on each other.
-
-With v(S) what is seen when the switches S are on, switch i contributes on average over all n! orders
+On the analytical side a switch turns an assumption of the model into what the twin has; any subset of them is
+a model. With v(S) the gap to the twin when the switches S are on, switch i contributes on average over all n!
+orders of switching (Shapley's value)
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr], $$
 
-and the contributions add up to v(all) − v(none).
-
-The assumptions that may differ between the plants, and how each is switched.
-
-On the analytical side a switch turns an assumption of the model into what the twin has; any subset of them is
-a model. What the twin alone has is refined: by how much it is made smaller and how its effect then shrinks
-give what it contributes in all.
-
-explain(): run the ladder of assumptions and split the gap between twin and analytical model.
+and the contributions add up to v(all) − v(none). What the twin alone has is refined: by how much it is made
+smaller and how its effect then shrinks give what it contributes in all.
 """
 
 from __future__ import annotations
@@ -24,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,17 +78,18 @@ STIFF = 45.0
 Change = Callable[[RobotSpec], RobotSpec]
 
 
-@dataclass(frozen=True)
-class Switch:
+class Switch(NamedTuple):
     """An assumption of the analytical model that the twin does not make.
 
     Attributes:
         name: short name.
         title: what it is, from → to.
+        differs: whether the twin of this scenario has it otherwise.
     """
 
     name: str
     title: str
+    differs: bool = True
 
 
 @dataclass(frozen=True)
@@ -105,18 +99,18 @@ class Refinement:
     Attributes:
         name: short name.
         title: what it is, and how it was made smaller.
-        plant: "twin" or "analytical".
         options: changed arguments of the plant.
         factor: all of its effect over the part that the refinement took away.
+        plant: "twin" or "analytical".
         base: changed arguments of the plant that it is compared with.
         change: of the robot.
     """
 
     name: str
     title: str
-    plant: str
     options: dict[str, Any]
     factor: float
+    plant: str = "twin"
     base: dict[str, Any] = field(default_factory=dict)
     change: Change = lambda spec: spec
 
@@ -136,39 +130,27 @@ class Ladder:
         self._model = scenario.file.plants.analytical or AnalyticalFile()
         self._twin = scenario.file.plants.twin or TwinFile()
         every = self._all_switches()
-        differing = [switch for switch, differs in every if differs]
-        self.first = [switch for switch in differing if switch.name == FROZEN]
-        self.switches = [switch for switch in differing if switch.name != FROZEN]
-        self.same = [switch.name for switch, differs in every if not differs]
+        self.first = [each for each in every if each.differs and each.name == FROZEN]
+        self.switches = [each for each in every if each.differs and each.name != FROZEN]
+        self.same = [each.name for each in every if not each.differs]
         self.refinements = self._refinements()
 
-    def _all_switches(self) -> list[tuple[Switch, bool]]:
+    def _all_switches(self) -> list[Switch]:
         model, twin, spec = self._model, self._twin, self._scenario.robot
-        law, bending = LAW_OF[twin.wheels], spec.bending
-        compliant = model.model == "compliant"
-        off_tau = bending.damping_time != spec.actuator.tau_mode
+        law, lag = LAW_OF[twin.wheels], spec.bending.damping_time
+        point = model.friction not in LAW_OF.values()
+        springs = model.model != "compliant"
+        damped = springs and lag != spec.actuator.tau_mode
+        inertia = f"inertia of a connector about itself: {model.inertia} → compact"
+        frozen = "chords frozen, and friction torque where it is left out → arcs"
         return [
-            (Switch("friction law", f"friction law: {model.friction} → {law}"), model.friction != law),
-            (
-                Switch("wheel track", "contacts: one point a connector → two at the track"),
-                model.friction not in LAW_OF.values(),
-            ),
-            (Switch("rigid gaps", f"rigid gaps: {model.gaps} → {twin.gaps}"), model.gaps != twin.gaps),
-            (
-                Switch(FROZEN, "chords frozen, and friction torque where it is left out → arcs"),
-                model.model == "simplified",
-            ),
-            (Switch("compliance", "bends: as given → springs that load and inertia deflect"), not compliant),
-            (
-                Switch("damping", f"damping c/k: τ₂ → {1e3 * bending.damping_time:g} ms"),
-                off_tau and not compliant,
-            ),
-            (
-                Switch(
-                    "connector inertia", f"inertia of a connector about itself: {model.inertia} → compact"
-                ),
-                model.inertia != "connector",
-            ),
+            Switch("friction law", f"friction law: {model.friction} → {law}", model.friction != law),
+            Switch("wheel track", "contacts: one point a connector → two at the track", point),
+            Switch("rigid gaps", f"rigid gaps: {model.gaps} → {twin.gaps}", model.gaps != twin.gaps),
+            Switch(FROZEN, frozen, model.model == "simplified"),
+            Switch("compliance", "bends: as given → springs that load and inertia deflect", springs),
+            Switch("damping", f"damping c/k: τ₂ → {1e3 * lag:g} ms", damped),
+            Switch("connector inertia", inertia, model.inertia != "connector"),
         ]
 
     def _refinements(self) -> list[Refinement]:
@@ -181,27 +163,22 @@ class Ladder:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
         arcs = {"constant_curvature": True}
         model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
-        spin = Refinement(
-            "wheel inertia", "wheels' inertia about their axles", "twin", {"wheel_spin": 0.25}, 4 / 3
-        )
+        finer = arcs | {"hinges_per_segment": 2 * hinges}
+        lighter = {"link_share": numerics.link_share / 2}
+        spin = Refinement("wheel inertia", "wheels' inertia about their axles", {"wheel_spin": 0.25}, 4 / 3)
+        rigid = Refinement("out-of-plane motion", "segments that pitch and roll", {}, 4 / 3)
+        hinged = f"{hinges} hinges a segment for an arc"
+        model_step = "the model's time step and slip speed"
         return [
-            Refinement("curvature not constant", "segments under load bend to an S", "twin", arcs, 1.0),
-            Refinement(
-                "bending discretisation", f"{hinges} hinges a segment for an arc", "twin",
-                arcs | {"hinges_per_segment": 2 * hinges}, 4 / 3, arcs,
-            ),
+            Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
+            Refinement("bending discretisation", hinged, finer, 4 / 3, base=arcs),
             *([spin] if self._twin.wheels == "rolling" else []),
-            Refinement("contact softness", "contacts that slip before they hold", "twin", softness, 2.0),
-            Refinement(
-                "out-of-plane motion", "segments that pitch and roll", "twin", {}, 4 / 3,
-                change=_stiffer_out_of_plane,
-            ),
-            Refinement(
-                "link mass", "mass between the hinges", "twin", {"link_share": numerics.link_share / 2}, 2.0
-            ),
-            Refinement("twin time step", f"its {1e3 * step:g} ms", "twin", {"timestep": step / 2}, 2.0),
-            Refinement("model time step", "the model's time step and slip speed", "analytical", model, 4 / 3),
-        ]  # fmt: skip
+            Refinement("contact softness", "contacts that slip before they hold", softness, 2.0),
+            replace(rigid, change=_stiffer_out_of_plane),
+            Refinement("link mass", "mass between the hinges", lighter, 2.0),
+            Refinement("twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 2.0),
+            Refinement("model time step", model_step, model, 4 / 3, plant="analytical"),
+        ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
         """Return the analytical model with these switches on.
@@ -347,13 +324,8 @@ def _run_all(
     scenario: Scenario, plants: Mapping[str, Callable[[], Plant]], progress: Progress | None
 ) -> dict[str, Trajectory]:
     """Roll every plant out under the scenario's gait, on all processors."""
-    jobs = [
-        Job(
-            build, scenario.build_controller, scenario.duration, scenario.pose, scenario.seed,
-            scenario.record_hz,
-        )
-        for build in plants.values()
-    ]  # fmt: skip
+    timing = scenario.duration, scenario.pose, scenario.seed, scenario.record_hz
+    jobs = [Job(build, scenario.build_controller, *timing) for build in plants.values()]
     told = None if progress is None else lambda done: progress(done / len(jobs))
     found: dict[str, Trajectory] = {}
     for name, run in zip(plants, run_many(jobs, progress=told), strict=True):

@@ -65,10 +65,8 @@ class Field:
 
 
 OPEN = Field(Bounds((-2.5, 2.5), (-2.5, 2.5)), (-math.pi, math.pi), (0.6, 1.5), (-math.pi / 2, math.pi / 2))
-CIRCLES = Field(
-    Bounds((-0.6, 2.6), (-1.2, 1.2)), (-0.3, 0.3), (2.0, 2.2), (-0.2, 0.2), 4,
-    Bounds((0.4, 1.6), (-0.6, 0.6)),
-)  # fmt: skip
+_ROOM, _STREWN = Bounds((-0.6, 2.6), (-1.2, 1.2)), Bounds((0.4, 1.6), (-0.6, 0.6))
+CIRCLES = Field(_ROOM, (-0.3, 0.3), (2.0, 2.2), (-0.2, 0.2), obstacles=4, strewn=_STREWN)
 
 
 class CrawlTask(Task):
@@ -133,12 +131,8 @@ class CrawlTask(Task):
             float(rng.uniform(*limits))
             for limits in (self.place.headings, self.place.distances, self.place.bearings)
         )
-        goal = Goal(
-            distance * math.cos(heading + bearing),
-            distance * math.sin(heading + bearing),
-            None,
-            GOAL_RADIUS_M,
-        )
+        way = heading + bearing
+        goal = Goal(distance * math.cos(way), distance * math.sin(way), None, GOAL_RADIUS_M)
         seed = int(rng.integers(2**32))
         world = World(self._obstacles(goal, seed), self.place.room, goal)
         twin = self._same(spec, world, last) or TwinSnake(
@@ -202,12 +196,10 @@ class CrawlEpisode(Episode):
 
         angle, command = self._gait.gait.angle(time), self._gait.command
         circles = [(*ahead_and_left(each.x, each.y), each.radius) for each in self.world.obstacles]
-        return [
-            seen.x, seen.y, c, s, *ahead_and_left(self._goal.x, self._goal.y),
-            math.cos(angle), math.sin(angle), *self._readings.value,
-            command.offset, command.frequency, command.pressure / _PA_PER_KPA,
-            *(number for circle in circles for number in circle),
-        ]  # fmt: skip
+        pose = [seen.x, seen.y, c, s, *ahead_and_left(self._goal.x, self._goal.y)]
+        wave = [math.cos(angle), math.sin(angle), *self._readings.value]
+        given = [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
+        return [*pose, *wave, *given, *(number for circle in circles for number in circle)]
 
     def _judge(self) -> float:
         state, room = self.state, self.world.bounds

@@ -9,8 +9,8 @@ import numpy as np
 from dm_control.rl import control
 from dm_env import specs
 
-from srs_twin.envs.task import Episode, Outcome, Signal, Task, high, low
-from srs_twin.envs.tasks import make_task
+from srs_twin.envs import make_task
+from srs_twin.envs.task import Episode, Signal, StepResult, Task, high, low
 from srs_twin.plants.physics import dm as dm_mujoco
 
 
@@ -23,7 +23,7 @@ class EpisodePhysics(control.Physics):
     """
 
     episode: Episode | None = None
-    told: Outcome
+    told: StepResult
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
         """Prepare for episodes that are drawn from `rng`."""

@@ -1,14 +1,8 @@
-"""gymnasium's faces of a task: one environment, and many stepped together over threads.
+"""Environments of gymnasium: one task, or many of one kind stepped together over threads.
 
-Pictures of an episode: the twin, its obstacles and its goal, drawn without a screen.
-
-SnakeEnv: gymnasium's face of a task.
-
-SnakeVectorEnv: many environments of one task, stepped together over threads.
-
-Each is a `SnakeEnv` of its own and gives what it gives alone, bit for bit. Threads share out whole
-environments, as `TwinBatch` does and for its reasons: nearly all the time of a step is one engine call, which
-frees the interpreter's lock, and chambers, commands and observations are computed beside it.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives what it gives alone, bit for bit. Threads
+take whole environments, as in `TwinBatch`: nearly all the time of a step is one engine call, which releases
+the interpreter's lock. Pictures show the twin, its obstacles and its goal, drawn without a screen.
 """
 
 from __future__ import annotations
@@ -23,8 +17,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from srs_twin.envs import make_task
 from srs_twin.envs.task import Episode, Signals, high, low
-from srs_twin.envs.tasks import make_task
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.parallel import Workers
 
@@ -187,7 +181,7 @@ def space_of(signals: Signals) -> spaces.Box:
     return spaces.Box(low(signals), high(signals), dtype=np.float32)
 
 
-Told = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
+StepTuple = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
 class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -274,13 +268,12 @@ class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"actions of shape {given.shape} are not allowed; give finite numbers of shape {wanted}, "
                 f"an action for each of {self.num_envs} environments"
             )
-        told = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
-        terminated, truncated = (np.array([each[i] for each in told]) for i in (2, 3))
+        stepped = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
+        terminated, truncated = (np.array([each[i] for each in stepped]) for i in (2, 3))
         self._over = terminated | truncated
-        return (
-            np.stack([each[0] for each in told]), np.array([each[1] for each in told]), terminated, truncated,
-            self._joined(each[4] for each in told),
-        )  # fmt: skip
+        observations = np.stack([each[0] for each in stepped])
+        rewards = np.array([each[1] for each in stepped])
+        return observations, rewards, terminated, truncated, self._joined(each[4] for each in stepped)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture of each environment; None without a render mode."""
@@ -292,7 +285,7 @@ class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         for env in self.envs:
             env.close()
 
-    def _stepped(self, k: int, action: np.ndarray) -> Told:
+    def _stepped(self, k: int, action: np.ndarray) -> StepTuple:
         if self._over[k]:
             observation, info = self.envs[k].reset()
             return observation, 0.0, False, False, info

@@ -75,16 +75,13 @@ class ModuleTask(Task):
         if spec.segments != 1:
             raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")
         self.reach = REACH_SHARE * largest_bend(spec, spec.supply.nominal)
-        duties = (
-            Signal(
-                "duty_plus", "1", 0.0, 1.0, f"share of time in which the + chamber fills, {CARRIER_HZ:g} Hz"
-            ),
-            Signal(
-                "duty_minus", "1", 0.0, 1.0, "the same of the − chamber; + bends to the left, − to the right"
-            ),
+        fills = f"share of time in which the + chamber fills, {CARRIER_HZ:g} Hz"
+        same = "the same of the − chamber; + bends to the left, − to the right"
+        self.actions = (
+            Signal("duty_plus", "1", 0.0, 1.0, fills),
+            Signal("duty_minus", "1", 0.0, 1.0, same),
         )
         largest = LARGEST_READING
-        self.actions = duties
         self.observations = (
             Signal("bend_rad", "rad", -largest, largest, "bend, as sensed"),
             Signal("bend_before_rad", "rad", -largest, largest, "the same a step ago"),

@@ -1,17 +1,13 @@
-"""Task: what an agent is to do, told once for gymnasium and dm_env; how the robots of its episodes differ.
-
-Signal: one number that an agent gives or gets, with its name, unit and bounds.
+"""Tasks for agents, the same for gymnasium and dm_env; how the robots of their episodes vary.
 
 An agent gives an action and gets an observation every `step_s`. Observations hold what sensors and a camera
-tell, noise included; reward and `info` may know more. An episode ends where there is nothing more to win
-(`terminated`) or at the time limit (`truncated`), which is not the task's doing.
+measure, noise included; reward and `info` may know more. An episode ends where there is nothing more to win
+(`terminated`) or at the time limit (`truncated`), which is not part of the task.
 
-Variation: how the robots of episodes differ, as far as measurements leave it open.
-
-Three sources, each of which may be absent: what a robot file leaves to chance (the spreads of `modules`), the
-confidence intervals of a fit file, and ranges of one's own. From a fit the parameters are drawn together, as
-normal numbers with its standard errors and correlations, and held within their intervals: what the data
-could only tell of a sum stays a matter of the sum.
+Robots vary by three sources, each of which may be absent: the spreads of `modules` in a robot file, the
+confidence intervals of a fit file, and given ranges. From a fit the parameters are drawn together, as normal
+numbers with its standard errors and correlations, and clipped to their intervals: where the data determine
+only a sum, draws keep that sum.
 """
 
 from __future__ import annotations
@@ -96,12 +92,12 @@ DIVERGED = "diverged"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StepResult:
     """What an agent is told after a step.
 
     Attributes:
         observation: float32, within the bounds of the task's observations.
-        reward: of this step; 0 for the first outcome of an episode.
+        reward: of this step; 0 for the first of an episode.
         terminated: whether the episode has come to its own end.
         truncated: whether the time is up.
         info: more than sensors tell, for people; units in the keys.
@@ -177,9 +173,9 @@ class Episode(ABC):
         self._task = task
         self._bounds = low(task.observations), high(task.observations)
         self._steps, self._most = 0, whole_steps("limit_s", task.limit_s, "step", task.step_s)
-        self.first = Outcome(self._told(), 0.0, False, False, self._info())
+        self.first = StepResult(self._told(), 0.0, False, False, self._info())
 
-    def step(self, action: object) -> Outcome:
+    def step(self, action: object) -> StepResult:
         """Let an action hold for a step; one beyond its bounds is brought to them.
 
         Args:
@@ -197,13 +193,13 @@ class Episode(ABC):
         except DivergedError as error:
             # The state is still that of the step before, which sensors and camera have seen already.
             self.ending = DIVERGED
-            return Outcome(self._seen.copy(), 0.0, True, False, self._info() | {"error": str(error)})
+            return StepResult(self._seen.copy(), 0.0, True, False, self._info() | {"error": str(error)})
         reward = self._judge()
         terminated = bool(self.ending)
         truncated = not terminated and self._steps >= self._most
         if truncated:
             self.ending = TIME_UP
-        return Outcome(self._told(), reward, terminated, truncated, self._info())
+        return StepResult(self._told(), reward, terminated, truncated, self._info())
 
     def _told(self) -> np.ndarray:
         """Return the observation: float32, within its bounds."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from srs_twin.envs import make_task
 from srs_twin.envs.baseline import Balance, Pilot, play_episode
-from srs_twin.envs.tasks import make_task
 
 
 @pytest.mark.parametrize(("task", "seed"), [("GoTo", 1), ("Obstacles", 0)])

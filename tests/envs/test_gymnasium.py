@@ -15,10 +15,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from srs_twin import Gait, InputError, TwinSnake, rollout
 from srs_twin.control.camera import Camera
-from srs_twin.envs import TASKS
+from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.crawling import OPEN, CrawlTask, Field
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
-from srs_twin.envs.tasks import make_task
 from srs_twin.errors import DivergedError
 from srs_twin.plants.base import SnakeState
 from srs_twin.world import Bounds

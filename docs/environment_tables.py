@@ -1,6 +1,6 @@
 """Tables of actions and observations for docs/environments.md, from the tasks themselves.
 
-    uv run python -m srs_twin.envs.tables docs/environments.md
+    uv run python docs/environment_tables.py docs/environments.md
 
 writes them between their marks; a test holds that they are current.
 """
@@ -10,9 +10,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from srs_twin.envs import TASKS
+from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.task import Signals
-from srs_twin.envs.tasks import make_task
 from srs_twin.io.files import atomic_write
 
 BEGIN, END = "<!-- signals: begin -->", "<!-- signals: end -->"
