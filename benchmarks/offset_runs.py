@@ -22,7 +22,7 @@ from srs_twin.errors import DivergedError, InputError
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, knowledge
 from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart
 from srs_twin.identification.footprint import Drive, steady_path
-from srs_twin.identification.least_squares import Manner, least_squares
+from srs_twin.identification.least_squares import SearchOptions, least_squares
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.identification.unknowns import Unknown, unknowns, with_values
 from srs_twin.rollout import run_many
@@ -138,8 +138,8 @@ def fit_offsets(
     wanted = unknowns(drive.spec, names, starts=starting)
     # Validated where the search ended, also in what these data do not tell: never with what it began from.
     validating = kept.residuals if validation else None
-    manner = Manner(_STEP, tolerance=_ENOUGH)
-    estimate = least_squares(fitted.residuals, wanted, manner=manner, validation=validating)
+    options = SearchOptions(_STEP, tolerance=_ENOUGH)
+    estimate = least_squares(fitted.residuals, wanted, options=options, validation=validating)
     others = unknowns(drive.spec, besides)
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(

@@ -137,10 +137,18 @@ def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
     save_footprint(
         footprint_file(measured, "x"), path, header=header(planned, "gen2", "x", {"srs_twin": "1"})
     )
-    body, whole = load_footprint(path), measured.footprint()
-    for column in ("curvatures", "speeds", "left", "right", "ahead", "behind"):
-        assert getattr(body, column) == pytest.approx(getattr(whole, column), abs=6e-5)
-    (found,), (wanted,) = body.transients, whole.transients
+    body = load_footprint(path)
+    for column, key in (
+        ("curvatures", "curvature"),
+        ("speeds", "speed"),
+        ("left", "left"),
+        ("right", "right"),
+    ):
+        whole = [getattr(each, key) for each in measured.steady]
+        assert getattr(body, column) == pytest.approx(whole, abs=6e-5)
+    assert body.ahead == pytest.approx(max(each.ahead for each in measured.steady), abs=6e-5)
+    assert body.behind == pytest.approx(max(each.behind for each in measured.steady), abs=6e-5)
+    (found,), (wanted,) = body.transients, measured.transients
     for key in ("before", "after", "left", "right", "length", "dx", "dy", "dheading"):
         assert getattr(found, key) == pytest.approx(getattr(wanted, key), abs=6e-5)
     text = path.read_text("utf-8")

@@ -12,7 +12,7 @@ from scipy import stats
 
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Parameter, Residual, correlation_time
-from srs_twin.identification.least_squares import Manner, least_squares
+from srs_twin.identification.least_squares import SearchOptions, least_squares
 from srs_twin.identification.unknowns import Unknown
 
 pytestmark = pytest.mark.fast
@@ -195,7 +195,7 @@ def test_a_guide_leads_past_minima_that_are_not_the_least():
     astray = least_squares(_wrapped(20.0, []), start)
     assert abs(astray["a"].value - 2.0) > 0.2
     led = least_squares(
-        _wrapped(20.0, []), start, manner=Manner(coarse=1e-3, guide=lambda each: each.name == "even")
+        _wrapped(20.0, []), start, options=SearchOptions(coarse=1e-3, guide=lambda each: each.name == "even")
     )
     assert led["a"].value == pytest.approx(2.0, abs=1e-9)
 
@@ -214,7 +214,9 @@ def test_what_a_guide_says_nothing_of_stays():
         return residuals(values)
 
     found = least_squares(
-        watched, [unknown("a", 0.0), unknown("b", 0.5)], manner=Manner(guide=lambda each: each.name == "led")
+        watched,
+        [unknown("a", 0.0), unknown("b", 0.5)],
+        options=SearchOptions(guide=lambda each: each.name == "led"),
     )
     assert found["b"].value == pytest.approx(3.0) and found["a"].value == pytest.approx(1.0)
     assert np.abs(np.array(led[:8]) - 0.5).max() < 1e-3
@@ -222,11 +224,11 @@ def test_what_a_guide_says_nothing_of_stays():
 
 def test_a_search_ends_by_its_runs_or_where_nothing_is_left():
     told: list[float] = []
-    spent = least_squares(_wrapped(20.0, told), [unknown("a", 0.0)], manner=Manner(most_runs=4))
+    spent = least_squares(_wrapped(20.0, told), [unknown("a", 0.0)], options=SearchOptions(most_runs=4))
     # Four, one before them to look at the data, and five for what the data tell.
     assert not spent.converged and len(told) <= 1 + 4 + 5
     told.clear()
-    enough = least_squares(_wrapped(0.1, told), [unknown("a", 0.0)], manner=Manner(enough=0.5))
+    enough = least_squares(_wrapped(0.1, told), [unknown("a", 0.0)], options=SearchOptions(enough=0.5))
     assert enough.converged
     exact: list[float] = []
     least_squares(_wrapped(0.1, exact), [unknown("a", 0.0)])
@@ -242,9 +244,9 @@ def test_over_the_width_that_data_leave_open_ripple_is_no_doubt():
         return [Residual("line", "1", measured - values["a"] * TIME - ripple, 0.1)]
 
     near = [unknown("a", 2.0)]
-    small = least_squares(residuals, near, manner=Manner(step=1e-3))
+    small = least_squares(residuals, near, options=SearchOptions(step=1e-3))
     assert small["a"].verdict == "not identifiable"
-    found = least_squares(residuals, near, manner=Manner(step=1e-3, telling=0.3))
+    found = least_squares(residuals, near, options=SearchOptions(step=1e-3, telling=0.3))
     assert found["a"].verdict == "identified"
     error = 0.1 / np.linalg.norm(TIME)
     assert 0.5 * error < found["a"].standard_error < 2 * error

@@ -22,12 +22,11 @@ from srs_twin.identification.footprint import (
     TICK,
     Drive,
     changes_between,
-    measure_footprint,
     steady_path,
     study,
 )
-from srs_twin.identification.paths import SETTLED, Change, Frames, SteadyPath, together, transient, widest
-from srs_twin.planning.footprint import Transient, checked
+from srs_twin.identification.paths import SETTLED, Change, Poses, SteadyPath, together, transient, widest
+from srs_twin.planning.footprint import Footprint, Transient, checked
 
 PERIODS = 6
 
@@ -112,9 +111,9 @@ def test_repeats_are_put_together_as_means_and_farthest_edges():
     heading=st.floats(-3, 3),
 )  # fmt: skip
 def test_motions_along_arcs_and_coordinates_about_them(curvature, length, u, w, heading):
-    here = Frames(np.array([0.3 - 0.2j]), np.array([heading]))
-    there = here.then(Frames.arc(curvature, length))
-    back = there.then(Frames.arc(curvature, -length))
+    here = Poses(np.array([0.3 - 0.2j]), np.array([heading]))
+    there = here.then(Poses.arc(curvature, length))
+    back = there.then(Poses.arc(curvature, -length))
     assert back.place == pytest.approx(here.place) and back.heading == pytest.approx(here.heading)
     nothing = there.inverse().then(there)
     assert abs(nothing.place[0]) < 1e-12 and abs(nothing.heading[0]) < 1e-12
@@ -263,13 +262,27 @@ def test_the_twin_turns_right_as_it_turns_left(turning):
     assert (other.left, other.right) == pytest.approx((turning.right, turning.left), abs=1e-5)
 
 
+def measure(robot, *, frequency, supply_pa=None, controller="gait", target=0.7, plant="twin", **more):
+    run = {key: more.pop(key) for key in ("threads", "progress") if key in more}
+    supply = robot.supply.nominal if supply_pa is None else supply_pa
+    return study(Drive(robot, frequency, supply, controller, target, plant), **more).measure(**run)
+
+
+def footprint_of(measured) -> Footprint:
+    """Return what was measured as the planner takes it, without the rounding of a file."""
+    keys = ("curvature", "speed", "left", "right", "ahead", "behind")
+    columns = [tuple(getattr(path, key) for path in measured.steady) for key in keys]
+    reach = max(columns[4]), max(columns[5])
+    return Footprint("measured", "", measured.offsets, *columns[:4], *reach, measured.transients)
+
+
 def test_a_whole_footprint_is_one_for_the_planner():
     done: list[int] = []
-    found = measure_footprint(
+    found = measure(
         load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
         changes=[(-0.2, 0.2), (0.2, -0.2)], progress=done.append,
     )  # fmt: skip
-    body = checked(found.footprint())
+    body = checked(footprint_of(found))
     assert body.offsets == (-0.2, 0.0, 0.2) and done == list(range(1, 11))
     # Two phases half a period apart: a snake and its mirror image.
     assert body.curvatures[0] == pytest.approx(-body.curvatures[2], rel=1e-3)
@@ -277,7 +290,7 @@ def test_a_whole_footprint_is_one_for_the_planner():
     to_left, to_right = body.transients
     assert (to_left.left, to_left.right) == pytest.approx((to_right.right, to_right.left), abs=1e-3)
     assert to_left.dheading < 0 < to_right.dheading and to_left.length > 0
-    alone = measure_footprint(
+    alone = measure(
         load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
         changes=[], threads=1,
     )  # fmt: skip
@@ -323,7 +336,7 @@ GEN2 = load_robot("gen2")
 def test_what_cannot_be_measured_is_refused_before_anything_runs(changes, words):
     arguments = {"frequency": 2.0, "offsets": None, "plant": "analytical"} | changes
     with pytest.raises(InputError, match=words):
-        measure_footprint(GEN2, **arguments)
+        measure(GEN2, **arguments)
 
 
 def test_the_number_of_runs_is_known():

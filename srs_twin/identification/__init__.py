@@ -1,7 +1,7 @@
 """What is known of a robot from runs, measurements and its own recordings.
 
 `read_motion` reads what cameras saw of it, `read_valves` what was done to its air, `join` puts both on one
-clock. `footprint.measure_footprint` finds what it sweeps.
+clock. `footprint.study` measures what it sweeps.
 """
 
 from __future__ import annotations

@@ -1,20 +1,17 @@
-"""Actuator: time constants, gains and biases of free segments, from steps and from held pressures.
+"""Actuators of free segments: time constants, gains and biases from responses and from held pressures.
 
-Actuator from step responses: what valves or pressures did, and how far the segments bent.
+**Responses.** What valves or pressures did, and how far the segments bent. Predictions are those of
+`pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode of all modules, gain and
+bias of each chamber's own. Segments must bend freely, on a bench or lifted: on the floor the load of the
+body is in the bends as well. `actuator.bend_rad` and all gains together cannot be told apart, so it is held
+unless asked for. Of a log of pressures instead of valves, bends follow the pressures by τ_mode, taken as a
+delay (for pressures that change in τ₁ that errs by (τ_mode/τ₁)²); what fills the chambers cannot be told
+from it.
 
-Predictions are those of `pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode
-of all modules, gain and bias of each chamber's own. Segments must bend freely, on a bench or lifted: on the
-floor the load of the body is in the bends as well. `actuator.bend_rad` and all gains together cannot be
-told apart, so it is held unless asked for.
-
-Of a log of pressures instead of valves, bends follow the pressures by τ_mode, taken as a delay (for pressures
-that change in τ₁ that errs by (τ_mode/τ₁)²); what fills the chambers cannot be told from it.
-
-Static tables: pressures that were held, and the bends at which free segments came to rest.
-
-A plain CSV file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``,
-``bend_1_deg``; Pa and rad without a unit). A pressure that is not there is 0, an empty bend was not
-measured. Gain, bias and bend limit can be told from it; nothing that takes time, and no mass.
+**Static tables.** Pressures that were held, and the bends at which free segments came to rest, in a plain CSV
+file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad
+without a unit). A pressure that is not there is 0, an empty bend was not measured. Gain, bias and bend limit
+can be told from it; nothing that takes time, and no mass.
 """
 
 from __future__ import annotations
@@ -42,6 +39,10 @@ from srs_twin.trajectory import Trajectory
 _BEND_NOISE = 0.01  # rad
 _PRESSURE_NOISE = 500.0  # Pa
 _CLOCK = 0.05  # s: how far an estimated offset may be wrong
+_MOST_PRESSURE = 2e6  # Pa
+_MOST_BEND = 2 * math.pi
+_BEND, _LIMIT = "actuator.bend_rad", "actuator.bend_limit_rad"
+_OWN = ("modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
 
 
 @dataclass(frozen=True)
@@ -117,10 +118,8 @@ class Response:
 
 def actuator_unknowns(spec: RobotSpec) -> tuple[str, ...]:
     """Return what `fit_actuator` looks for by itself."""
-    return (
-        "actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.tau_mode_s",
-        *per_segment(spec, "modules.gain_plus", "modules.gain_minus", "modules.bias_rad"),
-    )  # fmt: skip
+    lags = ("actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.tau_mode_s")
+    return (*lags, *per_segment(spec, *_OWN))
 
 
 def fit_actuator(
@@ -130,7 +129,6 @@ def fit_actuator(
     names: Iterable[str] | None = None,
     validation: Sequence[Response] = (),
     starts: int = 1,
-    noise: float = _BEND_NOISE,
     watch: Watch | None = None,
 ) -> Estimate:
     """Return time constants, gains and biases from responses.
@@ -141,7 +139,6 @@ def fit_actuator(
         names: what is unknown, see `unknowns`; default `actuator_unknowns`.
         validation: responses to hold the estimate against.
         starts: how many searches.
-        noise: of a measured bend, rad.
         watch: is told how far the search is, see `least_squares`.
 
     Raises:
@@ -149,10 +146,9 @@ def fit_actuator(
     """
     if not responses:
         raise InputError("responses are wanted; none was given")
-    everything: list[tuple[Response, Role]] = [
-        *((each, "fit") for each in responses), *((each, "validation") for each in validation)
-    ]  # fmt: skip
-    keep_apart(each.data_set(role) for each, role in everything)
+    keep_apart(data_sets(responses, validation))
+    everything: list[tuple[Response, Role]] = [(each, "fit") for each in responses]
+    everything += [(each, "validation") for each in validation]
     for each, _ in everything:
         if each.bend.shape[1] != spec.segments:
             raise InputError(
@@ -165,18 +161,25 @@ def fit_actuator(
         for k, (response, role) in enumerate(everything):
             # What validates has no say in anything, its clock neither.
             clock = values.get(f"clock_{k}", 0.0)
-            found += _compared(response, robot, clock, noise, role)
+            found += _compared(response, robot, clock, role)
         return found
 
     clocks = [
         Unknown(f"clock_{k}", "s", 0.0, -_CLOCK * 4, _CLOCK * 4, _CLOCK, nuisance=True)
-        for k, response in enumerate(responses) if not response.clock_known
-    ]  # fmt: skip
+        for k, response in enumerate(responses)
+        if not response.clock_known
+    ]
     wanted = unknowns(spec, actuator_unknowns(spec) if names is None else names)
-    held = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
-    if all(each.name != "actuator.bend_rad" for each in wanted):
-        held["actuator.bend_rad"] = spec.actuator.gain * spec.supply.nominal
+    held = _held(spec, wanted)
     return least_squares(residuals, [*wanted, *clocks], starts=starts, held=held, watch=watch)
+
+
+def _held(spec: RobotSpec, wanted: Sequence[Unknown]) -> dict[str, float]:
+    """Return what gains refer to: nominal pressure, and the bend there unless it is looked for."""
+    held = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
+    if all(each.name != _BEND for each in wanted):
+        held[_BEND] = spec.actuator.gain * spec.supply.nominal
+    return held
 
 
 def predicted(
@@ -198,13 +201,13 @@ def predicted(
     return trace.bend, trace.pressure
 
 
-def _compared(response: Response, spec: RobotSpec, clock: float, noise: float, role: Role) -> list[Residual]:
+def _compared(response: Response, spec: RobotSpec, clock: float, role: Role) -> list[Residual]:
     bend, pressure = predicted(response, spec, clock)
     found = []
     for j in range(spec.segments):
         known = np.isfinite(response.bend[:, j])
         off = (response.bend[:, j] - bend[:, j])[known]
-        found.append(Residual(f"{response.name} bend_{j + 1}", "rad", off, noise, role))
+        found.append(Residual(f"{response.name} bend_{j + 1}", "rad", off, _BEND_NOISE, role))
     if response.pressure is not None and pressure is not None:
         for j in range(spec.segments):
             for s, side in enumerate(SIDES):
@@ -216,12 +219,6 @@ def _compared(response: Response, spec: RobotSpec, clock: float, noise: float, r
 
 def _sides(trajectory: Trajectory, name: str) -> np.ndarray:
     return np.stack([trajectory.stack(f"{name}_{side}") for side in SIDES], axis=-1)
-
-
-_MOST_PRESSURE = 2e6  # Pa
-_MOST_BEND = 2 * math.pi
-_NOISE = 0.01  # rad
-_LIMIT = "actuator.bend_limit_rad"
 
 
 @dataclass(frozen=True)
@@ -291,7 +288,6 @@ def fit_static(
     *,
     names: Iterable[str] | None = None,
     validation: Sequence[StaticTable] = (),
-    noise: float = _NOISE,
     watch: Watch | None = None,
 ) -> Estimate:
     """Return gains, biases and the bend limit from static tables.
@@ -301,7 +297,6 @@ def fit_static(
         spec: the robot that the search starts from; `actuator.bend_rad` is held, as in `fit_actuator`.
         names: what is unknown, see `unknowns`; default gains, biases and the bend limit.
         validation: tables to hold the estimate against.
-        noise: of a measured bend, rad.
         watch: is told how far the search is, see `least_squares`.
 
     Raises:
@@ -313,24 +308,24 @@ def fit_static(
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
-        fitted = [each for table in tables for each in _static_bends_compared(table, robot, noise, "fit")]
-        return fitted + [
-            each for table in validation for each in _static_bends_compared(table, robot, noise, "validation")
+        roles: tuple[tuple[Role, Sequence[StaticTable]], ...] = (("fit", tables), ("validation", validation))
+        return [
+            each
+            for role, given in roles
+            for table in given
+            for each in _static_bends_compared(table, robot, role)
         ]
 
-    modules = per_segment(spec, "modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
-    wanted = [*modules, _LIMIT] if names is None else list(names)
+    wanted = [*per_segment(spec, *_OWN), _LIMIT] if names is None else list(names)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
     starts = {_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if math.isinf(spec.actuator.bend_limit) else {}
-    held = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
-    if "actuator.bend_rad" not in wanted:
-        held["actuator.bend_rad"] = spec.actuator.gain * spec.supply.nominal
-    return least_squares(residuals, unknowns(spec, wanted, starts=starts), held=held, watch=watch)
+    looked_for = unknowns(spec, wanted, starts=starts)
+    return least_squares(residuals, looked_for, held=_held(spec, looked_for), watch=watch)
 
 
-def _static_bends_compared(table: StaticTable, spec: RobotSpec, noise: float, role: Role) -> list[Residual]:
+def _static_bends_compared(table: StaticTable, spec: RobotSpec, role: Role) -> list[Residual]:
     off = table.bend - spec.modules.array("bias") - air_bend(spec, table.pressure)
     return [
-        Residual(f"{table.name} bend_{j + 1}", "rad", column[np.isfinite(column)], noise, role)
+        Residual(f"{table.name} bend_{j + 1}", "rad", column[np.isfinite(column)], _BEND_NOISE, role)
         for j, column in enumerate(off.T)
     ]

@@ -1,11 +1,9 @@
 r"""Estimate: what a fit found, how well it is known, and what these data cannot tell.
 
-What data can tell: from the Jacobian's singular values, never by hand.
-
-Let J be the derivatives of the weighted residuals by the coordinates z of `unknowns`, s_k its singular
-values with directions v_k, and E the difference between two Jacobians from steps h and 2h, which shows how
-far J itself is to be trusted. A direction is *blind* where moving along it does nothing that could be told
-from the error of the derivatives,
+**Verdicts.** Let J be the derivatives of the weighted residuals by the coordinates z of `unknowns`, s_k its
+singular values with directions v_k, and E the difference between two Jacobians from steps h and 2h, which
+shows how far J itself is to be trusted. A direction is *blind* where moving along it does nothing that could
+be told from the error of the derivatives,
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
@@ -14,12 +12,9 @@ directions is not identifiable. So is one whose standard error is 1 or more in z
 for then the data hardly say more than its bounds do. Up to 0.1 it is identified, between them weakly. A
 smaller share in a blind direction adds the spread that the bounds leave to it.
 
-Reasons: why the data tell no number of a parameter, in words.
-
-How many independent samples a series of residuals is worth.
-
-Residuals of neighbouring samples resemble each other: of noise that cameras and filters smooth, and of what
-the model lacks. With ρ_k their autocorrelation, n samples tell a mean as well as n/τ independent ones,
+**Independent samples.** Residuals of neighbouring samples resemble each other: of noise that cameras and
+filters smooth, and of what the model lacks. With ρ_k their autocorrelation, n samples tell a mean as well as
+n/τ independent ones,
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k , $$
 
@@ -155,9 +150,8 @@ class Parameter:
         numbers = (self.value, self.standard_error, self.low, self.high)
         none = self.verdict == "not identifiable"
         if any((number is None) != none for number in numbers):
-            raise InputError(
-                f"{self.name}: {self.verdict}, so it must have {'no numbers' if none else 'all'}"
-            )
+            wanted = "no numbers" if none else "all"
+            raise InputError(f"{self.name}: {self.verdict}, so it must have {wanted}")
 
 
 @dataclass(frozen=True)
@@ -202,21 +196,6 @@ class Estimate:
         squares = [each for each in squares if len(each)]
         return float(np.sqrt(np.concatenate(squares).mean())) if squares else None
 
-    def text(self) -> str:
-        """Return the estimate as a table for people."""
-        lines = []
-        for each in self.parameters:
-            if each.value is None:
-                lines.append(f"{each.name}: {each.verdict}; {each.why}")
-                continue
-            unit = "" if each.unit == "1" else f" {each.unit}"
-            why = f"; {each.why}" if each.why else ""
-            lines.append(
-                f"{each.name}: {each.value:.5g} ± {each.standard_error:.2g}{unit}, 95 % {each.low:.5g} to "
-                f"{each.high:.5g}: {each.verdict}{why}"
-            )
-        return "\n".join(lines)
-
 
 _PART = 0.05
 """Of a direction of length 1: parameters with a smaller share have no part in it."""
@@ -243,14 +222,8 @@ def hidden_because(
     if known is None:
         return "nothing can be told"
     rows = [row for row in known.blind if abs(row[place]) > _PART]
-    others = sorted(
-        {
-            unknowns[inside[k]].name
-            for row in rows
-            for k in range(len(row))
-            if k != place and abs(row[k]) > _PART
-        }
-    )
+    shares = [(inside[k], abs(row[k])) for row in rows for k in range(len(row)) if k != place]
+    others = sorted({unknowns[i].name for i, share in shares if share > _PART})
     if not rows:
         return f"its standard error is {known.errors[place]:.2g} in units that matter, 1 or more"
     if not others:
@@ -274,9 +247,8 @@ def cancels(
     rows = []
     for row in known.blind:
         signed = row * np.sign(row[np.argmax(np.abs(row))])
-        rows.append(
-            {name: round(float(v), 3) for name, v in zip(names, signed, strict=True) if abs(v) > _PART}
-        )
+        shares = zip(names, signed, strict=True)
+        rows.append({name: round(float(share), 3) for name, share in shares if abs(share) > _PART})
     return tuple(rows)
 
 

@@ -1,7 +1,5 @@
 """Fit files: what a fit found, from which data, by which command and versions; calibration/fits/*.yaml.
 
-DataSet: what a fit was made from, or held against; no data are both.
-
 Which data made the fit and which were kept for validation stands beside each hash; a file in which the same
 data are both is refused. What is not identifiable has no number in it.
 """
@@ -14,6 +12,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol
 
@@ -23,7 +22,7 @@ from pydantic import Field
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
 from srs_twin.identification.unknowns import known, unit_of
-from srs_twin.io.documents import Document, Loc, dump_yaml, load_yaml
+from srs_twin.io.documents import Loc, dump_yaml, load_yaml
 from srs_twin.io.files import atomic_write, existing
 from srs_twin.io.validation import Strict, validate
 from srs_twin.robot.sourced import between
@@ -54,10 +53,8 @@ class DataSet:
         """Say whether both hold the same samples."""
         if self.sha256 != other.sha256:
             return False
-        if None in (self.start, self.end, other.start, other.end):
+        if self.start is None or self.end is None or other.start is None or other.end is None:
             return True
-        assert self.start is not None and self.end is not None
-        assert other.start is not None and other.end is not None
         return self.start < other.end and other.start < self.end
 
 
@@ -70,9 +67,8 @@ class Data(Protocol):
 
 def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSet]:
     """Return all data of a fit with their roles."""
-    return [
-        *(each.data_set("fit") for each in fitted), *(each.data_set("validation") for each in validation)
-    ]  # fmt: skip
+    fits = [each.data_set("fit") for each in fitted]
+    return [*fits, *(each.data_set("validation") for each in validation)]
 
 
 def keep_apart(sets: Iterable[DataSet]) -> None:
@@ -82,13 +78,14 @@ def keep_apart(sets: Iterable[DataSet]) -> None:
         InputError: a set of each role have samples in common.
     """
     everything = list(sets)
-    for seen in (each for each in everything if each.role == "fit"):
-        for kept in (each for each in everything if each.role == "validation"):
-            if seen.overlaps(kept):
-                raise InputError(
-                    f"{kept.name}: the same data as {seen.name}, which the fit is made from; what validates "
-                    "a fit must be new to it"
-                )
+    fitted = [each for each in everything if each.role == "fit"]
+    kept = [each for each in everything if each.role == "validation"]
+    for seen, new in product(fitted, kept):
+        if seen.overlaps(new):
+            raise InputError(
+                f"{new.name}: the same data as {seen.name}, which the fit is made from; what validates a fit "
+                "must be new to it"
+            )
 
 
 def fingerprint(*arrays: np.ndarray) -> str:
@@ -195,11 +192,17 @@ class FitFile(Strict):
         correlation = np.full((len(parameters), len(parameters)), np.nan)
         if rows:
             correlation[np.ix_(rows, rows)] = self.correlation
+        quality = self.quality
         return Estimate(
-            parameters, correlation, (), tuple(self.cancels), self.quality.samples,
-            self.quality.independent_samples, self.quality.rms or 0.0, dict(self.held),
-            self.quality.converged,
-        )  # fmt: skip
+            parameters,
+            correlation,
+            cancels=tuple(self.cancels),
+            samples=quality.samples,
+            independent=quality.independent_samples,
+            residual_scale=quality.rms or 0.0,
+            held=dict(self.held),
+            converged=quality.converged,
+        )
 
     def withheld(self) -> list[str]:
         """Return what was looked for and has no number, neither found nor held; nothing can be predicted."""
@@ -223,61 +226,63 @@ class FitFile(Strict):
 def fit_file(
     estimate: Estimate,
     *,
-    name: str,
-    title: str,
-    robot: str,
-    method: Method,
-    command: str,
-    versions: Mapping[str, str],
     data: Sequence[DataSet],
     averages: Mapping[str, tuple[dict[str, float], dict[str, float]]] | None = None,
+    **about: Any,
 ) -> FitFile:
     """Return what is written of an estimate.
 
     Args:
         estimate: what was found.
-        name: short name, lower case.
-        title: one line for people.
-        robot: name or path of the robot that the fit started from.
-        method: what was fitted.
-        command: how it was made, to be typed again.
-        versions: package → version.
         data: all data with their roles.
         averages: name of data → what was measured, and what the plant gives with what was found.
+        **about: name, title, robot, method, command and versions of the `FitFile`.
 
     Raises:
         InputError: data that are of both roles, or predictions without a number for what was looked for.
     """
     keep_apart(data)
-    shown = {each.name: (averages or {}).get(each.name, (None, None)) for each in data}
     rows = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
     matrix = estimate.correlation[np.ix_(rows, rows)]
+    quality = QualityFile(
+        samples=estimate.samples,
+        independent_samples=_rounded(estimate.independent),
+        rms=_maybe(estimate.rms("fit")),
+        validation_rms=_maybe(estimate.rms("validation")),
+        converged=estimate.converged,
+    )
     file = FitFile(
-        name=name, title=title, robot=robot, method=method, command=command, versions=dict(versions),
-        data=[
-            DataEntry(
-                name=each.name, sha256=each.sha256, role=each.role, samples=each.samples,
-                from_s=each.start, to_s=each.end, measured=_few(shown[each.name][0]),
-                predicted=_few(shown[each.name][1]),
-            )
-            for each in data
-        ],
+        **about,
+        data=[_data_entry(each, (averages or {}).get(each.name, (None, None))) for each in data],
         held={key: _rounded(value) for key, value in estimate.held.items()},
         parameters=[_entry(each) for each in estimate.parameters],
         correlation=[[round(float(v), 6) for v in row] for row in matrix],
         cancels=[dict(each) for each in estimate.cancels],
-        quality=QualityFile(
-            samples=estimate.samples, independent_samples=_rounded(estimate.independent),
-            rms=_maybe(estimate.rms("fit")), validation_rms=_maybe(estimate.rms("validation")),
-            converged=estimate.converged,
-        ),
-    )  # fmt: skip
+        quality=quality,
+    )
     if averages and file.withheld():
         raise InputError(
-            f"{name}: {', '.join(file.withheld())} got no number, so that nothing can be predicted; hold one "
-            "of them at a value that the file states"
+            f"{file.name}: {', '.join(file.withheld())} got no number, so that nothing can be predicted; "
+            "hold one of them at a value that the file states"
         )
     return file
+
+
+def _data_entry(data: DataSet, averages: tuple[Mapping[str, float] | None, ...]) -> DataEntry:
+    measured, predicted = (
+        None if each is None else {name: float(f"{value:.6g}") for name, value in each.items()}
+        for each in averages
+    )
+    return DataEntry(
+        name=data.name,
+        sha256=data.sha256,
+        role=data.role,
+        samples=data.samples,
+        from_s=data.start,
+        to_s=data.end,
+        measured=measured,
+        predicted=predicted,
+    )
 
 
 def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
@@ -301,16 +306,11 @@ def load_fit(path: str | os.PathLike[str]) -> FitFile:
         InputFileError: everything that is wrong with it.
     """
     document = load_yaml(existing(Path(path)))
-    file = _checked(document)
-    document.finish()
-    assert file is not None, "a fit without a problem was checked"
-    return file
-
-
-def _checked(document: Document) -> FitFile | None:
     file = validate(FitFile, document, document.data)
     for loc, message in file.contradictions() if file else ():
         document.report(loc, message)
+    document.finish()
+    assert file is not None, "a fit without a problem was checked"
     return file
 
 
@@ -367,10 +367,6 @@ def _entry(each: Parameter) -> ParameterEntry:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else 0.0
-
-
-def _few(averages: Mapping[str, float] | None) -> dict[str, float] | None:
-    return None if averages is None else {name: float(f"{value:.6g}") for name, value in averages.items()}
 
 
 def _maybe(value: float | None) -> float | None:

@@ -1,16 +1,9 @@
-"""measure_footprint: what a robot sweeps at each offset, and when the offset changes, by running it.
-
-Drive: how a snake is driven while its footprint is measured, and the runs that this takes.
-
-Measured: a footprint as it was measured, with what the repeats differ.
-
-Study: the runs by which a footprint is measured, and what is measured of them.
-
-Each offset is run several times, with the gait begun at another phase each time; each change of offset as
-well, at several phases of the gait.
+"""Footprints: what a robot sweeps at each offset, and when the offset changes, measured by running it.
 
 Section 5.3 measured the curvature of the path, the speed and the circles that bound the body at seven offsets
-(Fig. 58, Table 8). Here a plant is run instead.
+(Fig. 58, Table 8). Here a plant is run instead. `Drive` says how the snake is driven, `Study` which runs a
+footprint takes, `Measured` holds what they gave. Each offset is run several times, with the gait begun at
+another phase each time; each change of offset as well, at several phases of the gait.
 """
 
 from __future__ import annotations
@@ -26,7 +19,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, together, transient, widest
-from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.footprint import Transient
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
@@ -114,14 +107,6 @@ class Drive:
         most = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-most, most + 1))
 
-    def check(self, offset: float) -> None:
-        """Refuse an offset that the controller cannot have.
-
-        Raises:
-            InputError: it is out of range.
-        """
-        self.make(offset)
-
     def make(self, offset: float, phase: float = 0.0) -> Gait | ILC:
         """Return a controller; ψ = phase, rad.
 
@@ -131,10 +116,6 @@ class Drive:
         if self.controller == "ilc":
             return ILC(self.frequency, offset, target=self.target, phase=phase, steering=self.steering)
         return Gait(self.frequency, offset, phase=phase)
-
-    def steered(self, offset: float, changes: Sequence[tuple[float, float]]) -> Steered:
-        """Return a controller whose offset changes."""
-        return Steered(self.make(offset), changes)
 
     def plant_maker(self) -> Callable[[], Plant]:
         """Return what makes the plant; heavy imports wait until it does."""
@@ -159,8 +140,12 @@ class Drive:
         After what the change may last, so many periods follow.
         """
         before, after = change
+
+        def controller() -> Steered:
+            return Steered(self.make(before), [(time, after)])
+
         duration = ticks(time + (self.lasting + periods) * self.period)
-        return Job(maker, partial(self.steered, before, [(time, after)]), duration, record_hz=RECORD_HZ)
+        return Job(maker, controller, duration, record_hz=RECORD_HZ)
 
 
 def ticks(time: float) -> float:
@@ -205,25 +190,6 @@ class Measured:
     repeats: int
     periods: int
 
-    def footprint(self, name: str = "measured", title: str = "measured") -> Footprint:
-        """Return it as the planner takes it; `planning.footprint.problems` says if it can be one."""
-        speeds, curvatures, left, right, ahead, behind = (
-            tuple(getattr(path, key) for path in self.steady)
-            for key in ("speed", "curvature", "left", "right", "ahead", "behind")
-        )
-        return Footprint(
-            name,
-            title,
-            self.offsets,
-            curvatures,
-            speeds,
-            left,
-            right,
-            max(ahead),
-            max(behind),
-            self.transients,
-        )
-
 
 LEAST_OFFSETS, MOST_OFFSETS = 3, 101
 LEAST_PERIODS, MOST_PERIODS = 3, 200
@@ -255,11 +221,10 @@ class Study:
             InputError: offsets or numbers out of their range.
         """
         for offset in (*self.offsets, *(each for change in self.changes for each in change)):
-            self.drive.check(offset)
+            self.drive.make(offset)
         if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
-            raise InputError(
-                f"offsets {_listed(self.offsets)} are not allowed; each must be there once, rising"
-            )
+            given = f"offsets {_listed(self.offsets)} are not allowed"
+            raise InputError(f"{given}; each must be there once, rising")
         both = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
         if not (both and LEAST_OFFSETS <= len(self.offsets) <= MOST_OFFSETS):
             raise InputError(
@@ -271,9 +236,9 @@ class Study:
                 raise InputError(
                     f"a change from offset {before:g} to {after:g} is none between two measured ones"
                 )
-        for name, value, low, high in (
-            ("periods", self.periods, LEAST_PERIODS, MOST_PERIODS), ("phases", self.phases, 1, MOST_PHASES),
-        ):  # fmt: skip
+        limits = {"periods": (LEAST_PERIODS, MOST_PERIODS), "phases": (1, MOST_PHASES)}
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"{name} {value} is not allowed; it must be from {low} to {high}")
 
@@ -299,8 +264,9 @@ class Study:
         shares = [k / self.phases for k in range(self.phases)]
         jobs = [
             drive.steady_job(maker, offset, 2 * math.pi * share, self.periods)
-            for offset in self.offsets for share in shares
-        ]  # fmt: skip
+            for offset in self.offsets
+            for share in shares
+        ]
         times = [drive.change_time(share) for share in shares]
         jobs += [
             drive.change_job(maker, change, time, STEADY_PERIODS) for change in self.changes for time in times
@@ -337,16 +303,20 @@ class Study:
             raise InputError(f"offset {offset:g}: {error}") from error
 
     def _transient(
-        self, change: tuple[float, float], times: Sequence[float], runs: Sequence[Trajectory],
+        self,
+        change: tuple[float, float],
+        times: Sequence[float],
+        runs: Sequence[Trajectory],
         paths: Mapping[float, SteadyPath],
-    ) -> Transient:  # fmt: skip
+    ) -> Transient:
         """Return what a change of offset does, at whatever phase of the gait it comes."""
         geometry, period, (before, after) = self.drive.spec.geometry, self.drive.period, change
         try:
-            return widest([
+            found = [
                 transient(run, geometry, period, Change(time, before, after), paths[before], paths[after])
                 for run, time in zip(runs, times, strict=True)
-            ])  # fmt: skip
+            ]
+            return widest(found)
         except InputError as error:
             raise InputError(f"offset {before:g} to {after:g}: {error}") from error
 
@@ -372,52 +342,22 @@ def _listed(offsets: Sequence[float]) -> str:
     return ", ".join(f"{offset:g}" for offset in offsets) or "(none)"
 
 
-def measure_footprint(
-    robot: RobotSpec,
+def study(
+    drive: Drive,
     *,
-    frequency: float,
-    supply_pa: float | None = None,
-    controller: str = "gait",
-    target: float = 0.7,
-    plant: str | Callable[[], Plant] = "twin",
     offsets: Sequence[float] | None = None,
     changes: Sequence[tuple[float, float]] | None = None,
     periods: int = 6,
     phases: int = 4,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> Measured:
-    """Run a robot over offsets and measure what it sweeps.
+) -> Study:
+    """Return the study of a footprint, with its defaults filled in.
 
     Args:
-        robot: whose footprint it is.
-        frequency: of the gait, Hz.
-        supply_pa: supply pressure, Pa; default the robot's nominal one.
-        controller: "gait" or "ilc".
-        target: of learning, rad.
-        plant: "twin", "analytical", or what makes a plant.
+        drive: robot, controller, plant.
         offsets: rising; default −0.3 to 0.3 under learning, −0.4 to 0.4 else, in steps of 0.1.
         changes: (before, after) of offsets; default `changes_between`.
         periods: of each run that are measured.
         phases: runs an offset and a change.
-        threads: how many runs at once.
-        progress: called with how many runs are done.
-
-    Raises:
-        InputError: what cannot be measured.
-        DivergedError: a run diverged.
-    """
-    supply = robot.supply.nominal if supply_pa is None else supply_pa
-    drive = Drive(robot, frequency, supply, controller, target, plant)
-    planned = study(drive, offsets=offsets, changes=changes, periods=periods, phases=phases)
-    return planned.measure(threads=threads, progress=progress)
-
-
-def study(
-    drive: Drive, *, offsets: Sequence[float] | None = None,
-    changes: Sequence[tuple[float, float]] | None = None, periods: int = 6, phases: int = 4,
-) -> Study:  # fmt: skip
-    """Return the study of `measure_footprint`, with its defaults filled in.
 
     Raises:
         InputError: what cannot be measured.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 from srs_twin.errors import InputError
@@ -43,7 +44,7 @@ def footprint_file(measured: Measured, name: str) -> FootprintFile:
             "left_m": _column(measured.spread, "left"),
             "right_m": _column(measured.spread, "right"),
         },
-    }  # fmt: skip
+    }
     if measured.transients:
         content["transients"] = {
             "status": "calibrated",
@@ -119,10 +120,8 @@ def _column(paths: Sequence[SteadyPath], key: str) -> list[float]:
 
 
 def _change(each: Transient) -> dict[str, float]:
-    values = {
-        "from_offset": each.before, "to_offset": each.after, "left_m": each.left, "right_m": each.right,
-        "length_m": each.length, "dx_m": each.dx, "dy_m": each.dy, "dheading_rad": each.dheading,
-    }  # fmt: skip
+    keys = ("from_offset", "to_offset", "left_m", "right_m", "length_m", "dx_m", "dy_m", "dheading_rad")
+    values = dict(zip(keys, astuple(each), strict=True))
     return {key: round(value, _DIGITS) + 0.0 for key, value in values.items()}
 
 

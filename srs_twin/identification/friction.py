@@ -1,24 +1,20 @@
 r"""Friction of the wheels from pulls with a spring car (Eq. 17, Table 2) and from coasting.
 
-Friction from a spring car (Eq. 17, Table 2): the spring's largest deformation as motion begins.
+**Pulls.** The spring's largest deformation as motion begins,
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}, $$
 
 once for each pull, along with wheels that roll and across with wheels held. The estimate is the mean over the
 pulls with its standard error, grown by what is not known of k and m, which all pulls share. It is the
-friction at which motion begins; while the robot slides it may be less: `coasting` measures that.
+friction at which motion begins; while the robot slides it may be less. A table of pulls is a plain CSV file
+with one pull a row: ``along_mm`` or ``across_mm``, the spring's largest deformation (m without a unit; a
+blank cell: not pulled that way). ``spring_n_per_m`` and ``mass_kg`` are the same in every row that has them,
+as are their standard errors ``spring_error_n_per_m`` and ``mass_error_kg``, which may be left out.
 
-Table of pulls with a spring car, from a plain CSV file.
-
-One pull a row: ``along_mm`` or ``across_mm``, the spring's largest deformation (m without a unit; a blank
-cell: not pulled that way). ``spring_n_per_m`` and ``mass_kg`` are the same in every row that has them, as
-are their standard errors ``spring_error_n_per_m`` and ``mass_error_kg``, which may be left out.
-
-Friction from coasting: the robot is thrown across the floor, straight, with vented chambers.
-
-Along its wheels it loses μ_t g/(1 + s), across them μ_n g; thrown at an angle, what the friction law says
-(`plants.sliding`, which also tells what s is). Where each run began and how fast it was thrown is found along
-with μ_t and μ_n; a direction in which it went no further than noise is taken as not thrown at all.
+**Coasting.** The robot is thrown across the floor, straight, with vented chambers. Along its wheels it loses
+μ_t g/(1 + s), across them μ_n g; thrown at an angle, what the friction law says (`floor.slide`, which also
+tells what s is). Where each run began and how fast it was thrown is found along with μ_t and μ_n; a
+direction in which it went no further than noise is taken as not thrown at all.
 """
 
 from __future__ import annotations
@@ -236,13 +232,11 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
     return first
 
 
-_COASTING_NAMES = ("friction.mu_t", "friction.mu_n")
 _MOST_TURN = 0.2  # rad: beyond it the body is no longer a point
 _LEAST_SAMPLES = 8
 _LEAST_SPEED = 0.02  # m/s
 _NOISE = 1e-3  # m
 _SEEN = 3.0  # times the noise: what it must go in a direction to have been thrown that way
-_COASTING_WAYS = ("along", "across")
 
 
 @dataclass(frozen=True)
@@ -301,10 +295,8 @@ class Coasting:
         c, s = np.cos(heading.mean()), np.sin(heading.mean())
         place = (com - com[0]) @ np.array([[c, -s], [s, c]])
         guess = moving_slope(time, place)[0]
-        return cls(
-            name, trajectory_hash(trajectory), time - time[0], place, (float(guess[0]), float(guess[1])),
-            (float(time[0]), float(time[-1])),
-        )  # fmt: skip
+        velocity, span = (float(guess[0]), float(guess[1])), (float(time[0]), float(time[-1]))
+        return cls(name, trajectory_hash(trajectory), time - time[0], place, velocity, span)
 
     def data_set(self, role: Role) -> DataSet:
         """Return what a fit says of these data."""
@@ -318,7 +310,6 @@ def fit_coasting(
     validation: Sequence[Coasting] = (),
     law: str = "wheel",
     wheel_inertia: bool = True,
-    noise: float = _NOISE,
     watch: Watch | None = None,
 ) -> Estimate:
     """Return μ_t and μ_n from throws.
@@ -330,7 +321,6 @@ def fit_coasting(
         law: "axis", "wheel" or "ellipse".
         wheel_inertia: whether wheels have to stop spinning, as the robot's and the twin's; the analytical
             plant's and skids have none.
-        noise: of a measured place, m.
         watch: is told how far the search is, see `least_squares`.
 
     Raises:
@@ -343,61 +333,58 @@ def fit_coasting(
     keep_apart(data_sets(runs, validation))
     share = spin_share(spec) if wheel_inertia else 0.0
 
-    def predicted(run: Coasting, k: int, values: Mapping[str, float]) -> np.ndarray:
-        thrown = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
-        way = slide(
-            thrown, run.time, law=law, mu_t=values["friction.mu_t"], mu_n=values["friction.mu_n"], share=share
-        )
-        return run.place - way
-
     def residuals(values: Mapping[str, float]) -> list[Residual]:
-        return _residuals([predicted(run, k, values) for k, run in enumerate(runs)], runs, noise, "fit")
+        mu_t, mu_n = (values[name] for name in _NAMES)
+        found = [_missed(run, k, values, law, (mu_t, mu_n), share) for k, run in enumerate(runs)]
+        return [each for both in found for each in both]
 
-    thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k, noise)]
-    found = least_squares(
-        residuals, [*unknowns(spec, _COASTING_NAMES), *thrown], held={"spin_share": share},
-        watch=watch,
-    )  # fmt: skip
-    if not validation or len(found.values) < len(_COASTING_NAMES):
+    thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k)]
+    held = {"spin_share": share}
+    found = least_squares(residuals, [*unknowns(spec, _NAMES), *thrown], held=held, watch=watch)
+    if not validation or len(found.values) < len(_NAMES):
         return found
-    return _validated(found, validation, law, share, noise)
+    return _validated(found, validation, law, share)
 
 
-def _throw(run: Coasting, k: int, noise: float) -> list[Unknown]:
+def _throw(run: Coasting, k: int) -> list[Unknown]:
     """Return the velocities that can be seen of a throw, as unknowns."""
     few = len(run.time) // 4
     went = np.abs(run.place[-few:].mean(axis=0) - run.place[: max(1, few // 4)].mean(axis=0))
     return [
         Unknown(f"{way}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
-        for way, guess, far in zip(_COASTING_WAYS, run.velocity, went, strict=True) if far > _SEEN * noise
-    ]  # fmt: skip
-
-
-def _residuals(
-    differences: Sequence[np.ndarray], runs: Sequence[Coasting], noise: float, role: Role
-) -> list[Residual]:
-    """Return residuals by run and direction; where a run began is their mean, and taken out."""
-    return [
-        Residual(f"{run.name} {way}", "m", values[:, i] - values[:, i].mean(), noise, role)
-        for run, values in zip(runs, differences, strict=True)
-        for i, way in enumerate(_COASTING_WAYS)
+        for way, guess, far in zip(_WAYS, run.velocity, went, strict=True)
+        if far > _SEEN * _NOISE
     ]
 
 
-def _validated(
-    found: Estimate, validation: Sequence[Coasting], law: str, share: float, noise: float
-) -> Estimate:
+def _missed(
+    run: Coasting,
+    k: int,
+    values: Mapping[str, float],
+    law: str,
+    friction: tuple[float, float],
+    share: float,
+) -> list[Residual]:
+    """Return residuals of throw k by direction; where it began is their mean, and taken out."""
+    thrown = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
+    mu_t, mu_n = friction
+    off = run.place - slide(thrown, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
+    return [
+        Residual(f"{run.name} {way}", "m", column - column.mean(), _NOISE)
+        for way, column in zip(_WAYS, off.T, strict=True)
+    ]
+
+
+def _validated(found: Estimate, validation: Sequence[Coasting], law: str, share: float) -> Estimate:
     """Return the estimate with residuals of throws that it has not seen, each thrown as suits it best."""
-    mu_t, mu_n = (found.values[name] for name in _COASTING_NAMES)
+    mu_t, mu_n = (found.values[name] for name in _NAMES)
     added: list[Residual] = []
     for run in validation:
 
         def residuals(values: Mapping[str, float], run: Coasting = run) -> list[Residual]:
-            thrown = values.get("along_0", 0.0), values.get("across_0", 0.0)
-            way = slide(thrown, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
-            return _residuals([run.place - way], [run], noise, "fit")
+            return _missed(run, 0, values, law, (mu_t, mu_n), share)
 
-        thrown = _throw(run, 0, noise)
+        thrown = _throw(run, 0)
         seen = least_squares(residuals, thrown).residuals if thrown else residuals({})
         added += [replace(each, role="validation") for each in seen]
     return replace(found, residuals=(*found.residuals, *added))

@@ -1,23 +1,20 @@
-r"""least_squares: find unknowns from residuals with few runs of a model, and what the data tell of them.
+r"""least_squares: find unknowns from residuals, with what these data can and cannot tell of them.
 
-Search: where the sum of squared weighted residuals is least, found with as few runs of a model as can be.
+**Search.** SciPy's trust-region method finds where the sum of squared weighted residuals is least, within
+bounds, in the coordinates of `unknowns`, with central differences for the Jacobian and as few runs of a model
+as can be. Of a model with kinks it is tried anew with a coarse step where it ended. Where a *guide* names
+residuals that change evenly with the unknowns however far off these are, the search begins by them alone: of
+a crawling robot the bends, while path and heading say little from some per cent on, for then it has turned
+elsewhere. Everything is deterministic: more starts than one are drawn from a seed.
 
-SciPy's trust-region method goes down from a start, with differences for the Jacobian. Of a model with kinks
-it is tried anew with a coarse step where it ended. Where a *guide* names residuals that change evenly with
-the unknowns however far off these are, the search begins by them alone: of a crawling robot the bends, while
-path and heading say little from some per cent on, for then it has turned elsewhere.
-
-least_squares: find unknowns from residuals, with what these data can and cannot tell of them.
-
-The sum of squared weighted residuals is least at the estimate; SciPy's trust-region method finds it within
-bounds, in the coordinates of `unknowns`, with central differences for the Jacobian. With S the sum, n samples
-worth n/τ independent ones (`independence`) and p unknowns, the covariance is
+**Intervals.** With S the sum at the estimate, n samples worth n/τ independent ones (`correlation_time`) and p
+unknowns, the covariance is
 
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}, $$
 
 and intervals take Student's t with n/τ − p degrees of freedom, in z: those of logarithms are not symmetric.
-This is exact for unknowns whose effect is slower than the correlation of the residuals and
-overstates the error of others. Everything is deterministic: more starts than one are drawn from a seed.
+This is exact for unknowns whose effect is slower than the correlation of the residuals and overstates the
+error of others.
 """
 
 from __future__ import annotations
@@ -59,7 +56,7 @@ _MOST_STEPS = 100
 
 
 @dataclass(frozen=True)
-class Manner:
+class SearchOptions:
     """How a search suits a model.
 
     Attributes:
@@ -92,7 +89,7 @@ class Manner:
 
 
 @dataclass(frozen=True)
-class End:
+class SearchEnd:
     """Where a search ended: z of shape (n,), half the sum of squares, whether it converged."""
 
     z: np.ndarray
@@ -104,11 +101,11 @@ class Search:
     """Weighted residuals as a function of z, and their derivatives."""
 
     def __init__(
-        self, residuals: Residuals, unknowns: tuple[Unknown, ...], manner: Manner, watch: Watch | None
+        self, residuals: Residuals, unknowns: tuple[Unknown, ...], options: SearchOptions, watch: Watch | None
     ) -> None:
-        self.unknowns, self._manner, self._residuals = unknowns, manner, residuals
-        self._watch, self._runs, self._told = watch, 0, np.inf
-        self._searching, self._left, self._best = False, np.inf, End(np.zeros(0), np.inf, False)
+        self.unknowns, self._options, self._residuals = unknowns, options, residuals
+        self._watch, self._runs, self._least_rms = watch, 0, np.inf
+        self._searching, self._left, self._best = False, np.inf, SearchEnd(np.zeros(0), np.inf, False)
         if not unknowns:
             raise InputError("a fit needs at least one unknown")
         self.low = np.array([each.coordinate(each.low) for each in unknowns])
@@ -134,15 +131,15 @@ class Search:
         """Return weighted residuals of the data to fit, shape (samples,), or those that a guide takes.
 
         Raises:
-            _EndedError: a search has no run left, or nothing to explain.
+            _StoppedError: a search has no run left, or nothing to explain.
         """
         if self._searching and self._left <= 0:
-            raise _EndedError
+            raise _StoppedError
         fitted = [each for each in self.residuals(z) if each.role == "fit"]
         every = _together(fitted)
         self._note(z, every)
         if self._searching and self._best.converged:
-            raise _EndedError
+            raise _StoppedError
         return every if only is None else _together([each for each in fitted if only(each)])
 
     def _note(self, z: np.ndarray, weighted: np.ndarray) -> None:
@@ -151,11 +148,11 @@ class Search:
         cost = 0.5 * float(weighted @ weighted)
         rms = float(np.sqrt(2 * cost / max(len(weighted), 1)))
         if cost < self._best.cost:
-            self._best = End(z.copy(), cost, rms < self._manner.enough)
+            self._best = SearchEnd(z.copy(), cost, rms < self._options.enough)
         if self._watch is not None and len(weighted):
             self._runs += 1
-            self._told = min(self._told, rms)
-            self._watch(self._runs, self._told)
+            self._least_rms = min(self._least_rms, rms)
+            self._watch(self._runs, self._least_rms)
 
     def jacobian(self, z: np.ndarray, h: float, only: Guide | None = None) -> np.ndarray:
         """Return derivatives by central differences of step h, one-sided at bounds, shape (samples, n)."""
@@ -173,7 +170,7 @@ class Search:
             z: where.
             noise: of a weighted residual.
         """
-        step, telling = self._manner.step, self._manner.telling
+        step, telling = self._options.step, self._options.telling
         if telling is not None:
             least = float(np.linalg.svd(self.jacobian(z, telling), compute_uv=False)[-1])
             step = telling if noise > step * least else step
@@ -183,28 +180,28 @@ class Search:
         # Of a model that is not smooth neither is the better one: two samples, and the error of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
-    def run(self, start: np.ndarray) -> End:
+    def run(self, start: np.ndarray) -> SearchEnd:
         """Search from a start, by the guide first; where the runs are spent, return the best there was."""
-        manner = self._manner
-        self._best = End(start, np.inf, False)
-        self._searching, self._left = True, manner.most_runs or np.inf
+        options = self._options
+        self._best = SearchEnd(start, np.inf, False)
+        self._searching, self._left = True, options.most_runs or np.inf
         try:
-            if manner.guide is None:
+            if options.guide is None:
                 return self._through_kinks(start)
-            led = self._once(start, manner.coarse or manner.step, manner.guide)
-            return self._once(led.z, manner.step)
-        except _EndedError:
+            led = self._once(start, options.coarse or options.step, options.guide)
+            return self._once(led.z, options.step)
+        except _StoppedError:
             return self._best
         finally:
             self._searching = False
 
     def preferred(self, z: np.ndarray) -> float:
         """Return how badly z suits as a start: by the guide, where there is one."""
-        return float(np.sum(self.weighted(z, self._manner.guide) ** 2))
+        return float(np.sum(self.weighted(z, self._options.guide) ** 2))
 
-    def _through_kinks(self, start: np.ndarray) -> End:
+    def _through_kinks(self, start: np.ndarray) -> SearchEnd:
         """Search by all residuals; where a kink may have held it up, again with the coarse step, and on."""
-        fine, coarse = self._manner.step, self._manner.coarse
+        fine, coarse = self._options.step, self._options.coarse
         end = self._once(start, fine)
         for _ in range(_ATTEMPTS):
             if coarse is None:
@@ -215,21 +212,26 @@ class Search:
                 break
         return end
 
-    def _once(self, start: np.ndarray, step: float, only: Guide | None = None) -> End:
+    def _once(self, start: np.ndarray, step: float, only: Guide | None = None) -> SearchEnd:
         # Half a second to import: only for who fits.
         from scipy import optimize
 
         # What a guide says nothing of stays where it is: the start counts as one observation.
         held = np.zeros((0, len(start))) if only is None else np.eye(len(start))
         found = optimize.least_squares(
-            lambda z: np.concatenate([self.weighted(z, only), held @ (z - start)]), start,
-            lambda z: np.concatenate([self.jacobian(z, step, only), held]), (self.low, self.high),
-            "trf", ftol=self._manner.ending, xtol=self._manner.ending, gtol=1e-15, max_nfev=_MOST_STEPS,
-        )  # fmt: skip
-        return End(found.x, float(found.cost), found.status > 0)
+            lambda z: np.concatenate([self.weighted(z, only), held @ (z - start)]),
+            start,
+            lambda z: np.concatenate([self.jacobian(z, step, only), held]),
+            bounds=(self.low, self.high),
+            ftol=self._options.ending,
+            xtol=self._options.ending,
+            gtol=1e-15,
+            max_nfev=_MOST_STEPS,
+        )
+        return SearchEnd(found.x, float(found.cost), found.status > 0)
 
 
-class _EndedError(Exception):
+class _StoppedError(Exception):
     """A search has run the model as often as it may, or nothing is left to explain."""
 
 
@@ -263,7 +265,7 @@ def least_squares(
     residuals: Residuals,
     unknowns: Sequence[Unknown],
     *,
-    manner: Manner | None = None,
+    options: SearchOptions | None = None,
     starts: int = 1,
     seed: int = 0,
     held: Values | None = None,
@@ -276,7 +278,7 @@ def least_squares(
         residuals: of all data, by the values of the unknowns; their number and lengths never change.
             Those whose role is not "fit" are only looked at in the end.
         unknowns: what is looked for.
-        manner: how the search suits the model; default that of a smooth one.
+        options: how the search suits the model; default that of a smooth one.
         starts: how many searches; the first from the unknowns' starts, others from the best of many
             points drawn about it.
         seed: of these draws.
@@ -287,7 +289,7 @@ def least_squares(
     Raises:
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
     """
-    search = Search(residuals, tuple(unknowns), manner or Manner(), watch)
+    search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
     ends = [search.run(start) for start in starts_of(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
     found = _estimate(search, best, ends, held or {})
@@ -296,7 +298,7 @@ def least_squares(
     return replace(found, residuals=(*found.residuals, *validation(search.values(best.z))))
 
 
-def _estimate(search: Search, best: End, ends: Sequence[End], held: Values) -> Estimate:
+def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: Values) -> Estimate:
     from scipy import stats
 
     z, unknowns = best.z, search.unknowns
@@ -323,22 +325,28 @@ def _estimate(search: Search, best: End, ends: Sequence[End], held: Values) -> E
         if unknown.nuisance:
             continue
         place = int(np.searchsorted(inside, i))
+        why = ""
         if bound[i]:
-            found.append(
-                Parameter(unknown.name, unknown.unit, "not identifiable", why=wanted_beyond(unknown, z[i]))
-            )
+            why = wanted_beyond(unknown, z[i])
         elif known is None or known.hidden(place):
             why = hidden_because(unknowns, inside, known, place)
+        if why or known is None:
             found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
         else:
             error = float(known.errors[place])
             found.append(_numbers(unknown, float(z[i]), error, quantile, reach[i], best.converged))
         kept.append(i)
     return Estimate(
-        tuple(found), _correlation(found, kept, inside, known), residuals,
-        cancels(unknowns, inside, known), samples, float(independent), float(np.sqrt(variance)), dict(held),
+        tuple(found),
+        _correlation(found, kept, inside, known),
+        residuals,
+        cancels(unknowns, inside, known),
+        samples,
+        float(independent),
+        float(np.sqrt(variance)),
+        dict(held),
         best.converged,
-    )  # fmt: skip
+    )
 
 
 def _numbers(
@@ -355,7 +363,7 @@ def _numbers(
     return Parameter(unknown.name, unknown.unit, verdict, value, unknown.slope(value) * error, low, high, why)
 
 
-def _rivals(best: End, ends: Sequence[End], variance: float, limit: float) -> np.ndarray:
+def _rivals(best: SearchEnd, ends: Sequence[SearchEnd], variance: float, limit: float) -> np.ndarray:
     """Return how far, in z, searches went apart that fit as well as the best, by unknown."""
     alike = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit * variance]
     return np.asarray(np.abs(np.array(alike) - best.z).max(axis=0))
@@ -371,8 +379,7 @@ def _correlation(
         places = np.searchsorted(inside, [kept[k] for k in rows])
         # Without noise nothing has an error, and nothing a correlation.
         errors = np.maximum(known.errors[places], 1e-150)
-        matrix[np.ix_(rows, rows)] = np.clip(
-            known.covariance[np.ix_(places, places)] / np.outer(errors, errors), -1.0, 1.0
-        )
+        scaled = known.covariance[np.ix_(places, places)] / np.outer(errors, errors)
+        matrix[np.ix_(rows, rows)] = np.clip(scaled, -1.0, 1.0)
         matrix[rows, rows] = 1.0
     return matrix

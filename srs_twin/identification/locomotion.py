@@ -21,10 +21,11 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Residual, Role
 from srs_twin.identification.fit_file import DataSet, data_sets, keep_apart, trajectory_hash
-from srs_twin.identification.least_squares import Manner, Watch, least_squares
+from srs_twin.identification.least_squares import SearchOptions, Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
+from srs_twin.recordings.trajectories import numbered
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
@@ -34,9 +35,12 @@ AGAINST = ("averages", "shapes", "both")
 
 # What a measured value may be off by, and units.
 NOISE = {
-    "speed": (2e-3, "m/s"), "yaw_rate": (1e-2, "rad/s"), "path": (2e-3, "m"), "heading": (2e-2, "rad"),
+    "speed": (2e-3, "m/s"),
+    "yaw_rate": (1e-2, "rad/s"),
+    "path": (2e-3, "m"),
+    "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
-}  # fmt: skip
+}
 # Of differences, in z: fine, and coarse. `compliant` is smooth; steps that adapt to friction are less so.
 _STEPS = {"compliant": (1e-4, 0.1), "analytical": (3e-2, 0.1)}
 MOST_TWIN_RUNS = 150
@@ -86,7 +90,7 @@ class PlantModel:
         if self.plant not in PLANTS:
             raise UnknownNameError("plant", self.plant, PLANTS)
 
-    def manner(self, against: str) -> Manner:
+    def search_options(self, against: str) -> SearchOptions:
         """Return how a search suits the plant.
 
         The twin's motion is smooth to 1e-3 in z. But its path and heading follow the unknowns only up to
@@ -95,9 +99,9 @@ class PlantModel:
         """
         if self.plant == "twin":
             guide = None if against == "averages" else _is_bend
-            return Manner(3e-3, 3e-2, 3e-4, guide, telling=3e-2, enough=1e-2, most_runs=MOST_TWIN_RUNS)
+            return SearchOptions(3e-3, 3e-2, 3e-4, guide, telling=3e-2, enough=1e-2, most_runs=MOST_TWIN_RUNS)
         compliant = self.settings.get("model") == "compliant"
-        return Manner(*_STEPS["compliant" if compliant else "analytical"])
+        return SearchOptions(*_STEPS["compliant" if compliant else "analytical"])
 
     def build(self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None) -> Plant:
         """Return the plant of a robot, with chambers of its own or given ones."""
@@ -131,8 +135,6 @@ def fit_locomotion(
     against: str = "averages",
     validation: Sequence[GaitRun] = (),
     starts: int = 3,
-    starting: Mapping[str, float] | None = None,
-    noise: Mapping[str, float] | None = None,
     watch: Watch | None = None,
 ) -> Estimate:
     """Return what gait runs tell of a robot.
@@ -146,8 +148,6 @@ def fit_locomotion(
         validation: runs to hold the estimate against.
         starts: how many searches; one may end in a minimum that is not the least, with a large residual.
             Against the twin one does, where shapes lead it.
-        starting: other values to start from, by name.
-        noise: other values for `NOISE`, by name.
         watch: is told how far the search is, see `least_squares`.
 
     Raises:
@@ -159,7 +159,6 @@ def fit_locomotion(
     if not runs:
         raise InputError("gait runs are wanted; none was given")
     model = model or PlantModel()
-    scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
     keep_apart(data_sets(runs, validation))
     fitted, kept = (
         [(run, signals(run.trajectory, None, against, run.name)) for run in given]
@@ -173,18 +172,21 @@ def fit_locomotion(
         found: list[Residual] = []
         for run, seen in measured:
             try:
-                told = signals(model.follow(run, robot), run.trajectory, against, run.name)
-                off = {name: seen[name] - told[name] for name in seen}
+                predicted = signals(model.follow(run, robot), run.trajectory, against, run.name)
+                off = {name: seen[name] - predicted[name] for name in seen}
             except DivergedError:
                 off = {name: np.full_like(each, _DIVERGED) for name, each in seen.items()}
-            found += [_residual(run, name, each, scales, role) for name, each in off.items()]
+            found += [_residual(run, name, each, role) for name, each in off.items()]
         return found
 
-    wanted = unknowns(spec, names, starts=starting)
     return least_squares(
-        partial(residuals, fitted, "fit"), wanted, manner=model.manner(against), starts=starts, watch=watch,
+        partial(residuals, fitted, "fit"),
+        unknowns(spec, names),
+        options=model.search_options(against),
+        starts=starts,
+        watch=watch,
         validation=partial(residuals, kept, "validation"),
-    )  # fmt: skip
+    )
 
 
 def signals(
@@ -205,10 +207,8 @@ def signals(
     if against != "shapes":
         metrics = plant_metrics(trajectory)
         if metrics["com_speed_m_s"] is None:
-            raise InputError(
-                f"{name}: no average over gait periods; three whole periods and gait_frequency_hz in the "
-                "metadata are wanted"
-            )
+            wanted = "three whole periods and gait_frequency_hz in the metadata are wanted"
+            raise InputError(f"{name}: no average over gait periods; {wanted}")
         found["speed"] = np.array([metrics["com_speed_m_s"]])
         found["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])
     if against != "averages":
@@ -233,17 +233,13 @@ def _shapes(trajectory: Trajectory, like: Trajectory, *, moved: bool) -> dict[st
         c, s = math.cos(turn), math.sin(turn)
         path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + other.mean(axis=0)
         heading = heading + turn
-    bends = at(trajectory, trajectory.stack("bend"))
-    return {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading} | {
-        f"bend_{j}": bend for j, bend in enumerate(bends.T, start=1)
-    }
+    found = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
+    return found | numbered("bend", at(trajectory, trajectory.stack("bend")))
 
 
-def _residual(
-    run: GaitRun, name: str, values: np.ndarray, scales: Mapping[str, float], role: Role
-) -> Residual:
-    kind = name if name in NOISE else name.rpartition("_")[0]
-    return Residual(f"{run.name} {name}", NOISE[kind][1], values, scales[kind], role)
+def _residual(run: GaitRun, name: str, values: np.ndarray, role: Role) -> Residual:
+    scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
+    return Residual(f"{run.name} {name}", unit, values, scale, role)
 
 
 def _is_bend(residual: Residual) -> bool:

@@ -1,23 +1,18 @@
 r"""Paths of a crawling snake, averaged over periods: speed, curvature, edges, transients.
 
-Poses along arcs, and what a period-averaged path says of them.
-
 A pose is a point of the path and the direction of the path there, as a planner has it. With arcs of curvature
 κ and length L as motions
 
-.. math:: A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr),
+$$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
 poses are put after each other: P ∘ A is where the arc leads from P. Arrays of poses have one leading axis.
 
-SteadyPath: speed, curvature, edges and ends of a snake that crawls under one offset (Fig. 58, Table 8).
+`SteadyPath` is how a snake crawls under one offset (Fig. 58, Table 8). `transient` measures what a change of
+offset does to the path, against the instant change that the dissertation assumes: at the time t_s of the
+change the path is at the pose P, found from the steady arc before it. An instant change would go on with the
+steady arc of the new offset, P ∘ A(v (t − t_s)). The path that is settled again goes
 
-What a change of offset does to the path, against the instant change that the dissertation assumes.
-
-At the time t_s of the change the path is at the pose P, found from the steady arc before it. An instant
-change would go on with the steady arc of the new offset, P ∘ A(v (t − t_s)). The path that is settled again
-goes
-
-.. math:: P ∘ D ∘ A(v (t − t_s))
+$$ P ∘ D ∘ A(v (t − t_s)) $$
 
 with one displacement D for ever: as if the snake had jumped by D at the change and followed the new arc from
 there. It is settled when each period from then on turns the body as the new offset does, but for 10 % of what
@@ -45,7 +40,7 @@ _SMALL_TURN = 1e-4  # rad: below it a series is better than a quotient of two sm
 
 
 @dataclass(frozen=True)
-class Frames:
+class Poses:
     """Poses, or motions from one pose to another.
 
     Attributes:
@@ -57,22 +52,22 @@ class Frames:
     heading: np.ndarray
 
     @classmethod
-    def arc(cls, curvature: float, length: np.ndarray | float) -> Frames:
+    def arc(cls, curvature: float, length: np.ndarray | float) -> Poses:
         """Return the motions A_κ(L); negative lengths (m) lead back."""
         half = curvature * np.asarray(length, dtype=float) / 2
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
-    def then(self, other: Frames) -> Frames:
+    def then(self, other: Poses) -> Poses:
         """Return self ∘ other: the other motion begun at this pose."""
-        return Frames(self.place + np.exp(1j * self.heading) * other.place, self.heading + other.heading)
+        return Poses(self.place + np.exp(1j * self.heading) * other.place, self.heading + other.heading)
 
-    def inverse(self) -> Frames:
+    def inverse(self) -> Poses:
         """Return the motion that undoes this one."""
-        return Frames(-np.exp(-1j * self.heading) * self.place, -self.heading)
+        return Poses(-np.exp(-1j * self.heading) * self.place, -self.heading)
 
-    def mean(self) -> Frames:
+    def mean(self) -> Poses:
         """Return the mean of poses that lie close to each other."""
-        return Frames(np.asarray(self.place.mean()), np.asarray(self.heading.mean()))
+        return Poses(np.asarray(self.place.mean()), np.asarray(self.heading.mean()))
 
     def coordinates(self, points: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
         """Return path coordinates of points about arcs through these poses, as `planning.swept` has them.
@@ -93,7 +88,7 @@ class Frames:
         return along, left
 
 
-def averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, Frames]:
+def averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, Poses]:
     """Return times (s) and poses of the period-averaged path of the centre of mass in a window.
 
     Each pose is in the middle of a period, its direction that of the period's chord. The mean of an arc lies
@@ -114,7 +109,7 @@ def averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarra
     inside = half / 12 if abs(half) < _SMALL_TURN else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
     place = mean[:, 0] + 1j * mean[:, 1] - 1j * inside * chord
     times = window.times(window.periods - 1) + window.period / 2
-    return times, Frames(place, np.unwrap(np.angle(chord)))
+    return times, Poses(place, np.unwrap(np.angle(chord)))
 
 
 @dataclass(frozen=True)
@@ -162,9 +157,9 @@ class SteadyPath:
         speed = chord / window.period / float(np.sinc(turn / (2 * np.pi)))
         curvature = path_curvature(chord, turn)
         times, poses = averaged_path(trajectory, window)
-        begin = poses.then(Frames.arc(curvature, speed * (window.start - times))).mean()
+        begin = poses.then(Poses.arc(curvature, speed * (window.start - times))).mean()
         seen = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
-        on_the_arc = begin.then(Frames.arc(curvature, speed * (trajectory.time[seen] - window.start)))
+        on_the_arc = begin.then(Poses.arc(curvature, speed * (trajectory.time[seen] - window.start)))
         along, left = on_the_arc.coordinates(body_sides(trajectory, geometry)[seen], curvature)
         reach = [float(each) for each in (left.max(), -left.min(), along.max(), -along.min())]
         return cls(speed, curvature, *reach)
@@ -206,9 +201,13 @@ class Change:
 
 
 def transient(
-    trajectory: Trajectory, geometry: Geometry, period: float, change: Change,
-    before: SteadyPath, after: SteadyPath,
-) -> Transient:  # fmt: skip
+    trajectory: Trajectory,
+    geometry: Geometry,
+    period: float,
+    change: Change,
+    before: SteadyPath,
+    after: SteadyPath,
+) -> Transient:
     """Measure one change of offset.
 
     Body that is still on the arc before the change does not count: a planner sweeps that with the old arc.
@@ -236,14 +235,15 @@ def transient(
 
     seen = (trajectory.time >= change.time - 1e-9) & (trajectory.time <= settled + 1e-9)
     body, way = body_sides(trajectory, geometry)[seen], after.speed * (trajectory.time[seen] - change.time)
-    _, left = begin.then(Frames.arc(after.curvature, way)).coordinates(body, after.curvature)
+    _, left = begin.then(Poses.arc(after.curvature, way)).coordinates(body, after.curvature)
     counted = ~_still_before(begin, body, before)
     beyond = [np.where(counted, out, 0.0).max() for out in (left - after.left, -left - after.right)]
+    left_by, right_by = (max(float(each), 0.0) for each in beyond)
+    length, place = after.speed * (settled - change.time), jumped.place
+    turned = float(np.angle(np.exp(1j * jumped.heading)))
     return Transient(
-        change.before, change.after, max(float(beyond[0]), 0.0), max(float(beyond[1]), 0.0),
-        after.speed * (settled - change.time), dx=float(jumped.place.real), dy=float(jumped.place.imag),
-        dheading=float(np.angle(np.exp(1j * jumped.heading))),
-    )  # fmt: skip
+        change.before, change.after, left_by, right_by, length, float(place.real), float(place.imag), turned
+    )
 
 
 def _settled(
@@ -278,13 +278,13 @@ def widest(repeats: Sequence[Transient]) -> Transient:
     return Transient(first.before, first.after, left, right, length, dx, dy, turned)
 
 
-def _back(trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath) -> Frames:
+def _back(trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath) -> Poses:
     """Return where a steady path was, or will be, at a time (s), from each pose in a window."""
     times, poses = averaged_path(trajectory, window)
-    return poses.then(Frames.arc(path.curvature, path.speed * (time - times)))
+    return poses.then(Poses.arc(path.curvature, path.speed * (time - times)))
 
 
-def _still_before(begin: Frames, body: np.ndarray, path: SteadyPath) -> np.ndarray:
+def _still_before(begin: Poses, body: np.ndarray, path: SteadyPath) -> np.ndarray:
     """Say which points are in what the steady path sweeps up to the change, a body before it at most."""
     along, left = begin.coordinates(body, path.curvature)
     inside = (left <= path.left) & (left >= -path.right)
