@@ -19,7 +19,7 @@ import numpy as np
 from published_tables import PublishedRun
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, knowledge
+from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, identifiability
 from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart
 from srs_twin.identification.footprint import Drive, steady_path
 from srs_twin.identification.least_squares import SearchOptions, least_squares
@@ -165,7 +165,7 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
     fine, coarse = jacobian(_STEP), jacobian(2 * _STEP)
     noise = estimate.residual_scale * math.sqrt(estimate.samples / estimate.independent)
     widths = np.array([each.coordinate(each.high) - each.coordinate(each.low) for each in everything])
-    known = knowledge(fine, coarse - fine, noise, widths)
+    known = identifiability(fine, coarse - fine, noise, widths)
     if not known.hidden(-1):
         return None
     size = float(np.abs(fine[:, -1]).max())

@@ -138,12 +138,8 @@ def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
         footprint_file(measured, "x"), path, header=header(planned, "gen2", "x", {"srs_twin": "1"})
     )
     body = load_footprint(path)
-    for column, key in (
-        ("curvatures", "curvature"),
-        ("speeds", "speed"),
-        ("left", "left"),
-        ("right", "right"),
-    ):
+    columns = {"curvatures": "curvature", "speeds": "speed", "left": "left", "right": "right"}
+    for column, key in columns.items():
         whole = [getattr(each, key) for each in measured.steady]
         assert getattr(body, column) == pytest.approx(whole, abs=6e-5)
     assert body.ahead == pytest.approx(max(each.ahead for each in measured.steady), abs=6e-5)

@@ -14,7 +14,7 @@ from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import Response
-from srs_twin.identification.takes import Reading, gait_run
+from srs_twin.identification.takes import RecordingReader, gait_run
 from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.logs import on_bench
@@ -128,14 +128,15 @@ def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tm
     air = {f"valve_{s}_{j}": truth[f"valve_{s}_{j}"] for j in range(1, 5) for s in ("plus", "minus")}
     path = tmp_path / "all.csv"
     path.write_text(csv({"time": truth.time} | bends | air))
-    found = on_bench(Reading().take(str(path), str(path), chain), chain).trajectory
+    found = on_bench(RecordingReader().take(str(path), str(path), chain), chain).trajectory
     assert np.abs(found.position - truth.position).max() < 1e-6
     assert np.abs(found.com - truth.com).max() < 1e-6
     assert np.abs(found.stack("theta") - truth.stack("theta")).max() < 1e-6
 
 
 def test_a_sensor_log_fits_actuators_too(bench):
-    take = Reading(offset_s=0.0).take(str(bench / "sensor.csv"), str(bench / "sensor.valves.csv"), MODULE)
+    motion, log = str(bench / "sensor.csv"), str(bench / "sensor.valves.csv")
+    take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
     response = Response.of_recording(take, "sensor", SUPPLY)
     assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()
     with pytest.raises(InputError, match="sensor: bends alone do not tell where a robot crawled"):
@@ -148,10 +149,10 @@ def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
         lines[k] = lines[k].partition(",")[0] + ","
     path = tmp_path / "gaps.csv"
     path.write_text("\n".join([*lines, ""]))
-    body = Reading(longest_gap_s=0.1).body(str(path), MODULE)
+    body = RecordingReader(longest_gap_s=0.1).body(str(path), MODULE)
     assert body.summary.samples_filled == 2 and "filled: 2 bends" in body.summary.text()
     assert body.trajectory.time[-1] == pytest.approx(1.698)
-    whole = Reading().body(str(bench / "sensor.csv"), MODULE).trajectory["bend_1"]
+    whole = RecordingReader().body(str(bench / "sensor.csv"), MODULE).trajectory["bend_1"]
     assert np.abs(body.trajectory["bend_1"] - whole[: len(body.trajectory)]).max() < 2e-3
 
 
@@ -169,7 +170,7 @@ def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
 def test_sensor_logs_that_cannot_be(tmp_path, text, message):
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        Reading().body(str(tmp_path / "x.csv"), MODULE)
+        RecordingReader().body(str(tmp_path / "x.csv"), MODULE)
 
 
 def test_a_bench_has_a_head_that_is_held(bench):

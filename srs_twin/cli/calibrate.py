@@ -34,7 +34,7 @@ from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import Measured
-    from srs_twin.identification.takes import Reading
+    from srs_twin.identification.takes import RecordingReader
     from srs_twin.planning.footprint import Transient
     from srs_twin.recordings.recording import Recording
     from srs_twin.robot.spec import RobotSpec
@@ -79,7 +79,7 @@ def friction(
     place = FitDestination.of(context, "friction", robot, fit)
     from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
-    from srs_twin.identification.takes import Reading
+    from srs_twin.identification.takes import RecordingReader
     from srs_twin.robot.spec import load_robot
 
     spec, kept = load_robot(robot), validate or []
@@ -91,7 +91,7 @@ def friction(
         title = f"Friction of {spec.name} from pulls"
         place.finish(found, title=title, robot=robot, method="pulls", data=data_sets([pulls], others))
         return
-    how = Reading(**markers.given())
+    how = RecordingReader(**markers.given())
 
     def throw(path: str) -> Coasting:
         recording = how.motion(path, spec)
@@ -127,7 +127,7 @@ def actuator(
     place = FitDestination.of(context, "actuator", robot, fit)
     from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
     from srs_twin.identification.fit_file import data_sets
-    from srs_twin.identification.takes import Reading
+    from srs_twin.identification.takes import RecordingReader
     from srs_twin.robot.spec import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find)
@@ -139,7 +139,7 @@ def actuator(
         title = f"Actuators of {spec.name} from held pressures"
         place.finish(found, title=title, robot=robot, method="static", data=data_sets(tables, others))
         return
-    how = Reading(**markers.given(), offset_s=offset)
+    how = RecordingReader(**markers.given(), offset_s=offset)
     supply = _supply(spec, pressure)
     takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
     responses = [Response.of_recording(take, path, supply) for path, take in takes]
@@ -185,12 +185,12 @@ def locomotion(
     place = FitDestination.of(context, "locomotion", robot, fit)
     from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
-    from srs_twin.identification.takes import Reading, gait_run, starts_at_rest
+    from srs_twin.identification.takes import RecordingReader, gait_run, starts_at_rest
     from srs_twin.robot.spec import load_robot
 
     spec, kept = load_robot(robot), validate or []
     stands = PlantModel(plant, _plant_settings(plant, model, law))
-    how = Reading(**markers.given(), offset_s=offset, gait_frequency_hz=frequency)
+    how = RecordingReader(**markers.given(), offset_s=offset, gait_frequency_hz=frequency)
     supply = _supply(spec, pressure)
     takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
     for path, take in takes:
@@ -255,7 +255,7 @@ def _alike(files: Sequence[str], tells: Callable[[str], bool], one: str, other: 
 
 
 def _takes(
-    files: Sequence[str], valves: Sequence[str] | None, how: Reading, spec: RobotSpec, quiet: bool
+    files: Sequence[str], valves: Sequence[str] | None, how: RecordingReader, spec: RobotSpec, quiet: bool
 ) -> list[tuple[str, Recording]]:
     """Return (path, recording with its log) of each file, and say what was read."""
     from srs_twin.identification.takes import logs_of

@@ -157,7 +157,7 @@ FrequencyOption = Annotated[float | None, option("--frequency", "HZ", "Of the ga
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """How markers are read; see `Reading`."""
+    """How markers are read; see `RecordingReader`."""
 
     up: Annotated[str, option("--up", "AXIS", "Axis of the files that points up.")] = "auto"
     layout: Annotated[str, option("--layout", "NAME", "Markers: auto, single, head or pair.")] = "auto"
@@ -169,7 +169,7 @@ class ReadingOptions:
     ] = None
 
     def given(self) -> dict[str, Any]:
-        """Return what was given, by the names of `Reading`."""
+        """Return what was given, by the names of `RecordingReader`."""
         values = {"up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -280,9 +280,15 @@ class FitDestination:
         from srs_twin.viewing.html.fit_report import fit_report
 
         fit = fit_file(
-            estimate, name=self.name, title=title[:200], robot=robot, method=method, command=self.command,
-            versions=versions(), data=data,
-        )  # fmt: skip
+            estimate,
+            name=self.name,
+            title=title[:200],
+            robot=robot,
+            method=method,
+            command=self.command,
+            versions=versions(),
+            data=data,
+        )
         report = self.path.with_suffix(".html")
         text = fit_report(fit, estimate)
         with atomic_write(report) as part:

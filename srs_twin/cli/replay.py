@@ -110,13 +110,13 @@ def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
 
 def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float:
     """Return how many whole ticks the recording lasts, s, and say what was read."""
-    from srs_twin.identification.takes import Reading, logs_of
+    from srs_twin.identification.takes import RecordingReader, logs_of
     from srs_twin.scenario.plants import TICK_S
 
     known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
     motion, valves = recording["motion"], recording.get("valves")
     (log,) = logs_of([motion], [valves] if valves else [])
-    take = Reading(**known).take(motion, log, robot.spec())
+    take = RecordingReader(**known).take(motion, log, robot.spec())
     say(take.summary.text(), "", quiet=quiet)
     time = take.trajectory.time
     ticks = math.floor(min(float(time[-1] - time[0]), _LONGEST) / TICK_S + 1e-6)

@@ -50,7 +50,7 @@ _LEAST = 1e-6
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class Identifiability:
     """What a Jacobian says, all in coordinates z.
 
     Attributes:
@@ -73,7 +73,9 @@ class Knowledge:
         return bool(self.share[i] > BLIND_SHARE or self.errors[i] >= KNOWN)
 
 
-def knowledge(jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray) -> Knowledge:
+def identifiability(
+    jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray
+) -> Identifiability:
     """Return what a Jacobian says.
 
     Args:
@@ -90,7 +92,7 @@ def knowledge(jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.
     # Uniform between the bounds: the variance of what nobody knows.
     reach = (np.abs(blind) @ widths) / np.sqrt(12)
     covariance += (blind.T * reach**2) @ blind
-    return Knowledge(covariance, np.linalg.norm(blind, axis=0), blind)
+    return Identifiability(covariance, np.linalg.norm(blind, axis=0), blind)
 
 
 Verdict = Literal["identified", "weakly identified", "not identifiable"]
@@ -209,7 +211,7 @@ def wanted_beyond(unknown: Unknown, z: float) -> str:
 
 
 def hidden_because(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Knowledge | None, place: int
+    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability | None, place: int
 ) -> str:
     """Return why a parameter inside its bounds has no number.
 
@@ -232,7 +234,7 @@ def hidden_because(
 
 
 def cancels(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Knowledge | None
+    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability | None
 ) -> tuple[dict[str, float], ...]:
     """Return the directions in which the residuals do not change: name → share, the largest above 0.
 

@@ -1,6 +1,6 @@
 """Robots made of fits: one base, and what each fit found of it, later ones over earlier ones.
 
-Overrides: a fit as the `robot: {base: …}` block of a scenario.
+What a fit found becomes the `robot: {base: …}` block of a scenario, or a robot file.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ from srs_twin.robot.spec import RobotSpec
 _PA_PER_KPA = 1e3
 _ROUNDED = 1e-7  # fit files have nine digits
 _SPREADS = {
-    "gain": "gain_spread", "tau_fill": "tau_spread", "tau_vent": "tau_spread", "bias_rad": "bias_spread_rad",
+    "gain": "gain_spread",
+    "tau_fill": "tau_spread",
+    "tau_vent": "tau_spread",
+    "bias_rad": "bias_spread_rad",
     "sensor_bias_rad": "sensor_bias_spread_rad",
-}  # fmt: skip
+}
 
 
 def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None) -> dict[str, Any]:

@@ -28,14 +28,14 @@ from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
     IDENTIFIED,
     Estimate,
-    Knowledge,
+    Identifiability,
     Parameter,
     Residual,
     Verdict,
     cancels,
     correlation_time,
     hidden_because,
-    knowledge,
+    identifiability,
     wanted_beyond,
 )
 from srs_twin.identification.unknowns import Unknown
@@ -317,7 +317,7 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
     known = None
     if inside.size:
         widths = (search.high - search.low)[inside]
-        known = knowledge(jacobian[:, inside], doubt[:, inside], noise, widths)
+        known = identifiability(jacobian[:, inside], doubt[:, inside], noise, widths)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     reach = _rivals(best, ends, variance * samples / independent, stats.chi2.ppf(LEVEL, len(unknowns)))
     found, kept = [], []
@@ -370,7 +370,7 @@ def _rivals(best: SearchEnd, ends: Sequence[SearchEnd], variance: float, limit: 
 
 
 def _correlation(
-    found: Sequence[Parameter], kept: Sequence[int], inside: np.ndarray, known: Knowledge | None
+    found: Sequence[Parameter], kept: Sequence[int], inside: np.ndarray, known: Identifiability | None
 ) -> np.ndarray:
     """Return the correlation of what has numbers, NaN elsewhere, shape (parameters, parameters)."""
     matrix = np.full((len(found), len(found)), np.nan)

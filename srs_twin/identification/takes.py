@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +33,8 @@ _STILL = 1e-9  # s
 
 
 @dataclass(frozen=True)
-class Reading:
-    """How recordings are read.
+class RecordingReader:
+    """Reads recordings and their logs, with settings for all of them.
 
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
@@ -59,26 +60,21 @@ class Reading:
             spec: the robot on it.
             frequency: of the gait where none was given, Hz.
         """
-        return read_motion(
-            path, spec, up=self.up, layout=self.layout, head=self.head, longest_gap_s=self.longest_gap_s,
-            gait_frequency_hz=frequency if self.gait_frequency_hz is None else self.gait_frequency_hz,
-        )  # fmt: skip
+        options = {"up": self.up, "layout": self.layout, "head": self.head}
+        return read_motion(path, spec, **options, **self._stretch(frequency))  # type: ignore[arg-type]
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
-        """Read what was measured of the body: a captured motion, or a log of its bends (`bend_log`).
+        """Read what was measured of the body: a captured motion, or a log of its bends; as `motion`."""
+        if is_bend_log(path):
+            return read_bends(path, spec, **self._stretch(frequency))
+        return self.motion(path, spec, frequency)
 
-        Args:
-            path: of the file.
-            spec: the robot on it.
-            frequency: of the gait where none was given, Hz.
-        """
-        if not is_bend_log(path):
-            return self.motion(path, spec, frequency)
+    def _stretch(self, frequency: float | None) -> dict[str, Any]:
         given = self.gait_frequency_hz
-        return read_bends(
-            path, spec, longest_gap_s=self.longest_gap_s,
-            gait_frequency_hz=frequency if given is None else given,
-        )  # fmt: skip
+        return {
+            "longest_gap_s": self.longest_gap_s,
+            "gait_frequency_hz": frequency if given is None else given,
+        }
 
     def joined(self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool) -> Recording:
         """Put what was measured and a log on one clock, which they share where both are columns of one file.
@@ -113,10 +109,9 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     if not given:
         return [str(Path(take).with_name(Path(take).stem + _LOG)) for take in takes]
     if len(given) != len(takes):
-        raise InputError(
-            f"{len(given)} logs of valves for {len(takes)} recordings; give one for each, in their order "
-            f"({', '.join(takes)}), or none where each lies beside its recording as NAME{_LOG}"
-        )
+        wanted = f"give one for each, in their order ({', '.join(takes)})"
+        otherwise = f"or none where each lies beside its recording as NAME{_LOG}"
+        raise InputError(f"{len(given)} logs of valves for {len(takes)} recordings; {wanted}, {otherwise}")
     return list(given)
 
 

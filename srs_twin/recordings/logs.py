@@ -35,7 +35,7 @@ from srs_twin.recordings.csv_table import (
 from srs_twin.recordings.gaps import LEAST_FRAMES, filled, in_order, longest_whole, taken, time_order
 from srs_twin.recordings.recording import Recording, naming
 from srs_twin.recordings.summary import LogSummary
-from srs_twin.recordings.trajectories import measured, moving_slope, numbered
+from srs_twin.recordings.trajectories import measured, moving_slope, numbered, pose_columns
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -129,12 +129,7 @@ def _bent_body(time: np.ndarray, bend: np.ndarray, spec: RobotSpec) -> dict[str,
     com = -shape[:, 0] * np.exp(-1j * relative[:, 0])
     return {
         "time": time,
-        "com_x": com.real,
-        "com_y": com.imag,
-        "heading": theta.mean(axis=1),
-        **numbered("x", place.real),
-        **numbered("y", place.imag),
-        **numbered("theta", theta),
+        **pose_columns(com, theta.mean(axis=1), place, theta),
         **numbered("bend", bend),
         **numbered("bend_rate", moving_slope(time, bend)),
     }
@@ -269,15 +264,8 @@ def _clamped(trajectory: Trajectory, held: np.ndarray, heading: float, ahead: fl
     back, origin = np.exp(-1j * heading), held @ [1, 1j]
     com = (trajectory.com @ [1, 1j] - origin) * back + ahead
     place = (trajectory.position @ [1, 1j] - origin) * back + ahead
-    columns = {
-        **trajectory.columns,
-        "com_x": com.real,
-        "com_y": com.imag,
-        "heading": trajectory["heading"] - heading,
-        **numbered("x", place.real),
-        **numbered("y", place.imag),
-        **numbered("theta", trajectory.stack("theta") - heading),
-    }
+    pose = pose_columns(com, trajectory["heading"] - heading, place, trajectory.stack("theta") - heading)
+    columns = {**trajectory.columns, **pose}
     if "com_velocity_x" in columns:
         velocity = (columns["com_velocity_x"] + 1j * columns["com_velocity_y"]) * back
         columns |= {"com_velocity_x": velocity.real, "com_velocity_y": velocity.imag}

@@ -73,12 +73,7 @@ def body_trajectory(
     filled = np.stack([markers.missing[:, list(group)].any(axis=1) for group in body.members], axis=1)
     columns = {
         "time": markers.time,
-        "com_x": com[:, 0],
-        "com_y": com[:, 1],
-        "heading": heading,
-        **numbered("x", body.position[..., 0]),
-        **numbered("y", body.position[..., 1]),
-        **numbered("theta", body.theta),
+        **pose_columns(com @ [1, 1j], heading, body.position @ [1, 1j], body.theta),
         **numbered("bend", body.bend),
         "com_velocity_x": rates[:, 0],
         "com_velocity_y": rates[:, 1],
@@ -88,6 +83,21 @@ def body_trajectory(
         "residual": np.sqrt((body.residual**2).mean(axis=1)),
     }
     return measured(columns, spec, summary, gait_frequency_hz)
+
+
+def pose_columns(
+    com: np.ndarray, heading: np.ndarray, place: np.ndarray, theta: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the columns that say where a body is.
+
+    Args:
+        com: x + i y of the centre of mass, shape (frames,), m.
+        heading: of the body, same shape, rad.
+        place: x + i y of the connectors, shape (frames, N), m.
+        theta: their headings, same shape, rad.
+    """
+    centre = {"com_x": com.real, "com_y": com.imag, "heading": heading}
+    return centre | numbered("x", place.real) | numbered("y", place.imag) | numbered("theta", theta)
 
 
 def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from srs_twin.identification.takes import Reading
+from srs_twin.identification.takes import RecordingReader
 from srs_twin.scenario.fields import Section, quantity, section
 
 FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
@@ -15,7 +15,7 @@ FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 class RecordingFile(Section):
     """What was measured of a robot and the log of its air (docs/logs.md); paths from the current folder."""
 
-    constructors = (Reading,)
+    constructors = (RecordingReader,)
 
     motion: FilePath = section(
         "What cameras saw, a Motive or plain CSV file; on a bench also a CSV file of time,bend_1,…."

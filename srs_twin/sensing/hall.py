@@ -1,23 +1,9 @@
-r"""HallSensor: a magnet and a Hall element on the strip in a segment's neutral axis.
+r"""HallSensor: a magnet and a Hall element on the strip in a segment's neutral axis, as a voltage.
 
-What the cross-section of the pressure chambers does to the strip between them.
-
-A rectangular chamber rounds as soon as it is filled and presses on the strip beside it (Section 2.2.2,
-Fig. 14a, c). The filled chamber is on the outside of the bend, so it bows the strip against the bend; once
-round, it presses no further. The strip then feels
-
-$$ q_s = q - b\,q_c \tanh(q / q_c) $$
-
-in place of the bend q: a slope of 1 − b at q = 0, less than 0 for b > 1, and 1 again beyond a few q_c. The
-text says that such readings are not monotonic at small angles; its numbers are in a figure that is lost, so
-b and q_c are estimates. The press is taken to follow the bend at rest, not the momentary pressure.
-
-A magnet and a Hall element on the strip in a segment's neutral axis: field at the element against bend.
-
-The strip bends with constant curvature κ = q/l. The frame sits where the magnet does: x along the strip
-towards the element and the head, y normal to it, to the left. At the arc length L the strip has turned by
-θ = κL; the element stands h_s and the magnet's centre h_m to the left of the neutral axis (both less than
-0 on its other side):
+**Strip and field.** The strip bends with constant curvature κ = q/l. The frame sits where the magnet does: x
+along the strip towards the element and the head, y normal to it, to the left. At the arc length L the strip
+has turned by θ = κL; the element stands h_s and the magnet's centre h_m to the left of the neutral axis
+(both less than 0 on its other side):
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
@@ -31,9 +17,17 @@ and the element measures what is normal to it, B_n = B_y cos θ − B_x sin θ (
 be the local angle κL: with the whole bend in its place a reading over ±90° would not be linear, let alone
 monotonic (docs/sensor.md).
 
-HallSensor: from the bend of a segment to the voltage that its controller reads.
+**Chambers.** A rectangular chamber rounds as soon as it is filled and presses on the strip beside it (Section
+2.2.2, Fig. 14a, c). The filled chamber is on the outside of the bend, so it bows the strip against the bend;
+once round, it presses no further. The strip then feels
 
-Hall element, amplifier, converter:
+$$ q_s = q - b\,q_c \tanh(q / q_c) $$
+
+in place of the bend q: a slope of 1 − b at q = 0, less than 0 for b > 1, and 1 again beyond a few q_c. The
+text says that such readings are not monotonic at small angles; its numbers are in a figure that is lost, so
+b and q_c are estimates. The press is taken to follow the bend at rest, not the momentary pressure.
+
+**Electronics.** Hall element, amplifier, converter:
 
     element output   s B_n + n                        s sensitivity, n noise
     amplifier        V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n), held within the rails

@@ -1,20 +1,15 @@
-"""What controllers are told of the bends: sensors, their noise and their faults.
+"""Sensors: what controllers are told of the bends, with noise and faults.
 
-Sensor: what turns a segment's bend into what its controller is told of it.
+`IdealSensor` tells the bend as it is, `CurvatureSensor` reads a Hall sensor in each segment through its
+calibration; `DriftedSensor` and `FaultySensor` add what is wrong with the sensors of single modules.
 
-Noise without state: a number that depends on the seed, the segment and the time, and on nothing else.
-
-So a sensor says the same to a controller that reads it once a tick and to a recorder that reads a whole
-run at once, on one thread or many. The numbers of one segment are SplitMix64 (Steele, Lea, Flood, 2014),
-read at the places 2n and 2n + 1 of its sequence, n the time in slots of 0.1 ms, and made normal by Box and
-Muller's transform. Each (seed, segment) starts elsewhere in the sequence.
-
-A controller asks for one moment after another, each of which would cost as much as a thousand at once. So
-single moments are looked up in blocks of slots that are kept.
-
-CurvatureSensor: a Hall sensor in each segment, read through its calibration.
-
-DriftedSensor and FaultySensor: what is wrong with the sensors of single modules.
+Noise has no state: a number depends on the seed, the segment and the time, and on nothing else, so a sensor
+says the same to a controller that reads it once a tick and to a recorder that reads a whole run at once, on
+one thread or many. The numbers of one segment are SplitMix64 (Steele, Lea, Flood, 2014), read at the places
+2n and 2n + 1 of its sequence, n the time in slots of 0.1 ms, and made normal by Box and Muller's transform.
+Each (seed, segment) starts elsewhere in the sequence. A controller asks for one moment after another, each
+of which would cost as much as a thousand at once, so single moments are looked up in blocks of slots that
+are kept.
 """
 
 from __future__ import annotations
