@@ -25,7 +25,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart, trajectory_hash
+from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
@@ -34,7 +34,6 @@ from srs_twin.recordings.csv_table import ANGLES, PRESSURES, first_line_names, r
 from srs_twin.recordings.logs import SIDES, ValveLog
 from srs_twin.recordings.recording import Recording
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.trajectory import Trajectory
 
 _BEND_NOISE = 0.01  # rad
 _PRESSURE_NOISE = 500.0  # Pa
@@ -68,27 +67,6 @@ class Response:
     bend: np.ndarray
     pressure: np.ndarray | None = None
     clock_known: bool = True
-
-    @classmethod
-    def of_rollout(
-        cls, trajectory: Trajectory, name: str, supply_pa: float, *, pressures: bool = False
-    ) -> Response:
-        """Return the response of a plant: edges are taken to fall on samples.
-
-        Args:
-            trajectory: what `rollout` gave, from rest.
-            name: what to call it.
-            supply_pa: Pa.
-            pressures: whether its pressures count as measured.
-        """
-        time = trajectory.time - trajectory.time[0]
-        states = _sides(trajectory, "valve").astype(np.int8)[1:]  # those that led to a sample
-        starts = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
-        schedule = Schedule(float(time[-1]), time[starts], np.ascontiguousarray(states[starts]))
-        measured = _sides(trajectory, "pressure") if pressures else None
-        return cls(
-            name, trajectory_hash(trajectory), schedule, supply_pa, time, trajectory.stack("bend"), measured
-        )
 
     @classmethod
     def of_recording(cls, recording: Recording, name: str, supply_pa: float) -> Response:
@@ -203,22 +181,22 @@ def predicted(
 
 def _compared(response: Response, spec: RobotSpec, clock: float, role: Role) -> list[Residual]:
     bend, pressure = predicted(response, spec, clock)
-    found = []
-    for j in range(spec.segments):
-        known = np.isfinite(response.bend[:, j])
-        off = (response.bend[:, j] - bend[:, j])[known]
-        found.append(Residual(f"{response.name} bend_{j + 1}", "rad", off, _BEND_NOISE, role))
+    found = _bend_residuals(response.name, response.bend - bend, role)
     if response.pressure is not None and pressure is not None:
-        for j in range(spec.segments):
-            for s, side in enumerate(SIDES):
-                off = response.pressure[:, j, s] - pressure[:, j, s]
-                name = f"{response.name} pressure_{side}_{j + 1}"
-                found.append(Residual(name, "Pa", off, _PRESSURE_NOISE, role))
+        off = response.pressure - pressure
+        for j, (plus, minus) in enumerate(off.transpose(1, 2, 0), start=1):
+            for side, values in (("plus", plus), ("minus", minus)):
+                name = f"{response.name} pressure_{side}_{j}"
+                found.append(Residual(name, "Pa", values, _PRESSURE_NOISE, role))
     return found
 
 
-def _sides(trajectory: Trajectory, name: str) -> np.ndarray:
-    return np.stack([trajectory.stack(f"{name}_{side}") for side in SIDES], axis=-1)
+def _bend_residuals(name: str, off: np.ndarray, role: Role) -> list[Residual]:
+    """Return residuals of bends by segment, without those that were not measured."""
+    return [
+        Residual(f"{name} bend_{j + 1}", "rad", column[np.isfinite(column)], _BEND_NOISE, role)
+        for j, column in enumerate(off.T)
+    ]
 
 
 @dataclass(frozen=True)
@@ -325,7 +303,4 @@ def fit_static(
 
 def _static_bends_compared(table: StaticTable, spec: RobotSpec, role: Role) -> list[Residual]:
     off = table.bend - spec.modules.array("bias") - air_bend(spec, table.pressure)
-    return [
-        Residual(f"{table.name} bend_{j + 1}", "rad", column[np.isfinite(column)], _BEND_NOISE, role)
-        for j, column in enumerate(off.T)
-    ]
+    return _bend_residuals(table.name, off, role)

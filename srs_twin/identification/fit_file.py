@@ -21,7 +21,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
-from srs_twin.identification.unknowns import known, unit_of
+from srs_twin.identification.unknowns import unit_of
 from srs_twin.io.documents import Loc, dump_yaml, load_yaml
 from srs_twin.io.files import atomic_write, existing
 from srs_twin.io.validation import Strict, validate
@@ -337,13 +337,13 @@ def _doubts(each: ParameterEntry) -> Iterator[tuple[Loc, str]]:
         yield ("verdict",), f"{each.verdict}, but {missing} is missing"
     elif given and not each.low <= each.value <= each.high:  # type: ignore[operator]
         yield ("value",), f"must lie between low and high, {each.low:g} and {each.high:g}"
-    if not known(each.name):
-        try:
-            unit_of(each.name)
-        except UnknownNameError as error:
-            yield ("name",), str(error)
-    elif each.unit != unit_of(each.name):
-        yield ("unit",), f"must be {unit_of(each.name)}, not {each.unit}"
+    try:
+        unit = unit_of(each.name)
+    except UnknownNameError as error:
+        yield ("name",), str(error)
+    else:
+        if each.unit != unit:
+            yield ("unit",), f"must be {unit}, not {each.unit}"
 
 
 def _square(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc, str]]:

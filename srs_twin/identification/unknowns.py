@@ -97,7 +97,7 @@ def unknowns(
     for name in names:
         if any(name == each.name for each in found):
             raise InputError(f"{name}: given twice")
-        field, k = _field(spec, name)
+        field, k = _field_of(spec, name)
         low = max(field.low, field.least(spec))
         given = (starts or {}).get(name)
         start = min(max(field.get(spec, k), low), field.high) if given is None else given
@@ -113,7 +113,7 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
     """
     for name, value in values.items():
         if known(name):
-            field, k = _field(spec, name)
+            field, k = _field_of(spec, name)
             spec = field.put(spec, value, k)
     return spec
 
@@ -129,10 +129,7 @@ def unit_of(name: str) -> str:
     Raises:
         UnknownNameError: no such number.
     """
-    parts = _split(name)
-    if parts is None:
-        raise UnknownNameError("parameter", name, names_of_fields(), "docs/identification.md")
-    return _FIELDS[parts[0]].unit
+    return _field(name)[0].unit
 
 
 def names_of_fields() -> list[str]:
@@ -157,11 +154,21 @@ def _split(name: str) -> tuple[str, int] | None:
     return (key, int(match[2]) - 1) if field and field.numbered else None
 
 
-def _field(spec: RobotSpec, name: str) -> tuple[_Field, int]:
+def _field(name: str) -> tuple[_Field, int]:
+    """Return a robot's number and which it is of its list, from 0.
+
+    Raises:
+        UnknownNameError: no such number.
+    """
     parts = _split(name)
     if parts is None:
         raise UnknownNameError("parameter", name, names_of_fields(), "docs/identification.md")
-    field, k = _FIELDS[parts[0]], parts[1]
+    return _FIELDS[parts[0]], parts[1]
+
+
+def _field_of(spec: RobotSpec, name: str) -> tuple[_Field, int]:
+    """Return a number that this robot has, as `_field`."""
+    field, k = _field(name)
     count = {"connector": spec.geometry.connectors, "segment": spec.segments}.get(field.numbered or "", 1)
     if k >= count:
         raise InputError(f"{name}: {spec.name} has {count} {field.numbered}s")
@@ -207,6 +214,10 @@ def _scale_masses(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     return replace(spec, mass=replace(spec.mass, connectors=masses, wheel=by * spec.mass.wheel))
 
 
+def _mass(spec: RobotSpec, k: int) -> float:
+    return spec.mass.connectors[k]
+
+
 def _put_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     masses = list(spec.mass.connectors)
     masses[k] = value
@@ -238,13 +249,7 @@ _FIELDS: dict[str, _Field] = {
     "geometry.width_m": _of("geometry", "width", "m", 1e-3, 0.5),
     "mass.connectors_kg": _Field("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
     "mass.connectors_kg_each": _Field(
-        "kg",
-        1e-3,
-        50.0,
-        lambda spec, k: spec.mass.connectors[k],
-        _put_mass,
-        numbered="connector",
-        least=_lightest,
+        "kg", 1e-3, 50.0, _mass, _put_mass, numbered="connector", least=_lightest
     ),
     "friction.mu_t": _of("friction", "mu_t", "1", 1e-3, 5.0),
     "friction.mu_n": _of("friction", "mu_n", "1", 1e-3, 5.0),

@@ -123,8 +123,7 @@ class Strip:
             raise UnknownNameError("chamber cross-section", self.chamber, PRESSED)
         for name in ("segment_length", "distance", "moment"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} {value!r} is not allowed; it must be finite and above 0")
+            _check(name, value, value > 0, "above 0")
         if self.distance > self.segment_length:
             raise InputError(
                 f"distance {self.distance:g} m from magnet to element is not allowed; "
