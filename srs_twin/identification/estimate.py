@@ -167,7 +167,7 @@ class Estimate:
         cancels: directions in which the residuals do not change: name → share, in the coordinates of
             `unknowns`; {mass: 0.71, stiffness: 0.71} says that only their ratio acts.
         samples: number of samples that were fitted.
-        independent: how many independent ones they are worth, see `independence`.
+        independent: how many independent ones they are worth, see `correlation_time`.
         residual_scale: standard deviation of the weighted residuals: 1 where they are as large as expected.
         held: what was taken as known and the values refer to, by name.
         converged: whether the search came to an end.

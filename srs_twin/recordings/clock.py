@@ -178,9 +178,9 @@ def _independent(residual: np.ndarray) -> float:
     power = float((residual**2).sum())
     if power == 0:
         return 1.0
-    told = float((residual[1:] * residual[:-1]).sum()) / power
-    told = min(max(told, 0.0), 0.999)
-    return (1 - told) / (1 + told)
+    correlation = float((residual[1:] * residual[:-1]).sum()) / power
+    correlation = min(max(correlation, 0.0), 0.999)
+    return (1 - correlation) / (1 + correlation)
 
 
 _STEP = 0.002  # s, at which driven bends are looked at
@@ -194,7 +194,7 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         recording: the motion.
         log: its valves or pressures.
         spec: the robot; its chambers turn valves into the bends that the offset is found from.
-        offset: what to add to the log's times, s; None: estimated (see `clock`).
+        offset: what to add to the log's times, s; None: estimated by `estimate_offset`.
 
     Returns:
         The part of the motion that the log covers, with columns ``valve_plus_1…`` or ``pressure_plus_1…``,

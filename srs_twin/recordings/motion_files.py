@@ -96,17 +96,13 @@ def _motive(file: RecordedFile) -> MarkerTable:
     if kind != KINDS[0]:
         notes.append(f"no columns of type {KINDS[0]}: positions of type {kind} taken")
     points, implausible = plausible(values[:, 2:].reshape(len(values), -1, 3) * LENGTHS[unit])
+    time = _times(file, header, values[:, 0], values[:, 1])
+    labels = tuple(each.name for each in markers)
+    corrections, version = (*notes, *implausible), f"Motive CSV {header.version}"
     announced = header.about.get("Total Exported Frames", "")
+    frames = int(announced) if announced.isdecimal() and len(announced) < 10 else None
     return MarkerTable(
-        kind=f"Motive CSV {header.version}",
-        time=_times(file, header, values[:, 0], values[:, 1]),
-        points=points,
-        labels=tuple(each.name for each in markers),
-        connectors=(),
-        header_frames=int(announced) if announced.isdecimal() and len(announced) < 10 else None,
-        sha256=file.sha256,
-        name=file.name,
-        corrections=(*notes, *implausible),
+        file.name, file.sha256, version, time, points, labels, corrections, header_frames=frames
     )
 
 
@@ -192,17 +188,10 @@ def _plain(file: RecordedFile) -> MarkerTable:
     if unstated:
         notes.append(f"{len(unstated)} columns without a unit taken as s and m ({unstated[0]}, …)")
     points, implausible = plausible(values.reshape(len(time), len(marks), -1))
-    return MarkerTable(
-        kind="plain CSV",
-        time=time,
-        points=points,
-        labels=tuple(f"{number}{letter}" for number, letter in marks),
-        connectors=tuple(number for number, _ in marks),
-        header_frames=None,
-        sha256=file.sha256,
-        name=file.name,
-        corrections=(*notes, *table.unused_columns(), *implausible),
-    )
+    labels = tuple(f"{number}{letter}" for number, letter in marks)
+    corrections = (*notes, *table.unused_columns(), *implausible)
+    connectors = tuple(number for number, _ in marks)
+    return MarkerTable(file.name, file.sha256, "plain CSV", time, points, labels, corrections, connectors)
 
 
 def _marks(table: CsvTable) -> dict[tuple[int, str], list[CsvColumn]]:

@@ -57,26 +57,26 @@ class MarkerTable:
     """Markers over time, in the file's own axes, SI.
 
     Attributes:
+        name: of the file, as messages show it.
+        sha256: of the file.
         kind: of the file: "Motive CSV 1.21" or "plain CSV".
         time: shape (frames,), s, as the file counts it.
         points: NaN where a marker was not seen, shape (frames, columns, 3), or (…, 2) in a plane, m.
         labels: names of the columns.
+        corrections: what was converted, left out or skipped, in words.
         connectors: which connector a column is on, from 1 at the head, where the file says so; else empty.
         header_frames: how many frames the header announces; None where it does not.
-        sha256: of the file.
-        name: of the file, as messages show it.
-        corrections: what was converted, left out or skipped, in words.
     """
 
+    name: str
+    sha256: str
     kind: str
     time: np.ndarray
     points: np.ndarray
     labels: tuple[str, ...]
-    connectors: tuple[int, ...]
-    header_frames: int | None
-    sha256: str
-    name: str
     corrections: tuple[str, ...]
+    connectors: tuple[int, ...] = ()
+    header_frames: int | None = None
 
 
 def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -297,8 +297,8 @@ def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) 
     if sum(len(each.frames) for each in short) > _RARE * np.count_nonzero(columns >= 0):
         # Few frames a second: markers go far from frame to frame, and pieces are short without being wrong.
         short = []
-    apart = {id(each) for each in short}
-    for _, group in groupby((each for each in pieces if id(each) not in apart), key=lambda each: each.start):
+    joined = [each for each in pieces if not short or len(each.frames) >= _SHORT]
+    for _, group in groupby(joined, key=lambda each: each.start):
         known.join(list(group))
         if len(known.tracks) > MOST:
             raise InputError(f"{_JUMPING} (over {MOST} tracks); is the unit of length or of time another?")
@@ -337,24 +337,19 @@ class _KnownTracks:
 
     def fits(self, piece: Tracklet, gate: float) -> bool:
         """Put a short tracklet into the hole of a track that runs through it; say whether there is one."""
+        first = max(0, piece.start - self._longest)
         for k, track in enumerate(self.tracks):
-            hole = self._hole(track, piece)
-            if hole is None:
+            seen = np.flatnonzero(~np.isnan(track[first : piece.end + self._longest + 1, 0])) + first
+            place = int(np.searchsorted(seen, piece.start))
+            if place in (0, len(seen)) or seen[place] <= piece.end:
                 continue
-            before, after = hole
+            before, after = seen[place - 1], seen[place]
             share = ((piece.frames - before) / (after - before))[:, None]
             between = (1 - share) * track[before] + share * track[after]
             if np.hypot(*(self._points[piece.frames, piece.slot] - between).T).max() < gate:
                 self._write(piece, k)
                 return True
         return False
-
-    def _hole(self, track: np.ndarray, piece: Tracklet) -> tuple[int, int] | None:
-        first, last = max(0, piece.start - self._longest), piece.end + self._longest + 1
-        seen = np.flatnonzero(~np.isnan(track[first:last, 0])) + first
-        before, after = seen[seen < piece.start], seen[seen > piece.end]
-        inside = len(before) + len(after) < len(seen)
-        return None if inside or not before.size or not after.size else (int(before[-1]), int(after[0]))
 
     def _write(self, piece: Tracklet, track: int) -> None:
         self.tracks[track][piece.frames] = self._points[piece.frames, piece.slot]
