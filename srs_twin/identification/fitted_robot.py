@@ -14,7 +14,7 @@ from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
-from srs_twin.identification.unknowns import known, unknowns, with_values
+from srs_twin.identification.unknowns import known, unit_of, unknowns, with_values
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.files import atomic_write
 from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
@@ -56,14 +56,14 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
     block: dict[str, Any] = {"base": fit.robot}
     for each in taken:
         section, key = each.name.split(".", 1)
+        origin = _origin(fit, [other for other in taken if _record_key(other) == _record_key(each)])
         for where, record in _records(spec, section, key).items():
-            block.setdefault(section, {})[where] = record | _origin(fit, [e for e in taken if _same(e, each)])
+            block.setdefault(section, {})[where] = record | origin
     if any(name.startswith("modules.gain") for name in values) and held and "actuator.bend_rad" not in values:
         # Gains are multiples of what was held.
         source = {"status": "calibrated", "source": f"held in fit {fit.name}: gains are multiples of it"}
-        block.setdefault("actuator", {}).update(
-            {where: record | source for where, record in _records(spec, "actuator", "bend_rad").items()}
-        )
+        records = _records(spec, "actuator", "bend_rad")
+        block.setdefault("actuator", {}).update({where: each | source for where, each in records.items()})
     for name in moved:
         section, key = name.split(".", 1)
         source = {"status": "estimated", "source": f"held in fit {fit.name}: its values refer to it"}
@@ -112,9 +112,9 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
         masses = list(spec.mass.connectors)
         alike = len(set(masses)) == 1
         found = {"connectors_kg": {"value": masses[0] if alike else masses, "unit": "kg"}}
-        return found | (
-            {"wheel_kg": {"value": spec.mass.wheel, "unit": "kg"}} if key == "connectors_kg" else {}
-        )
+        if key == "connectors_kg":
+            found["wheel_kg"] = {"value": spec.mass.wheel, "unit": "kg"}
+        return found
     if key == "bend_rad":
         nominal = spec.supply.nominal
         return {
@@ -122,14 +122,13 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
             "at_pressure_kpa": {"value": nominal / _PA_PER_KPA, "unit": "kPa"},
         }
     attribute = re.sub(r"(_m|_s|_rad|_nm_per_rad)$", "", key)
-    unit = {"m": "m", "s": "s", "rad": "rad"}.get(key.rpartition("_")[2], "1")
-    unit = "N*m/rad" if key.endswith("_nm_per_rad") else "1" if key.startswith("mu_") else unit
-    return {key: {"value": getattr(getattr(spec, section), attribute), "unit": unit}}
+    value = getattr(getattr(spec, section), attribute)
+    return {key: {"value": value, "unit": unit_of(f"{section}.{key}")}}
 
 
-def _same(one: ParameterEntry, other: ParameterEntry) -> bool:
-    """Say whether two parameters stand in one record of a robot file."""
-    return re.sub(r"(_plus|_minus)?_\d+$", "", one.name) == re.sub(r"(_plus|_minus)?_\d+$", "", other.name)
+def _record_key(each: ParameterEntry) -> str:
+    """Return the record of a robot file that a parameter stands in."""
+    return re.sub(r"(_plus|_minus)?_\d+$", "", each.name)
 
 
 def _origin(fit: FitFile, entries: list[ParameterEntry]) -> dict[str, str]:
