@@ -28,7 +28,6 @@ from published_tables import PublishedRun, published_runs
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import Estimate
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
 from srs_twin.identification.fitted_robot import fitted
 from srs_twin.identification.footprint import PLANTS, Drive
@@ -91,7 +90,7 @@ def main() -> None:
         print(write_fit(fit(study, given.threads), place(study)))
     fits = shipped()
     for name, each in fits.items():
-        print(f"\n{name}\n{estimate_text(each.estimate())}")
+        print(f"\n{name}\n{each.estimate().text()}")
     tables = [each(fits) for each in (values_table, rows_table, pairs_table)]
     print("\n" + "\n\n".join(tables))
     if given.page:
@@ -100,21 +99,6 @@ def main() -> None:
             part.write_text(text, "utf-8")
     if given.picture:
         picture(fits).savefig(given.picture, dpi=130)
-
-
-def estimate_text(estimate: Estimate) -> str:
-    """Return an estimate for people, one parameter a line."""
-    lines = []
-    for each in estimate.parameters:
-        if each.value is None:
-            lines.append(f"{each.name}: {each.verdict}; {each.why}")
-            continue
-        unit = "" if each.unit == "1" else f" {each.unit}"
-        why = f"; {each.why}" if each.why else ""
-        value = f"{each.value:.5g} ± {each.standard_error:.2g}{unit}"
-        interval = f"95 % {each.low:.5g} to {each.high:.5g}"
-        lines.append(f"{each.name}: {value}, {interval}: {each.verdict}{why}")
-    return "\n".join(lines)
 
 
 def with_tables(text: str, tables: Sequence[str]) -> str:
@@ -160,9 +144,7 @@ def fit(study: str, threads: int | None = None) -> FitFile:
     )  # fmt: skip
     bare = make()
     if bare.withheld():
-        raise InputError(
-            f"{estimate_text(found)}\n{', '.join(bare.withheld())} without a number: hold one of them"
-        )
+        raise InputError(f"{found.text()}\n{', '.join(bare.withheld())} without a number: hold one of them")
     # Predicted with the numbers that stand in the file, and with no others.
     return make(averages=averages(rows, replace(drive, spec=fitted(bare, drive.spec)), threads))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from box_edges import WIDTH, BoxEdges, fit_width
 from grid import table
-from table8_fit import estimate_text, place
+from table8_fit import place
 
 from srs_twin import load_robot
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
@@ -23,7 +23,7 @@ def main() -> None:
     """Fit, write and show."""
     file = fit()
     print(write_fit(file, place("width")))
-    print(estimate_text(file.estimate()))
+    print(file.estimate().text())
     print("\n" + edges_table(file))
 
 

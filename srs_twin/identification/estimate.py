@@ -198,6 +198,20 @@ class Estimate:
         squares = [each for each in squares if len(each)]
         return float(np.sqrt(np.concatenate(squares).mean())) if squares else None
 
+    def text(self) -> str:
+        """Return the estimate as a table for people."""
+        lines = []
+        for each in self.parameters:
+            if each.value is None:
+                lines.append(f"{each.name}: {each.verdict}; {each.why}")
+                continue
+            unit = "" if each.unit == "1" else f" {each.unit}"
+            why = f"; {each.why}" if each.why else ""
+            value = f"{each.value:.5g} ± {each.standard_error:.2g}{unit}"
+            interval = f"95 % {each.low:.5g} to {each.high:.5g}"
+            lines.append(f"{each.name}: {value}, {interval}: {each.verdict}{why}")
+        return "\n".join(lines)
+
 
 _PART = 0.05
 """Of a direction of length 1: parameters with a smaller share have no part in it."""
