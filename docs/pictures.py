@@ -21,14 +21,14 @@ from srs_twin.scenario import Scenario
 from srs_twin.sweep import load_sweep, open_sweep
 from srs_twin.sweep.execution import local
 from srs_twin.viewing.mujoco.strobe import write_strobe
-from srs_twin.viewing.plots.plan_view import hero_figure
 from srs_twin.viewing.plots.runs import waterfall
 from srs_twin.viewing.plots.style import STYLES
-from srs_twin.viewing.rerun.screenshot import screenshots
 from srs_twin.viewing.rerun.web import served
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import browser  # noqa: E402
+from hero import hero_figure  # noqa: E402
+from screenshot import screenshots  # noqa: E402
 
 IMAGES = Path(__file__).parent / "images"
 MOMENT_S = 3.3

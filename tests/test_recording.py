@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from screenshot import screenshots
 from synthetic import Snake, numbered, with_columns
 from viewing_runs import pair, robot
 
@@ -17,7 +18,6 @@ from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import events_of, thinned, write_recording
-from srs_twin.viewing.rerun.screenshot import screenshots
 
 
 def told(run, *events, **metadata):

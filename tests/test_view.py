@@ -19,6 +19,7 @@ import pytest
 from browser import share, shows_a_snake
 from conftest import exists, wait_until
 from matplotlib.image import imread
+from screenshot import screenshots
 from viewing_runs import pair, robot
 
 from srs_twin.cli.view import named
@@ -26,7 +27,6 @@ from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
-from srs_twin.viewing.rerun.screenshot import screenshots
 from srs_twin.viewing.rerun.viewer import verify_recording
 from srs_twin.viewing.rerun.web import served
 

@@ -13,8 +13,10 @@ import sys
 import numpy as np
 import pytest
 import rerun as rr
+from hero import hero_figure
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from screenshot import screenshots
 from synthetic import Snake, sampled, with_columns
 from viewing_runs import pair, robot, run
 
@@ -24,7 +26,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.html.report import write_report
-from srs_twin.viewing.plots.plan_view import hero_figure, plan_view, strobe_times
+from srs_twin.viewing.plots.plan_view import plan_view, strobe_times
 from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
 from srs_twin.viewing.plots.signals import (
     body_line,
@@ -36,7 +38,6 @@ from srs_twin.viewing.plots.signals import (
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
 from srs_twin.viewing.rerun import viewer
 from srs_twin.viewing.rerun.recording import thinned, write_recording
-from srs_twin.viewing.rerun.screenshot import screenshots
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 from srs_twin.world import Circle, Polygon, World
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from srs_twin.sweep import Summary, Sweep
     from srs_twin.sweep.execution import Engine
     from srs_twin.sweep.task import Row
-    from srs_twin.viewing.plots.sweeps import BesideTable
+    from srs_twin.viewing.html.page import Table as TextTable
 
 SWEEPS = Path("runs/sweeps")
 _SHOWN_REASONS = 5
@@ -161,12 +161,12 @@ def _show(summary: Summary) -> None:
     say(f"files in {summary.folder}: {', '.join(summary.files)}")
 
 
-def _beside(found: BesideTable) -> Table:
+def _beside(found: TextTable) -> Table:
     """Return the table of published values: under the name of each metric a line a place."""
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {found.source}")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {found.title}")
     table.title_justify = "left"
     numbers = found.headings.index("published")  # names of fields may be broken, numbers not
     for i, heading in enumerate(found.headings[1:], start=1):

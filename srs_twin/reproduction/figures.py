@@ -23,7 +23,7 @@ from srs_twin.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from srs_twin.viewing.plots.sweeps import Beside
+    from srs_twin.viewing.plots.sweep_table import Published
 
 
 Runs = Mapping[str, Trajectory]
@@ -173,14 +173,15 @@ def sweep(
     metric: str,
     y: str | None = None,
     by: str | None = None,
-    beside: Beside | None = None,
+    beside: Published | None = None,
 ) -> Draw:
     """Return what draws a metric of a sweep (Fig. 13, 31 to 33, 38, 39, 41, 44)."""
 
     def made(source: Source, needs: Needs) -> Figure | None:
-        from srs_twin.viewing.plots.sweeps import PlotRequest, draw
+        from srs_twin.viewing.plots.sweep_table import Plot
+        from srs_twin.viewing.plots.sweeps import draw
 
-        return draw(PlotRequest(kind, x, metric, y=y, by=by), source.table(needs[0]), beside)
+        return draw(Plot(kind=kind, x=x, metric=metric, y=y, by=by), source.table(needs[0]), beside)
 
     return made
 

@@ -38,7 +38,8 @@ from srs_twin.sweep.store import (
     write,
 )
 from srs_twin.sweep.task import DONE, FAILED, Row, run_point
-from srs_twin.viewing.plots.sweeps import BesideTable, SweepTable, beside_table
+from srs_twin.viewing.html.page import Table
+from srs_twin.viewing.plots.sweep_table import SweepTable, published_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -164,7 +165,7 @@ class Summary:
     sha256: str
     spans: Mapping[str, tuple[float, float, float]]
     files: tuple[str, ...]
-    beside: BesideTable | None = None
+    beside: Table | None = None
 
     @property
     def failed(self) -> int:
@@ -260,7 +261,7 @@ class OpenSweep:
             sha256=digest(rows),
             spans=spans(found),
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
-            beside=None if beside is None else beside_table(beside, read),
+            beside=None if beside is None else published_table(beside, read),
         )
         self._report(summary, read, titles)
         with atomic_write(self.folder / SUMMARY) as part:
@@ -272,12 +273,12 @@ class OpenSweep:
         if not self.sweep.plots:
             return {}
         # matplotlib takes longer to import than a sweep without pictures has to wait.
-        from srs_twin.viewing.plots.sweeps import PlotRequest, draw, save
+        from srs_twin.viewing.plots.sweeps import draw, save
 
         titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):
             name = f"{PLOTS}/{number}_{plot.kind}_{plot.metric}.png"
-            figure = draw(PlotRequest(**plot.model_dump()), found, self.sweep.beside)
+            figure = draw(plot, found, self.sweep.beside)
             save(figure, self.folder / name)
             title, _, _ = figure.get_suptitle().partition("\n")
             titles[name] = f"{name}: {title}"

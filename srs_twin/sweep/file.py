@@ -7,16 +7,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.viewing.plots.sweep_table import MAX_FIELDS, FieldName, FieldValues, Plain, Plot, Published
 
-MAX_FIELDS = 16
 MAX_POINTS = 1_000_000
-
-Plain = bool | int | float | Annotated[str, Field(max_length=200)]
-Values = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
-PublishedValues = Annotated[
-    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(min_length=1, max_length=10_000)
-]
-FieldName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class RangeFile(Section):
@@ -42,9 +35,8 @@ def _values_or_range(value: Any) -> str:
     return "range" if isinstance(value, dict | RangeFile) else "values"
 
 
-Varied = Annotated[
-    Annotated[Values, Tag("values")] | Annotated[RangeFile, Tag("range")], Discriminator(_values_or_range)
-]
+_OneOf = Annotated[FieldValues, Tag("values")] | Annotated[RangeFile, Tag("range")]
+Varied = Annotated[_OneOf, Discriminator(_values_or_range)]
 
 
 class SamplingFile(Section):
@@ -72,47 +64,6 @@ class SamplingFile(Section):
                 f"sobol points are balanced in powers of 2 only: {below} or {2 * below}, not {self.count}"
             )
         return self
-
-
-class PlotFile(Section):
-    """A picture of the results."""
-
-    kind: Literal["contour", "line", "scatter"] = section("Which kind.")
-    x: FieldName = section("Varied field, or metric (scatter), along x.")
-    y: FieldName | None = section("Varied field along y (contour).", None)
-    metric: FieldName = section("Metric that is drawn, of each plant or of the comparison.")
-    by: FieldName | None = section("Varied field that tells lines or colours apart (line, scatter).", None)
-
-    @model_validator(mode="after")
-    def _what_belongs_together(self) -> PlotFile:
-        if self.kind == "contour" and self.y is None:
-            raise ValueError("a contour needs y")
-        if self.kind != "contour" and self.y is not None:
-            raise ValueError(f"y belongs to contour, not to {self.kind}; metric is what stands upright there")
-        if self.kind == "contour" and self.by is not None:
-            raise ValueError("by belongs to line and scatter, not to contour")
-        return self
-
-
-class BesideFile(Section):
-    """What was published of the metrics, at some values of the varied fields."""
-
-    source: str = Field(
-        title="Source", min_length=1, max_length=60, description="Where it is published (Table 8)."
-    )
-    note: str | None = Field(
-        None,
-        title="Note",
-        min_length=1,
-        max_length=1000,
-        description="What a reader must know to compare (signs, how it was measured).",
-    )
-    at: Annotated[dict[FieldName, Values], Field(min_length=1, max_length=MAX_FIELDS)] = section(
-        "Varied fields, each with its values where something is published; equally many of each."
-    )
-    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)] = section(
-        "Metrics of the plants, each with its published values there; null where there is none."
-    )
 
 
 class SweepFile(Section):
@@ -149,8 +100,8 @@ class SweepFile(Section):
         "Which metrics become columns (default: all).", None
     )
     trajectories: bool = section("Whether every trajectory is kept as well.", False)
-    plots: Annotated[list[PlotFile], Field(max_length=32)] = section("Pictures.", [])
-    beside: BesideFile | None = section("Published values that stand beside the results.", None)
+    plots: Annotated[list[Plot], Field(max_length=32)] = section("Pictures.", [])
+    beside: Published | None = section("Published values that stand beside the results.", None)
 
 
 def sweep_json_schema() -> dict[str, Any]:

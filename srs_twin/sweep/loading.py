@@ -1,7 +1,4 @@
-"""From a sweep file to a Sweep, with everything that is wrong reported at once.
-
-Checks of what a sweep file says was published: fields that vary, metrics that it has, lists that agree.
-"""
+"""From a sweep file to a Sweep; everything that is wrong is reported at once, with its place."""
 
 from __future__ import annotations
 
@@ -23,12 +20,12 @@ from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
-from srs_twin.sweep.file import BesideFile, RangeFile, SweepFile
+from srs_twin.sweep.file import RangeFile, SweepFile
 from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts, sample
-from srs_twin.viewing.plots.sweeps import Beside, Values
+from srs_twin.viewing.plots.sweep_table import Published, Values
 
 
-def check_beside(document: Document, file: SweepFile, given: BesideFile) -> None:
+def check_beside(document: Document, file: SweepFile, given: Published) -> None:
     """Report what is wrong with published values.
 
     Args:
@@ -54,7 +51,7 @@ def check_beside(document: Document, file: SweepFile, given: BesideFile) -> None
     _check_lengths(document, given)
 
 
-def _check_lengths(document: Document, given: BesideFile) -> None:
+def _check_lengths(document: Document, given: Published) -> None:
     first, values = next(iter(given.at.items()))
     for section, lists in (("at", given.at), ("metrics", given.metrics)):
         for name, column in lists.items():
@@ -134,11 +131,6 @@ def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
         return None, ()
 
 
-def _beside(file: SweepFile) -> Beside | None:
-    given = file.beside
-    return None if given is None else Beside(given.source, given.at, given.metrics, given.note or "")
-
-
 class _Loading:
     """Checks a sweep against its scenario and puts it together."""
 
@@ -180,7 +172,7 @@ class _Loading:
             versions=versions(),
             document=self._document.data,
             warnings=self._warnings,
-            beside=_beside(file),
+            beside=file.beside,
         )
         sweep = replace(sweep, warnings=(*sweep.warnings, *not_run(sweep)))
         self._check_values(sweep)

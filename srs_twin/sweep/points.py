@@ -24,8 +24,7 @@ from srs_twin.scenario.planner import PLANNER_FILES
 from srs_twin.sweep.file import MAX_POINTS, RangeFile, SamplingFile
 
 if TYPE_CHECKING:
-    from srs_twin.sweep.file import PlotFile
-    from srs_twin.viewing.plots.sweeps import Beside
+    from srs_twin.viewing.plots.sweep_table import Plot, Published
 
 
 Value = bool | int | float | str
@@ -113,11 +112,11 @@ class Sweep:
     fields: tuple[str, ...]
     values: tuple[tuple[Value, ...], ...] = field(repr=False)
     metrics: tuple[str, ...] | None
-    plots: tuple[PlotFile, ...]
+    plots: tuple[Plot, ...]
     versions: Mapping[str, str]
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
-    beside: Beside | None = None
+    beside: Published | None = None
 
     @cached_property
     def points(self) -> tuple[Point, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from srs_twin.io.files import atomic_write
 from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label
-from srs_twin.viewing.plots.sweeps import COMPARISON, PLAN, SweepTable, Values
+from srs_twin.viewing.plots.sweep_table import COMPARISON, PLAN, SweepTable, Values
 
 if TYPE_CHECKING:
     from srs_twin.sweep.execution import Summary
@@ -175,7 +175,6 @@ def write_report(
         InputError: the place cannot be written.
     """
     versions = [("results sha256", summary.sha256), *sweep.versions.items()]
-    found = summary.beside
     content = render(
         "sweep/report.html",
         title=sweep.title,
@@ -184,8 +183,7 @@ def write_report(
         failures=_failures(summary),
         scenario=f"{sweep.document['scenario']} ({sweep.experiment.base.get('title', '')})",
         varied=_varied(sweep),
-        published=found and Table(found.headings, found.rows, range(1, len(found.headings)), found.note),
-        source=found and found.source,
+        published=summary.beside,
         plots=[image(content, "png", title) for title, content in pictures.items()],
         runs=run_tables(rows, metrics),
         means={field_label(name): means_by(name, rows, metrics) for name in rows.fields},

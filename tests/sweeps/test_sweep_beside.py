@@ -11,7 +11,8 @@ from small import SMALL, here, write
 
 from srs_twin.io.documents import parse_yaml
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.viewing.plots.sweeps import Beside, PlotRequest, SweepTable, beside_table, draw
+from srs_twin.viewing.plots.sweep_table import Plot, Published, SweepTable, published_table
+from srs_twin.viewing.plots.sweeps import draw
 
 P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
 GIVEN = (
@@ -26,6 +27,10 @@ TABLE = {
     f"analytical.{SPEED}": [0.1, 0.3, 0.4, None, -0.1, -0.1],
     f"twin.{SPEED}": [0.2, 0.2, 0.5, None, None, None],
 }
+
+
+def published(source, at, metrics):
+    return Published(source=source, at=at, metrics=metrics)
 
 
 def claims():
@@ -64,8 +69,8 @@ def test_published_values_decide_no_row(tmp_path):
 
 
 def test_the_table_holds_means_and_differences():
-    found = beside_table(
-        Beside("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), rows()
+    found = published_table(
+        published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), rows()
     )
     assert found.headings == (
         "metric", "supply pressure (kPa)", "published", "analytical", "difference", "twin", "difference",
@@ -81,7 +86,7 @@ def test_the_table_holds_means_and_differences():
 
 
 def test_several_fields_mean_one_place():
-    found = beside_table(Beside("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows())
+    found = published_table(published("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows())
     assert [row[1:5] for row in found.rows] == [("2", "20", "0.3", "0.3"), ("1", "40", "-0.1", "-0.1")]
     assert "runs" not in found.headings
 
@@ -90,13 +95,13 @@ def test_texts_and_truth_are_found():
     given = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
     given[f"twin.{SPEED}"] = [1.0, 2.0]
     for field, first in (("a.kind", "y"), ("a.on", False)):
-        found = beside_table(Beside("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.of(given))
+        found = published_table(published("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.of(given))
         assert found.rows[0][2:] == ("1", "2", "+100.0 %")
 
 
 def test_a_table_without_runs_has_published_values_only():
     nothing = {name: [] for name in ("key", P, "status")}
-    found = beside_table(Beside("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.of(nothing))
+    found = published_table(published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.of(nothing))
     assert [row[1:] for row in found.rows] == [("20", "0.1"), ("30", "–")]
 
 
@@ -119,8 +124,8 @@ def legends(axes):
 
 
 def test_a_line_has_the_published_values_with_a_marker_of_their_own():
-    beside = Beside("Table $8$", {P: [20, 25, 40]}, {SPEED: [0.15, 0.2, None]})
-    (axes,) = draw(PlotRequest("line", P, SPEED), TABLE, beside).axes
+    beside = published("Table $8$", {P: [20, 25, 40]}, {SPEED: [0.15, 0.2, None]})
+    (axes,) = draw(Plot(kind="line", x=P, metric=SPEED), TABLE, beside).axes
     assert stars(axes) == {((20.0, 0.15), "#000000"), ((25.0, 0.2), "#000000")}
     others = {line.get_marker() for line in axes.lines} - {"*"}
     assert {"s", "o"} <= others
@@ -130,43 +135,45 @@ def test_a_line_has_the_published_values_with_a_marker_of_their_own():
 @pytest.mark.parametrize(
     ("request_", "at"),
     [
-        (PlotRequest("line", F, SPEED), {P: [20]}),
-        (PlotRequest("line", P, "yaw_rate_rad_s"), {P: [20]}),
-        (PlotRequest("scatter", P, SPEED), {P: [20]}),
+        (Plot(kind="line", x=F, metric=SPEED), {P: [20]}),
+        (Plot(kind="line", x=P, metric="yaw_rate_rad_s"), {P: [20]}),
+        (Plot(kind="scatter", x=P, metric=SPEED), {P: [20]}),
     ],
 )
 def test_other_pictures_have_none(request_, at):
     given = TABLE | {"twin.yaw_rate_rad_s": [0.0] * 6}
-    (axes,) = draw(request_, given, Beside("here", at, {SPEED: [0.15]})).axes
+    (axes,) = draw(request_, given, published("here", at, {SPEED: [0.15]})).axes
     assert stars(axes) == set() and not any("published" in text for text in legends(axes))
 
 
 def test_published_values_of_a_line_have_its_colour():
-    beside = Beside("here", {P: [20, 20], F: [1, 3]}, {SPEED: [0.1, 0.2]})
-    (axes,) = draw(PlotRequest("line", P, SPEED, by=F), TABLE, beside).axes
+    beside = published("here", {P: [20, 20], F: [1, 3]}, {SPEED: [0.1, 0.2]})
+    (axes,) = draw(Plot(kind="line", x=P, metric=SPEED, by=F), TABLE, beside).axes
     colors = {place: color for place, color in stars(axes)}
     lines = [line.get_color() for line in axes.lines if line.get_marker() == "s"]
     assert colors == {(20.0, 0.1): lines[0], (20.0, 0.2): "#000000"}
 
 
 def test_a_source_with_a_formula_is_drawn():
-    figure = draw(PlotRequest("line", P, SPEED), TABLE, Beside(r"$\frac", {P: [20]}, {SPEED: [0.15]}))
+    figure = draw(
+        Plot(kind="line", x=P, metric=SPEED), TABLE, published(r"$\frac", {P: [20]}, {SPEED: [0.15]})
+    )
     figure.canvas.draw()
 
 
 def test_table_8_is_the_published_one_with_our_signs():
-    published = {row["offset"]: row for row in claims()["table8"]["rows"]}
+    printed = {row["offset"]: row for row in claims()["table8"]["rows"]}
     sweep = load_sweep("table8")
     assert len(sweep.points) == 7 and sweep.experiment.plants == ("analytical", "twin")
     beside = sweep.beside
     offsets = beside.at["controller.offset"]
-    assert sorted(offsets) == sorted(published)
+    assert sorted(offsets) == sorted(printed)
     for metric, key in (("path_speed_m_s", "speed"), ("box_left_m", "left"), ("box_right_m", "right")):
         assert dict(zip(offsets, beside.metrics[metric], strict=True)) == {
-            o: published[o][key] for o in offsets
+            o: printed[o][key] for o in offsets
         }
     for offset, radius in zip(offsets, beside.metrics["path_radius_m"], strict=True):
-        assert radius == published[offset]["radius"] * (-1 if offset < 0 else 1)
+        assert radius == printed[offset]["radius"] * (-1 if offset < 0 else 1)
     document = sweep.experiment.document(sweep.points[0].changes)
     assert document["controller"]["frequency_hz"] == 1.5 and document["controller"]["target_rad"] == 0.7
     assert document["supply"]["pressure_kpa"] == 131 and document["duration_s"] == 16

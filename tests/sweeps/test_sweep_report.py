@@ -16,7 +16,7 @@ from srs_twin.errors import DivergedError
 from srs_twin.parallel import Done
 from srs_twin.sweep import load_sweep, open_sweep
 from srs_twin.sweep.report import MOST_RUNS, means_by, run_tables
-from srs_twin.viewing.plots.sweeps import SweepTable
+from srs_twin.viewing.plots.sweep_table import SweepTable
 
 PICTURE = (
     "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s, by: controller.frequency_hz}]\n"

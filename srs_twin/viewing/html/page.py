@@ -25,13 +25,15 @@ class Table(NamedTuple):
         headings: one a column, with the unit.
         rows: cells, as text or `Markup`.
         numbers: indices of the columns set to the right.
-        note: what it does not show; empty where it shows all.
+        note: what a reader must know: what it does not show, how numbers compare.
+        title: what it is of, where the page does not say so.
     """
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     numbers: Collection[int] = ()
     note: str = ""
+    title: str = ""
 
 
 class Picture(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -15,7 +15,7 @@ from srs_twin.errors import InputError
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
-from srs_twin.viewing.plots.signals import pressure_difference
+from srs_twin.viewing.plots.signals import goal_ring, pressure_difference, segment_points
 from srs_twin.viewing.plots.style import STYLES, pressure_colors
 
 Rgba = tuple[float, float, float, float]
@@ -26,7 +26,6 @@ GOAL_RGBA: Rgba = (0.69, 0.19, 0.19, 1.0)
 _MOST_PIECES = 400
 _OBSTACLE_ALPHA = 0.35
 _LINE = 0.001  # thickness of lines on the floor and half of their width, m
-_CORNERS = 48
 
 
 class Stage:
@@ -129,14 +128,8 @@ def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: Rgba, half: floa
             return
         (x, y), length = end - begin, math.hypot(*(end - begin))
         c, s = (x / length, y / length) if length else (1.0, 0.0)
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom],
-            box,
-            [length / 2 + half, half, _LINE / 2],
-            [*(begin + end) / 2, height],
-            [c, -s, 0, s, c, 0, 0, 0, 1],
-            rgba,
-        )
+        size, place = [length / 2 + half, half, _LINE / 2], [*(begin + end) / 2, height]
+        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, place, [c, -s, 0, s, c, 0, 0, 0, 1], rgba)
         scene.ngeom += 1
 
 
@@ -168,14 +161,5 @@ def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, Rgba]]:
     about = following(run)
     if about is None:
         return []
-    lines = [(_along(segment), PLAN_RGBA) for segment in segments_of(about["plans"][0])]
-    goal, angle = about["goal"], np.linspace(0, 2 * np.pi, _CORNERS + 1)
-    ring = np.column_stack(
-        [goal["x"] + goal["radius"] * np.cos(angle), goal["y"] + goal["radius"] * np.sin(angle)]
-    )
-    return [*lines, (ring, GOAL_RGBA)]
-
-
-def _along(segment: Any) -> np.ndarray:
-    poses: Iterable[Any] = (segment.pose(s) for s in np.linspace(0, segment.length, 12))
-    return np.array([(pose.x, pose.y) for pose in poses])
+    lines = [(segment_points(segment), PLAN_RGBA) for segment in segments_of(about["plans"][0])]
+    return [*lines, (goal_ring(about["goal"]), GOAL_RGBA)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,7 +17,7 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.stage import GOAL_RGBA, PLAN_RGBA, Stage
 from srs_twin.viewing.plots.plan_view import strobe_times
-from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES
+from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES
 
 _DPI = 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.7, 0.15, 0.35, 0.85  # margins, inches
@@ -68,11 +69,10 @@ def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int 
 def _floor(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of the floor that is shown, m: all of the run and of the world, not too slim."""
     points = [run.position.reshape(-1, 2)]
-    for circle in scenario.world.obstacles:
-        points += [np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)]
     points += [np.array(polygon.corners) for polygon in scenario.world.polygons]
-    if goal := scenario.world.goal:
-        points += [np.array([[goal.x, goal.y]]) + side * goal.radius for side in (-1, 1)]
+    circles: list[Any] = [*scenario.world.obstacles, *filter(None, [scenario.world.goal])]
+    for circle in circles:
+        points += [np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)]
     every = np.concatenate(points)
     low, high = every.min(axis=0), every.max(axis=0)
     margin = _MARGIN * scenario.robot.geometry.body_length
@@ -107,12 +107,11 @@ def _from_above(
 
 
 def _add_key(figure: Figure, *, planned: bool) -> None:
-    rgb = ["#{:02x}{:02x}{:02x}".format(*color) for color in (PLUS_RGB, MINUS_RGB)]
     plan = [Line2D([], [], color=PLAN_RGBA, label="plan"), Line2D([], [], color=GOAL_RGBA, label="goal")]
     handles = [
         Line2D([], [], color=STYLES["twin"].color, label="CoM"),
         *(plan if planned else []),
-        Patch(color=rgb[0], label="$p^+ > p^-$ (left)"),
-        Patch(color=rgb[1], label="$p^+ < p^-$ (right)"),
+        Patch(color=PLUS_COLOR, label="$p^+ > p^-$ (left)"),
+        Patch(color=MINUS_COLOR, label="$p^+ < p^-$ (right)"),
     ]
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=8)

@@ -1,25 +1,16 @@
 """Pictures of a sweep: a metric over two fields, along one, or against another column.
 
-The columns of a sweep's table as pictures need them: numbers, NaN where there is none.
-
-Published values beside a sweep's: what was published, and a table of it with what the plants did.
-
-Planes that pictures of sweeps are drawn on: panels side by side, marks of runs without a value.
-
-A metric over two fields as filled contours: of a regular grid, or of scattered points by triangulation.
-
-What cannot be drawn (all failed, no value anywhere) gives a picture that says so.
+A metric over two fields is drawn as filled contours: of a regular grid, or of scattered points by
+triangulation. What cannot be drawn (all failed, no value anywhere) gives a picture that says so.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
@@ -30,296 +21,109 @@ from matplotlib.colors import BoundaryNorm, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from matplotlib.tri import Triangulation
+from matplotlib.tri import TriAnalyzer, Triangulation
 
-from srs_twin.comparison.metrics import relative_difference
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
-from srs_twin.viewing.plots.labels import field_label, metric_label
-from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, style_of
+from srs_twin.viewing.plots.labels import field_label
+from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, style_of
+from srs_twin.viewing.plots.sweep_table import (
+    COMPARISON,
+    PLAN,
+    Plot,
+    Published,
+    SweepTable,
+    Values,
+    group_means,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+Columns = Mapping[str, Iterable[Any]]
 
-COMPARISON, PLAN = "comparison", "plan"
-OWNERS = ("analytical", "twin", COMPARISON, PLAN)
-Value = bool | int | float | str
-_EXACT = 1e15  # up to where whole numbers, such as seeds, are written out
-_SAME = 1e-9  # of the greatest value: what two ways of writing a number may differ by
-_ABOUT_ROWS = {"key", "status", "reason", "exit_code", "wall_s"}
-
-
-@dataclass(frozen=True)
-class Values:
-    """One column for an axis or a colour.
-
-    Attributes:
-        label: what stands at the axis.
-        numbers: shape (rows,), NaN where there is none; of text, its place among `names`.
-        names: the different texts, sorted; empty for numbers.
-    """
-
-    label: str
-    numbers: np.ndarray
-    names: tuple[str, ...] = ()
-
-    def text(self, number: float) -> str:
-        """Return how one of the values is written."""
-        if self.names:
-            return self.names[int(number)]
-        return f"{number:.0f}" if float(number).is_integer() and abs(number) < _EXACT else f"{number:.4g}"
-
-    def number(self, value: Value) -> float:
-        """Return which of the `numbers` stands for a value of the field; NaN for a text that no row has."""
-        if not self.names:
-            return math.nan if isinstance(value, str) else float(value)
-        # A column of texts and other things has these as JSON.
-        found = [text for text in (str(value), json.dumps(value)) if text in self.names]
-        return float(self.names.index(found[0])) if found else math.nan
-
-    def at(self, value: Value) -> np.ndarray:
-        """Return which rows have a value of the field, shape (rows,)."""
-        number = self.number(value)
-        most = float(np.max(np.abs(self.numbers), initial=abs(number), where=np.isfinite(self.numbers)))
-        return np.asarray(np.abs(self.numbers - number) <= _SAME * most)
-
-
-@dataclass(frozen=True)
-class SweepTable:
-    """The rows of a sweep.
-
-    Attributes:
-        columns: name → values, one a row.
-    """
-
-    columns: Mapping[str, Sequence[Any]]
-
-    @staticmethod
-    def of(table: pa.Table | Mapping[str, Iterable[Any]]) -> SweepTable:
-        """Take a table of pyarrow or a mapping of columns."""
-        if hasattr(table, "to_pydict"):
-            return SweepTable(table.to_pydict())
-        return SweepTable({name: np.asarray(column, dtype=object).tolist() for name, column in table.items()})
-
-    @property
-    def failed(self) -> np.ndarray:
-        """Which rows failed, shape (rows,)."""
-        return np.array([status == "failed" for status in self._column("status")], dtype=bool)
-
-    @property
-    def fields(self) -> list[str]:
-        """The varied fields."""
-        prefixes = tuple(f"{owner}." for owner in OWNERS)
-        return [name for name in self.columns if name not in _ABOUT_ROWS and not name.startswith(prefixes)]
-
-    def owners(self, metric: str) -> list[str]:
-        """Return whose metric it is: plants, the comparison, or a plan that nobody followed.
-
-        Raises:
-            UnknownNameError: nobody's.
-        """
-        found = self.holders(metric)
-        if not found:
-            named = (name.partition(".") for name in self.columns)
-            raise UnknownNameError("metric", metric, {rest for owner, _, rest in named if owner in OWNERS})
-        return found
-
-    def holders(self, metric: str) -> list[str]:
-        """Return whose metric it is, as `owners` does; empty where it is nobody's."""
-        return [owner for owner in OWNERS if self._names(owner, metric)]
-
-    def metric(self, metric: str, owner: str) -> Values:
-        """Return an owner's metric; of one that is a list, the mean over it."""
-        names = self._names(owner, metric)
-        if names == [f"{owner}.{metric}"]:
-            return Values(metric_label(metric), _numbers(self.columns[names[0]]))
-        parts = np.array([_numbers(self.columns[name]) for name in names])
-        return Values(f"{metric_label(metric)}, mean over {len(names)}", parts.mean(axis=0))
-
-    def values(self, name: str, owner: str) -> Values:
-        """Return a field, or a metric: the owner's own, else the comparison's.
-
-        Raises:
-            UnknownNameError: there is no such column.
-        """
-        if name in self.fields:
-            return _field(name, self.columns[name])
-        for each in (owner, COMPARISON):
-            if self._names(each, name):
-                return self.metric(name, each)
-        raise UnknownNameError("column", name, self.fields)
-
-    def others(self, drawn: Iterable[str | None]) -> list[str]:
-        """Return the fields that vary too, but are not among those drawn."""
-        known = set(drawn)
-        return [
-            name for name in self.fields if name not in known and len(set(map(str, self.columns[name]))) > 1
-        ]
-
-    def _column(self, name: str) -> Sequence[Any]:
-        if name not in self.columns:
-            raise UnknownNameError("column", name, self.columns)
-        return self.columns[name]
-
-    def _names(self, owner: str, metric: str) -> list[str]:
-        """Return the column of a metric, or those of its parts where it is a list."""
-        name = f"{owner}.{metric}"
-        if name in self.columns:
-            return [name]
-        stem = f"{name}_"
-        return [each for each in self.columns if each.startswith(stem) and each[len(stem) :].isdigit()]
-
-
-def _field(name: str, column: Sequence[Any]) -> Values:
-    given = [value for value in column if value is not None]
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
-        return Values(field_label(name), _numbers(column))
-    texts = ["" if value is None else str(value) for value in column]
-    names = tuple(sorted(set(texts)))
-    return Values(field_label(name), np.array([names.index(text) for text in texts], dtype=float), names)
-
-
-def _numbers(column: Sequence[Any]) -> np.ndarray:
-    """Return numbers, NaN for what is missing or not finite."""
-    numbers = np.array([np.nan if value is None else float(value) for value in column], dtype=float)
-    return np.where(np.isfinite(numbers), numbers, np.nan)
-
-
-def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
-    """Return the mean of the values of each group, NaN where it has none; the order of the rows is no matter.
-
-    Args:
-        group: number of each value's group, shape (rows,).
-        count: how many groups.
-        values: shape (rows,); NaN ones are left out.
-    """
-    # Sums in an order of their own: that of the rows would show in the last bit.
-    order = np.lexsort((values, group))
-    order = order[np.isfinite(values[order])]
-    sums = np.bincount(group[order], weights=values[order], minlength=count)
-    counts = np.bincount(group[order], minlength=count)
-    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-
-
-NONE = "–"
-
-
-@dataclass(frozen=True)
-class Beside:
-    """What was published of the metrics of a sweep's plants.
-
-    Attributes:
-        source: where: "Table 8".
-        at: varied field → its values where something is published; equally many of each field.
-        metrics: metric → published values there, None where there is none.
-        note: what a reader must know to compare.
-    """
-
-    source: str
-    at: Mapping[str, Sequence[Value]]
-    metrics: Mapping[str, Sequence[float | None]]
-    note: str = ""
-
-    @property
-    def places(self) -> list[dict[str, Value]]:
-        """Where something is published: each time a value of every field."""
-        return [dict(zip(self.at, values, strict=True)) for values in zip(*self.at.values(), strict=True)]
-
-
-@dataclass(frozen=True)
-class BesideTable:
-    """Published values and those of the plants, as text.
-
-    Attributes:
-        source: where they are published.
-        note: what a reader must know to compare.
-        headings: metric, fields, published, of each plant its value and the difference; runs where a value
-            is a mean.
-        rows: one a metric and place, in the order of the file.
-    """
-
-    source: str
-    note: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
-def beside_table(beside: Beside, rows: SweepTable) -> BesideTable:
-    """Return what was published beside what the plants did there; of several runs, their mean.
-
-    Args:
-        beside: what was published.
-        rows: results of a sweep that varies these fields.
-    """
-    plants = [o for o in OWNERS if o != COMPARISON and any(o in rows.holders(m) for m in beside.metrics)]
-    runs = [_runs(rows, place) for place in beside.places]
-    averaged = any(chosen.sum() > 1 for chosen in runs)
-    made = []
-    for metric, published in beside.metrics.items():
-        for place, chosen, value in zip(beside.places, runs, published, strict=True):
-            line = [metric_label(metric), *map(_written, place.values()), _written(value)]
-            for plant in plants:
-                mean = _mean(rows, metric, plant, chosen)
-                line += [_written(mean), _difference(value, mean)]
-            made.append((*line, *([str(int(chosen.sum()))] if averaged else [])))
-    headings = ["metric", *map(field_label, beside.at), "published"]
-    headings += [heading for plant in plants for heading in (plant, "difference")]
-    return BesideTable(beside.source, beside.note, (*headings, *(["runs"] * averaged)), tuple(made))
-
-
-def _runs(rows: SweepTable, place: Mapping[str, Value]) -> np.ndarray:
-    """Return which runs at a place did not fail, shape (rows,)."""
-    chosen = ~rows.failed
-    for field, value in place.items():
-        chosen = chosen & rows.values(field, "").at(value)
-    return chosen
-
-
-def _mean(rows: SweepTable, metric: str, plant: str, chosen: np.ndarray) -> float | None:
-    if plant not in rows.holders(metric):
-        return None
-    numbers = rows.metric(metric, plant).numbers[chosen]
-    known = numbers[np.isfinite(numbers)]
-    return float(known.mean()) if len(known) else None
-
-
-def _difference(published: float | None, value: float | None) -> str:
-    return NONE if published is None or value is None else relative_difference(published, value)
-
-
-def _written(value: Value | None) -> str:
-    if value is None:
-        return NONE
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-_WIDTH, _HEIGHT = 9.0, 4.2
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.25, 0.75, 0.5
+FORMATS = (".png", ".svg")
+_MARKERS = {"analytical": "s", "twin": "o", COMPARISON: "D", PLAN: "o"}
+_MOST_LINES = 12
+_LEGEND: dict[str, Any] = {"title_fontsize": 8, "fontsize": 8, "frameon": False}
+_NO_PLANT_COLOR = "#222222"
+_WIDTH, _HEIGHT, _TOP, _BOTTOM = 9.0, 4.2, 0.75, 0.5
 _KEY = 1.3  # right margin with a colour bar or a legend in it
 # Colours of marks: neither a plant's nor one of the scales of values.
 _MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
 
 
-def column_panels(columns: int, *, key: bool) -> tuple[Figure, list[Axes]]:
-    """Return a figure of the report's width and its panels side by side, with common axes.
+def draw(
+    plot: Plot, table: pa.Table | Mapping[str, Iterable[Any]], published: Published | None = None
+) -> Figure:
+    """Return the picture.
 
     Args:
-        columns: number of panels.
-        key: whether room is left on the right for what colours mean.
+        plot: what is wanted; of each plant that has the metric, else of the comparison.
+        table: results of a sweep, a row a point: varied fields by their dotted path, `status`, metrics as
+            ``<plant>.<metric>`` and ``comparison.<metric>``. The order of the rows changes nothing.
+        published: published values; a line has those of its metric along x, with a marker of their own.
+
+    Raises:
+        InputError: there is no such column.
     """
-    figure = Figure(figsize=(_WIDTH, _HEIGHT))
-    margins = {
-        "left": _LEFT / _WIDTH,
-        "right": 1 - (_KEY if key else _RIGHT) / _WIDTH,
-        "top": 1 - _TOP / _HEIGHT,
-        "bottom": _BOTTOM / _HEIGHT,
-        "wspace": 0.08,
-    }
-    made = figure.subplots(1, columns, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins)
-    for axes in made[0]:
+    rows = SweepTable.of(table)
+    owners = rows.owners(plot.metric)
+    # A metric of the plants is theirs; the comparison's stands alone.
+    owners = [owner for owner in owners if owner != COMPARISON] or owners
+    if plot.kind == "line":
+        figure = _line(plot, rows, owners, published)
+    else:
+        figure = (_contour if plot.kind == "contour" else _scatter)(plot, rows, owners)
+    figure.suptitle(_title(plot, rows, owners), x=0.01, ha="left", fontsize=10)
+    return figure
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a picture as PNG or SVG, by the suffix, whole or not at all; equal ones give equal bytes.
+
+    Raises:
+        InputError: another suffix, or the place cannot be written.
+    """
+    target = Path(path)
+    if target.suffix not in FORMATS:
+        raise InputError(f"{target.name}: pictures are written as {' or '.join(FORMATS)}")
+    about = {"Software": None} if target.suffix == ".png" else {"Date": None}
+    with atomic_write(target) as part, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
+        figure.savefig(part, format=target.suffix[1:], dpi=130, metadata=about)
+
+
+def _title(plot: Plot, rows: SweepTable, owners: list[str]) -> str:
+    """Return the title, and below it what the picture leaves out."""
+    metric = rows.metric(plot.metric, owners[0]).label.partition(" (")[0]
+    drawn = [plot.x, *([plot.y] if plot.y else [])]
+    names = [rows.values(name, owners[0]).label.partition(" (")[0] for name in drawn]
+    notes = []
+    if plot.kind != "scatter":
+        others = rows.others((*drawn, plot.by))
+        notes = [f"each value the mean over {', '.join(map(field_label, others))}"] if others else []
+    failed = int(rows.failed.sum())
+    notes += [f"{failed} of {len(rows.failed)} runs failed"] if failed else []
+    lacking = sum(
+        int((np.isnan(rows.metric(plot.metric, owner).numbers) & ~rows.failed).sum()) for owner in owners
+    )
+    notes += [f"{lacking} values missing"] if lacking else []
+    known = np.concatenate([rows.metric(plot.metric, owner).numbers for owner in owners])
+    different = np.unique(known[np.isfinite(known)])
+    notes += [f"every value is {different[0]:.4g}"] if len(different) == 1 else []
+    against = "against" if plot.kind == "scatter" else "over"
+    title = f"{metric[:1].upper()}{metric[1:]} {against} {' and '.join(names)}"
+    return "\n".join([title, *([f"({'; '.join(notes)})"] if notes else [])])
+
+
+def _panels(columns: int, *, key: bool) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels with common axes; with a key there is room on the right for it."""
+    figure, (panels,) = side_by_side(
+        _HEIGHT, columns, right=_KEY if key else 0.25, top=_TOP, sharex=True, sharey=True
+    )
+    for axes in panels:
         axes.tick_params(labelsize=8)
-    return figure, list(made[0])
+    return figure, list(panels)
 
 
 def color_bar(
@@ -421,7 +225,7 @@ def span(all_values: Sequence[Values]) -> tuple[float, float]:
 
 _LEVELS = 14
 _BOTH_SIGNS = 0.1  # of the greatest value: how far a value lies beyond zero for zero to be the middle colour
-_FLATTEST = 1e-3  # least sine of a triangle's corners; flatter ones say nothing of the plane
+_FLATTEST = 1e-5  # least ratio of a triangle's inner circle to its outer one; flatter ones say nothing
 _MOST_DOTS = 400
 
 
@@ -531,17 +335,13 @@ def _mesh(x: np.ndarray, y: np.ndarray) -> Triangulation | None:
     # Fields have units of their own: as they lie on the paper.
     u, v = (((each - each.min()) / (np.ptp(each) or 1.0)) for each in (x, y))
     try:
-        corners = Triangulation(u, v).triangles
+        corners = Triangulation(u, v)
     except (RuntimeError, ValueError):
         return None  # all on a line
-    sides = np.stack([u[corners], v[corners]], axis=-1)
-    first, second = sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]
-    area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    longest = np.max(
-        [np.sum((sides[:, i] - sides[:, j]) ** 2, axis=-1) for i, j in ((0, 1), (1, 2), (2, 0))], axis=0
-    )
-    flat = area < _FLATTEST * longest
-    return None if flat.all() else Triangulation(x, y, corners, mask=flat)
+    with np.errstate(invalid="ignore"):  # of triangles without an area
+        ratios = np.ma.filled(TriAnalyzer(corners).circle_ratios(rescale=False), 0.0)
+    flat = ~(ratios >= _FLATTEST)
+    return None if flat.all() else Triangulation(x, y, corners.triangles, mask=flat)
 
 
 def _scale(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
@@ -553,112 +353,10 @@ def _scale(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
     return np.asarray(MaxNLocator(_LEVELS).tick_values(low, high)), "viridis"
 
 
-FORMATS = (".png", ".svg")
-_MOST_LINES = 12
-_MARKERS = {"analytical": "s", "twin": "o", COMPARISON: "D", PLAN: "o"}
-_NO_PLANT_COLOR = "#222222"
-
-
-@dataclass(frozen=True)
-class PlotRequest:
-    """A picture that is wanted.
-
-    Attributes:
-        kind: "contour" (metric over x and y), "line" (along x) or "scatter" (against x).
-        x: varied field; of a scatter also a metric.
-        metric: what is drawn, of each plant that has it, or of the comparison.
-        y: varied field, contour only.
-        by: varied field, of a scatter also a metric, that colours lines or points.
-        plants: whose; empty: of all that have it.
-        title: empty: made from what is drawn.
-    """
-
-    kind: Literal["contour", "line", "scatter"]
-    x: str
-    metric: str
-    y: str | None = None
-    by: str | None = None
-    plants: tuple[str, ...] = ()
-    title: str = ""
-
-    def __post_init__(self) -> None:
-        if (self.y is None) == (self.kind == "contour"):
-            raise InputError(
-                "a contour needs y" if self.y is None else f"y belongs to contour, not to {self.kind}"
-            )
-        if self.by is not None and self.kind == "contour":
-            raise InputError("by belongs to line and scatter, not to contour")
-
-
-def draw(
-    request: PlotRequest, table: pa.Table | Mapping[str, Iterable[Any]], beside: Beside | None = None
-) -> Figure:
-    """Return the picture.
-
-    Args:
-        request: what is wanted.
-        table: results of a sweep, a row a point: varied fields by their dotted path, `status`, metrics as
-            ``<plant>.<metric>`` and ``comparison.<metric>``. The order of the rows changes nothing.
-        beside: published values; a line has those of its metric along x, with a marker of their own.
-
-    Raises:
-        InputError: there is no such column.
-    """
-    rows = SweepTable.of(table)
-    owners = [o for o in rows.owners(request.metric) if o in (request.plants or (o,)) or o == COMPARISON]
-    # A metric of the plants is theirs; the comparison's stands alone.
-    owners = [owner for owner in owners if owner != COMPARISON] or owners
-    if not owners:
-        raise InputError(f"{request.metric}: none of {', '.join(request.plants)} has it")
-    if request.kind == "line":
-        figure = _line(request, rows, owners, beside)
-    else:
-        figure = (_contour if request.kind == "contour" else _scatter)(request, rows, owners)
-    figure.suptitle(_title(request, rows, owners), x=0.01, ha="left", fontsize=10)
-    return figure
-
-
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a picture as PNG or SVG, by the suffix, whole or not at all; equal ones give equal bytes.
-
-    Raises:
-        InputError: another suffix, or the place cannot be written.
-    """
-    target = Path(path)
-    if target.suffix not in FORMATS:
-        raise InputError(f"{target.name}: pictures are written as {' or '.join(FORMATS)}")
-    about = {"Software": None} if target.suffix == ".png" else {"Date": None}
-    with atomic_write(target) as part, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
-        figure.savefig(part, format=target.suffix[1:], dpi=130, metadata=about)
-
-
-def _title(request: PlotRequest, rows: SweepTable, owners: list[str]) -> str:
-    """Return the title, and below it what the picture leaves out."""
-    metric = rows.metric(request.metric, owners[0]).label.partition(" (")[0]
-    drawn = [request.x, *([request.y] if request.y else [])]
-    names = [rows.values(name, owners[0]).label.partition(" (")[0] for name in drawn]
-    notes = []
-    if request.kind != "scatter":
-        others = rows.others((*drawn, request.by))
-        notes = [f"each value the mean over {', '.join(map(field_label, others))}"] if others else []
-    failed = int(rows.failed.sum())
-    notes += [f"{failed} of {len(rows.failed)} runs failed"] if failed else []
-    lacking = sum(
-        int((np.isnan(rows.metric(request.metric, owner).numbers) & ~rows.failed).sum()) for owner in owners
-    )
-    notes += [f"{lacking} values missing"] if lacking else []
-    known = np.concatenate([rows.metric(request.metric, owner).numbers for owner in owners])
-    different = np.unique(known[np.isfinite(known)])
-    notes += [f"every value is {different[0]:.4g}"] if len(different) == 1 else []
-    against = "against" if request.kind == "scatter" else "over"
-    title = request.title or f"{metric[:1].upper()}{metric[1:]} {against} {' and '.join(names)}"
-    return "\n".join([title, *([f"({'; '.join(notes)})"] if notes else [])])
-
-
-def _contour(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figure:
-    figure, panels = column_panels(len(owners), key=True)
-    x, y = rows.values(request.x, owners[0]), rows.values(str(request.y), owners[0])
-    values = [rows.metric(request.metric, owner) for owner in owners]
+def _contour(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
+    figure, panels = _panels(len(owners), key=True)
+    x, y = rows.values(plot.x, owners[0]), rows.values(str(plot.y), owners[0])
+    values = [rows.metric(plot.metric, owner) for owner in owners]
     draw_contours(figure, panels, x, y, values, rows.failed)
     for axes, owner in zip(panels, owners, strict=True):
         axes.set_title(_name(owner), fontsize=9, loc="left")
@@ -669,64 +367,73 @@ def _contour(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figur
     return figure
 
 
-def _line(request: PlotRequest, rows: SweepTable, owners: list[str], beside: Beside | None) -> Figure:
+class _Shades:
+    """Colours that tell the values of a column apart: by a legend where they are few, else by a bar.
+
+    Attributes:
+        by: the column, of each owner.
+        groups: its different values.
+        few: whether a legend names them.
+        norm: from values to the places of their colours along the bar.
+    """
+
+    def __init__(self, by: Sequence[Values]) -> None:
+        numbers = np.concatenate([each.numbers for each in by])
+        self.by, self.groups = by[0], np.unique(numbers[np.isfinite(numbers)])
+        self.few = len(self.groups) <= _MOST_LINES
+        self.norm = Normalize(*span(by))
+        shares = np.linspace(0.0, 0.92, len(self.groups)) if self.few else self.norm(self.groups)
+        self.colors = dict(zip(self.groups.tolist(), map(to_hex, colormaps["viridis"](shares)), strict=True))
+
+    def name(self, figure: Figure, axes: Axes) -> None:
+        """Say which colour is which value."""
+        if not self.few:
+            color_bar(figure, self.norm, "viridis", self.by)
+            return
+        handles = [
+            Line2D([], [], color=self.colors[group], label=self.by.text(group)) for group in self.groups
+        ]
+        axes.legend(
+            handles=handles,
+            title=textwrap.fill(self.by.label, 18),
+            loc="upper left",
+            bbox_to_anchor=(1.0, 1.0),
+            alignment="left",
+            **_LEGEND,
+        )
+
+
+def _line(plot: Plot, rows: SweepTable, owners: list[str], published: Published | None) -> Figure:
     """Draw a line a value of `by` (its colour) and owner (its dash and marker), and published values."""
-    figure, (axes,) = column_panels(1, key=request.by is not None)
-    x = rows.values(request.x, owners[0])
-    by = rows.values(request.by, owners[0]) if request.by else Values("", np.zeros(len(rows.failed)))
-    groups = np.unique(by.numbers[np.isfinite(by.numbers)])
-    few = len(groups) <= _MOST_LINES
-    colors = _colors(groups, by, few=few) if request.by else {}
+    figure, (axes,) = _panels(1, key=plot.by is not None)
+    x = rows.values(plot.x, owners[0])
+    by = rows.values(plot.by, owners[0]) if plot.by else Values("", np.zeros(len(rows.failed)))
+    shades = _Shades([by])
     drawn = 0
     for owner in owners:
-        values = rows.metric(request.metric, owner)
-        for i, group in enumerate(groups):
+        values, style = rows.metric(plot.metric, owner), _look(owner)
+        for i, group in enumerate(shades.groups):
             # Smaller and smaller, for lines of names that lie upon each other.
-            size = (3.5 if few else 2.0) + (2.0 * (len(groups) - 1 - i) if by.names and few else 0.0)
+            steps = len(shades.groups) - 1 - i if by.names and shades.few else 0
             place, height = _means(x.numbers, values.numbers, by.numbers == group)
             drawn += int(np.isfinite(height).sum())
-            axes.plot(
-                place,
-                height,
-                color=colors.get(group, _color(owner)),
-                linestyle=_dash(owner),
-                linewidth=1.3 if few else 0.9,
-                marker=_MARKERS[owner],
-                markersize=size,
-            )
-    _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
+            style |= {"color": shades.colors[group]} if plot.by else {}
+            style |= {"markersize": (3.5 if shades.few else 2.0) + 2.0 * steps}
+            axes.plot(place, height, linewidth=1.3 if shades.few else 0.9, **style)
+    _finish_plane(axes, x, rows.metric(plot.metric, owners[0]), rows.failed, drawn=drawn)
     # Lines of plans are told apart by what they vary over alone.
-    samples = [_sample(owner, plain=bool(request.by)) for owner in owners if owner != PLAN]
-    if beside is not None and request.x in beside.at and request.metric in beside.metrics:
-        samples.append(_draw_published(axes, beside, request, x, by, colors if few else {}))
+    samples = [_sample(owner, plain=bool(plot.by)) for owner in owners if owner != PLAN]
+    if published is not None and plot.x in published.at and plot.metric in published.metrics:
+        colors = shades.colors if plot.by and shades.few else {}
+        samples.append(_draw_published(axes, published, plot, x, by, colors))
     legend_above(axes, samples)
-    if request.by:
-        _name_groups(figure, axes, by, groups, colors)
+    if plot.by:
+        shades.name(figure, axes)
     return figure
 
 
-def _name_groups(
-    figure: Figure, axes: Axes, by: Values, groups: np.ndarray, colors: Mapping[float, str]
-) -> None:
-    """Say which colour is which value of `by`: a legend of few, a colour bar of many."""
-    if len(groups) > _MOST_LINES:
-        color_bar(figure, Normalize(*span([by])), "viridis", by)
-        return
-    handles = [Line2D([], [], color=colors[group], label=by.text(group)) for group in groups]
-    axes.legend(
-        handles=handles,
-        title=textwrap.fill(by.label, 18),
-        title_fontsize=8,
-        fontsize=8,
-        frameon=False,
-        loc="upper left",
-        bbox_to_anchor=(1.0, 1.0),
-        alignment="left",
-    )
-
-
 def _draw_published(
-    axes: Axes, beside: Beside, request: PlotRequest, x: Values, by: Values, colors: Mapping[float, str]
+    axes: Axes, published: Published, plot: Plot, x: Values, by: Values, colors: Mapping[float, str]
 ) -> Line2D:
     """Mark the published values of a metric along x, in the colour of their line where it is known.
 
@@ -734,9 +441,9 @@ def _draw_published(
         What the legend shows of them.
     """
     style: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
-    groups = beside.at.get(request.by, ()) if request.by else ()
+    groups = published.at.get(plot.by, ()) if plot.by else ()
     for i, (place, value) in enumerate(
-        zip(beside.at[request.x], beside.metrics[request.metric], strict=True)
+        zip(published.at[plot.x], published.metrics[plot.metric], strict=True)
     ):
         color = colors.get(by.number(groups[i])) if groups else None
         if value is not None:
@@ -744,46 +451,33 @@ def _draw_published(
                 x.number(place), value, color=color or PUBLISHED_COLOR, markeredgewidth=0.6, zorder=5, **style
             )
     # A dollar would begin a formula.
-    label = f"published, {beside.source}".replace("$", r"\$")
+    label = f"published, {published.source}".replace("$", r"\$")
     return Line2D([], [], color=PUBLISHED_COLOR, label=label, **style)
 
 
-def _scatter(request: PlotRequest, rows: SweepTable, owners: list[str]) -> Figure:
-    figure, (axes,) = column_panels(1, key=request.by is not None)
-    given = [rows.values(request.by, owner) for owner in owners] if request.by else []
-    low, high = span(given)
-    shades = np.concatenate([each.numbers for each in given]) if given else np.zeros(0)
-    groups = np.unique(shades[np.isfinite(shades)])
-    few = len(groups) <= _MOST_LINES
-    colors = _colors(groups, given[0], few=few) if given and few else {}
+def _scatter(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
+    figure, (axes,) = _panels(1, key=plot.by is not None)
+    given = [rows.values(plot.by, owner) for owner in owners] if plot.by else []
+    shades = _Shades(given) if given else None
     drawn = 0
     for i, owner in enumerate(owners):
-        x, values = rows.values(request.x, owner), rows.metric(request.metric, owner)
-        shade = given[i].numbers if request.by else np.zeros(len(values.numbers))
+        x, values = rows.values(plot.x, owner), rows.metric(plot.metric, owner)
+        shade = given[i].numbers if given else np.zeros(len(values.numbers))
         there = np.isfinite(x.numbers) & np.isfinite(values.numbers) & np.isfinite(shade)
         order = np.flatnonzero(there)[np.lexsort((values.numbers[there], x.numbers[there], shade[there]))]
         color: dict[str, Any] = {"color": _color(owner)}
-        if request.by and few:
-            color = {"c": [colors[each] for each in shade[order]]}
-        elif request.by:
-            color = {"c": shade[order], "cmap": "viridis", "vmin": low, "vmax": high}
-        axes.scatter(
-            x.numbers[order],
-            values.numbers[order],
-            s=16,
-            marker=_MARKERS[owner],
-            alpha=0.85,
-            linewidths=0,
-            **color,
-        )
+        if shades and shades.few:
+            color = {"c": [shades.colors[each] for each in shade[order]]}
+        elif shades:
+            color = {"c": shade[order], "cmap": "viridis", "norm": shades.norm}
+        color |= {"s": 16, "marker": _MARKERS[owner], "alpha": 0.85, "linewidths": 0}
+        axes.scatter(x.numbers[order], values.numbers[order], **color)
         drawn += len(order)
-    x = rows.values(request.x, owners[0])
-    _finish_plane(axes, x, rows.metric(request.metric, owners[0]), rows.failed, drawn=drawn)
+    x = rows.values(plot.x, owners[0])
+    _finish_plane(axes, x, rows.metric(plot.metric, owners[0]), rows.failed, drawn=drawn)
     legend_above(axes, [_sample(owner, line=False, plain=bool(given)) for owner in owners if owner != PLAN])
-    if given and few:
-        _name_groups(figure, axes, given[0], groups, colors)
-    elif given:
-        color_bar(figure, Normalize(low, high), "viridis", given[0])
+    if shades:
+        shades.name(figure, axes)
     return figure
 
 
@@ -805,19 +499,16 @@ def _finish_plane(axes: Axes, x: Values, values: Values, failed: np.ndarray, *, 
         say(axes, failed)
 
 
-def _colors(groups: np.ndarray, by: Values, *, few: bool) -> dict[float, str]:
-    """Return a colour a group: evenly apart where a legend tells them, else along the colour bar."""
-    shares = np.linspace(0.0, 0.92, len(groups)) if few else Normalize(*span([by]))(groups)
-    return dict(zip(groups.tolist(), map(to_hex, colormaps["viridis"](shares)), strict=True))
-
-
 def _sample(owner: str, *, line: bool = True, plain: bool = False) -> Line2D:
     """Return what the legend shows of an owner."""
-    dash = _dash(owner) if line else "none"
-    color = "0.3" if plain else _color(owner)
-    return Line2D(
-        [], [], color=color, linestyle=dash, marker=_MARKERS[owner], markersize=4, label=_name(owner)
-    )
+    look = _look(owner) | ({} if line else {"linestyle": "none"}) | ({"color": "0.3"} if plain else {})
+    return Line2D([], [], **look, markersize=4, label=_name(owner))
+
+
+def _look(owner: str) -> dict[str, Any]:
+    """Return colour, dash and marker of an owner's line."""
+    dash = "-" if owner == PLAN else style_of(owner).dash
+    return {"color": _color(owner), "linestyle": dash, "marker": _MARKERS[owner]}
 
 
 def _name(owner: str) -> str:
@@ -826,7 +517,3 @@ def _name(owner: str) -> str:
 
 def _color(owner: str) -> str:
     return _NO_PLANT_COLOR if owner in (COMPARISON, PLAN) else style_of(owner).color
-
-
-def _dash(owner: str) -> Literal["-", "--", "-.", ":"]:
-    return "-" if owner == PLAN else style_of(owner).dash
