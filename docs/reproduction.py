@@ -6,14 +6,97 @@ uv run python docs/reproduction.py           # writes both pages from it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from srs_twin.io.files import atomic_write
-from srs_twin.reproduction import Judged, load_baseline, load_claims
-from srs_twin.reproduction.report import between, markdown, remembered, summary_line
+from srs_twin.reproduction import Baseline, Claim, Judged, Outcome, load_baseline, load_claims
+from srs_twin.reproduction.report import TITLES, USES, cell, count, published, summary_line
+from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED
 
 ROOT = Path(__file__).parents[1]
 NAME = "reproduction"
+
+
+def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
+    """Return claims with the outcomes of the baseline."""
+    return tuple(Judged(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
+
+
+def markdown(rows: Sequence[Judged]) -> str:
+    """Return the tables of docs/reproduction.md: a section a use, and under it why rows are missed."""
+    parts = []
+    for use in USES:
+        chosen = [row for row in rows if row.claim.use == use]
+        lines = [
+            f"### {TITLES[use]}",
+            "",
+            _counted(chosen),
+            "",
+            "| row | statement | published | analytical | twin |",
+            "| --- | --- | --- | --- | --- |",
+            *map(_line, chosen),
+        ]
+        why = list(dict.fromkeys(_reasons(chosen)))
+        parts += [
+            "\n".join(lines),
+            *(["\n".join(["Missed, and why as far as known:", "", *why])] if why else []),
+        ]
+    return "\n\n".join(parts)
+
+
+def _counted(rows: Sequence[Judged]) -> str:
+    told = []
+    for column, name in (("twin", "twin"), ("analytical", "analytical"), ("alone", "without a plant")):
+        found = count(rows, column)
+        if found["all"]:
+            told.append(f"{name} {found[MET]} of {found['all']} met, {found[EXPLAINED]} explained")
+    return f"{'; '.join(told)}."
+
+
+def _line(row: Judged) -> str:
+    claim = row.claim
+    unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
+    cells = [_marked(row.outcomes.get(name)) for name in ("analytical", "twin")]
+    if "alone" in row.outcomes:
+        cells = [_marked(row.outcomes["alone"]), ""]
+    says = f"{claim.says} ({claim.source})"
+    return (
+        "| "
+        + " | ".join([f"`{claim.id}`", says, f"{published(claim)}{unit}", *cells]).replace("\n", " ")
+        + " |"
+    )
+
+
+def _marked(outcome: Outcome | None) -> str:
+    if outcome is None:
+        return ""
+    mark = {MET: "", EXPLAINED: "*", MISSED: "**"}[outcome.verdict]
+    return f"{mark}{cell(outcome)}{mark}"
+
+
+def _reasons(rows: Sequence[Judged]) -> list[str]:
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        for column, outcome in row.outcomes.items():
+            if outcome.verdict != MET:
+                why = outcome.why or "not known"
+                found.setdefault((row.claim.id, f"{outcome.verdict}: {why}"), []).append(column)
+    return [f"- `{name}` ({', '.join(columns)}) {why}" for (name, why), columns in found.items()]
+
+
+def between(page: str, name: str, text: str) -> str:
+    """Return a page with a text between its marks of this name.
+
+    Args:
+        page: with ``<!-- name: begin -->`` and ``<!-- name: end -->``.
+        name: of the marks.
+        text: what is to stand there.
+    """
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, _, rest = page.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n{text}\n{end}{after}"
 
 
 def pages(rows: tuple[Judged, ...]) -> dict[Path, str]:

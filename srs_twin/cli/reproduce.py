@@ -143,14 +143,14 @@ def _judged(
 
 def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, quiet: bool) -> list[Any]:
     """Return the figures whose runs are there; of a whole reproduction run what is theirs alone."""
-    from srs_twin.reproduction.figures import PICTURES, Source, drawn, wanted
+    from srs_twin.reproduction.figures import PICTURES, StoredRuns, drawn, wanted
 
     if every:
         keys = dict.fromkeys(order.key for order in wanted(PICTURES, orders))
         due = store.missing(orders.made[key] for key in keys)
         counting = Counting("runs for figures", len(due), quiet=quiet)
         store.run(due, workers=jobs, progress=lambda row: counting(failed=row.exit_code != 0))
-    return drawn(PICTURES, Source(store, orders))
+    return drawn(PICTURES, StoredRuns(store, orders))
 
 
 def _written(

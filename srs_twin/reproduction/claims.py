@@ -1,16 +1,13 @@
-"""The dissertation's claims: one row a statement, the runs that produce it, and the rule by which it is met.
+"""Claims: what the dissertation states, one row a statement, each with the rule by which it is met.
 
-The file of claims as a strict model: one statement an entry; a table's entry holds its numbers.
-
-Claims: what the dissertation states, one row a statement, each with the rule by which it is met.
+The file is read into strict models; a table's entry holds its numbers, which become a row each.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,7 +35,7 @@ Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
 _BOUND = 1e9
 
 
-class MeasureFile(Section):
+class Measure(Section):
     """A number that a run, the runs of a sweep or a computation give."""
 
     scenario: Name | None = section("Shipped scenario that is run.", None)
@@ -55,7 +52,7 @@ class MeasureFile(Section):
     size: bool = section("Whether the sign is left out.", False)
 
     @model_validator(mode="after")
-    def _one_origin(self) -> MeasureFile:
+    def _one_origin(self) -> Measure:
         if sum(each is not None for each in (self.scenario, self.sweep, self.law)) != 1:
             raise ValueError("give exactly one of scenario, sweep and law")
         if self.where and self.sweep is None:
@@ -64,8 +61,18 @@ class MeasureFile(Section):
             raise ValueError("periods belongs to a scenario")
         return self
 
+    @property
+    def kind(self) -> str:
+        """Where the number is from: "scenario", "sweep" or "law"."""
+        return next(kind for kind in ("scenario", "sweep", "law") if getattr(self, kind) is not None)
 
-class CauseFile(Section):
+    @property
+    def name(self) -> str:
+        """Name of the scenario, sweep or computation."""
+        return str(getattr(self, self.kind))
+
+
+class Cause(Section):
     """Why a row is missed: shown by a switch or by a section of the documents, or supposed without either."""
 
     says: Name = section("In words.")
@@ -77,13 +84,13 @@ class CauseFile(Section):
     set: Changes = section("Fields of the scenario that switch it: with them the row must be met.", {})
 
     @model_validator(mode="after")
-    def _one_proof(self) -> CauseFile:
+    def _one_proof(self) -> Cause:
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
             raise ValueError("give docs, or switch with set, or neither where the cause is only supposed")
         return self
 
 
-class TableFile(Section):
+class TableRows(Section):
     """How the numbers of a table become rows of their own."""
 
     at: Name = section("Key of a row of the table that says where.")
@@ -95,7 +102,7 @@ class TableFile(Section):
     fit_at: list[float] = section("Where they may be.", [])
 
 
-class ClaimFile(Section):
+class Claim(Section):
     """One statement of the dissertation, and how it is checked."""
 
     id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)] = section(
@@ -106,22 +113,22 @@ class ClaimFile(Section):
     says: Annotated[str, Field(min_length=1, max_length=600)] = section("The statement.")
     use: Use = section("fit, holdout, law or shape.")
     value: float | None = quantity("Published value", -_BOUND, _BOUND, None, unit="the unit")
-    unit: Name | None = section("Unit of the value.", None)
+    unit: Name = section("Unit of the value.", "1")
     tol: float | None = quantity("Relative tolerance", 0.0, 100.0, None)
     abs: float | None = quantity("Absolute tolerance", 0.0, _BOUND, None, unit="the unit")
     rule: Rule | None = section("near, below, above, or ordering: each measure larger than the next.", None)
-    measure: MeasureFile | None = section("What is held against the value.", None)
-    measures: list[MeasureFile] = section("What is combined, or put in order.", [])
+    measure: Measure | None = section("What is held against the value.", None)
+    measures: list[Measure] = section("What is combined, or put in order.", [])
     combine: Combine = section("How measures become one number.", "value")
     columns: list[Column] = section("What is judged.", ["analytical", "twin"])
     quick: bool = section("Whether --quick runs it.", False)
-    cause: list[CauseFile] = section("Why it is missed, as far as known.", [])
-    table: TableFile | None = section("How `rows` become rows.", None)
+    cause: list[Cause] = section("Why it is missed, as far as known.", [])
+    table: TableRows | None = section("How `rows` become rows.", None)
     rows: list[dict[Name, float]] = section("Numbers of a table.", [])
     note: Annotated[str, Field(max_length=1000)] | None = section("What a reader must know.", None)
 
     @model_validator(mode="after")
-    def _what_belongs_together(self) -> ClaimFile:
+    def _what_belongs_together(self) -> Claim:
         if self.table is not None:
             if not self.rows or self.tol is None or self.rule is not None:
                 raise ValueError("a table needs rows and tol, and its rows are held near their values")
@@ -142,100 +149,33 @@ class ClaimFile(Section):
             raise ValueError("near needs either tol or abs")
         return self
 
+    @property
+    def fitted(self) -> bool:
+        """Whether it may be used to calibrate, so that it is no prediction."""
+        return self.use == "fit"
 
-COLUMNS = ("analytical", "twin", "alone")
-"""Who can meet a row: a plant, or a computation that needs none."""
+    @property
+    def taken(self) -> list[Measure]:
+        """What is measured."""
+        return [self.measure] if self.measure else self.measures
 
-Value = bool | int | float | str
-Setting = Value | list[float]
+    @property
+    def low(self) -> float:
+        """Least value that is allowed; a tolerance widens a bound outward."""
+        bounded = self.value is not None and self.rule in ("near", "above")
+        return self._off(-1) if bounded else -math.inf
 
+    @property
+    def high(self) -> float:
+        """Greatest value that is allowed."""
+        bounded = self.value is not None and self.rule in ("near", "below")
+        return self._off(1) if bounded else math.inf
 
-@dataclass(frozen=True)
-class Measure:
-    """A number that a run, the runs of a sweep or a computation give.
-
-    Attributes:
-        kind: "scenario", "sweep" or "law".
-        name: of the scenario, sweep or computation.
-        metric: of the plant; "comparison.…"; "trace.…", of the trajectory; of a computation its own name.
-        changes: fields of the scenario, or arguments of the computation.
-        periods: simulated time in periods of the gait; None: the scenario's own.
-        where: varied field → value of the points of the sweep that count.
-        take: what is taken of several points: "most", "least", "mean" or "spread" (greatest less least, over
-            the mean); None: there is one.
-        plant: whose number it is; None: the column's.
-        size: whether the sign is left out.
-    """
-
-    kind: str
-    name: str
-    metric: str
-    changes: Mapping[str, Setting] = field(default_factory=dict)
-    periods: float | None = None
-    where: Mapping[str, Value] = field(default_factory=dict)
-    take: str | None = None
-    plant: str | None = None
-    size: bool = False
-
-
-@dataclass(frozen=True)
-class Cause:
-    """Why a row is missed.
-
-    Attributes:
-        says: in words.
-        columns: which columns it explains.
-        docs: page and section of the documents that show it; None where they do not.
-        switch: name of the assumption that is switched; without it and without docs the cause is supposed.
-        changes: fields of the scenario that switch it; with them the row must be met.
-    """
-
-    says: str
-    columns: tuple[str, ...]
-    docs: str | None = None
-    switch: str | None = None
-    changes: Mapping[str, Setting] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One statement and how it is checked.
-
-    Attributes:
-        id: name of the row.
-        source: section, figure, table, errata.
-        robot: generation, None where it is about none.
-        says: the statement.
-        use: "fit" (may be used to calibrate: no prediction), "holdout" (never is), "law" or "shape" (an order
-            or a trend).
-        rule: "near", "below", "above" or "ordering" (each measure larger than the next).
-        measures: what is measured.
-        combine: how two measures a and b become one number: "value" (there is one), "ratio" a/b, "excess"
-            a/b − 1, "difference" a − b, "unevenness" |a + b|/|a|, 0 for mirror images.
-        value: published; None of an ordering.
-        unit: of the value.
-        low: least value that is allowed.
-        high: greatest value that is allowed.
-        columns: what is judged.
-        quick: whether it is in the quick subset.
-        causes: why it is missed, as far as known.
-    """
-
-    id: str
-    source: str
-    robot: str | None
-    says: str
-    use: str
-    rule: str
-    measures: tuple[Measure, ...]
-    combine: str
-    value: float | None
-    unit: str
-    low: float
-    high: float
-    columns: tuple[str, ...]
-    quick: bool
-    causes: tuple[Cause, ...]
+    def _off(self, side: int) -> float:
+        assert self.value is not None, "asked for"
+        return self.value + side * (
+            self.abs if self.abs is not None else (self.tol or 0.0) * math.fabs(self.value)
+        )
 
     @property
     def allowed(self) -> str:
@@ -245,6 +185,13 @@ class Claim:
         if math.isinf(self.low):
             return f"at most {self.high:.4g}"
         return f"at least {self.low:.4g}" if math.isinf(self.high) else f"{self.low:.4g} to {self.high:.4g}"
+
+
+COLUMNS = ("analytical", "twin", "alone")
+"""Who can meet a row: a plant, or a computation that needs none."""
+
+Value = bool | int | float | str
+Setting = Value | list[float]
 
 
 def claims_file() -> Path:
@@ -263,7 +210,7 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
     given = document.data if isinstance(document.data, list) else []
     if not given:
         document.report((), "must be a list of claims")
-    files = [(i, validate(ClaimFile, document, each, prefix=(i,))) for i, each in enumerate(given)]
+    files = [(i, validate(Claim, document, each, prefix=(i,))) for i, each in enumerate(given)]
     rows: list[Claim] = []
     for i, file in files:
         if file is not None:
@@ -302,9 +249,9 @@ def _named(claim: Claim, name: str) -> bool:
     return claim.id == name or claim.id.startswith(f"{name}.")
 
 
-def _check_names(document: Document, i: int, file: ClaimFile) -> None:
+def _check_names(document: Document, i: int, file: Claim) -> None:
     """Report scenarios, sweeps, computations and traces that there are not."""
-    given: list[tuple[Loc, MeasureFile]] = [((i, "measure"), file.measure)] if file.measure else []
+    given: list[tuple[Loc, Measure]] = [((i, "measure"), file.measure)] if file.measure else []
     given += [((i, "measures", k), each) for k, each in enumerate(file.measures)]
     for loc, each in given:
         known = {"scenario": shipped_names("scenario"), "sweep": shipped_names("sweep"), "law": COMPUTATIONS}
@@ -317,60 +264,29 @@ def _check_names(document: Document, i: int, file: ClaimFile) -> None:
             document.report((*loc, "metric"), str(UnknownNameError("trace", trace, TRACES)))
 
 
-def _rows(file: ClaimFile) -> Iterator[Claim]:
-    if file.table is not None:
-        yield from _table_rows(file)
+def _rows(claim: Claim) -> Iterator[Claim]:
+    """Yield a claim itself, of a table a row for each number."""
+    table = claim.table
+    if table is None:
+        yield claim
         return
-    assert file.rule is not None, "checked by the file's model"
-    measures = tuple(map(_measure, [file.measure] if file.measure else file.measures))
-    low, high = _range(file.rule, file.value, file.tol, file.abs)
-    yield Claim(
-        file.id,
-        file.source,
-        file.robot,
-        file.says,
-        file.use,
-        file.rule,
-        measures,
-        file.combine,
-        file.value,
-        file.unit or "1",
-        low,
-        high,
-        tuple(file.columns),
-        file.quick,
-        tuple(map(_cause, file.cause)),
-    )
-
-
-def _table_rows(file: ClaimFile) -> Iterator[Claim]:
-    """Yield a row for each number of a table."""
-    table = file.table
-    assert table is not None, "asked for"
-    for row in file.rows:
+    for row in claim.rows:
         at = row[table.at]
         for column, metric in table.columns.items():
             value = -row[column] if column in table.signed and at < 0 else row[column]
-            low, high = _range("near", value, file.tol, None)
-            measure = Measure("sweep", table.sweep, metric, where={table.field: at})
-            use = "fit" if column in table.fit and at in table.fit_at else file.use
-            says = f"{column} {value:g} {file.unit or _unit(metric)} at {table.at} {at:g}"
-            yield Claim(
-                f"{file.id}.{column}.{_place(at)}",
-                file.source,
-                file.robot,
-                says,
-                use,
-                "near",
-                (measure,),
-                "value",
-                value,
-                _unit(metric),
-                low,
-                high,
-                tuple(file.columns),
-                file.quick,
-                tuple(map(_cause, file.cause)),
+            unit = "m/s" if metric.endswith("_m_s") else "m"
+            yield claim.model_copy(
+                update={
+                    "id": f"{claim.id}.{column}.{_place(at)}",
+                    "says": f"{column} {value:g} {unit} at {table.at} {at:g}",
+                    "use": "fit" if column in table.fit and at in table.fit_at else claim.use,
+                    "rule": "near",
+                    "value": value,
+                    "unit": unit,
+                    "measure": Measure(sweep=table.sweep, metric=metric, where={table.field: at}),
+                    "table": None,
+                    "rows": [],
+                }
             )
 
 
@@ -378,35 +294,3 @@ def _place(at: float) -> str:
     """Return a number as part of a row's name: 0.3 is p03, −0.3 is m03."""
     sign = "m" if at < 0 else "p"
     return f"{sign}{abs(at):g}".replace(".", "") if at else "0"
-
-
-def _unit(metric: str) -> str:
-    return "m/s" if metric.endswith("_m_s") else "m"
-
-
-def _range(rule: str, value: float | None, tol: float | None, near: float | None) -> tuple[float, float]:
-    """Return the least and the greatest value that are allowed; a tolerance widens a bound outward."""
-    if value is None:
-        return -math.inf, math.inf
-    margin = near if near is not None else (tol or 0.0) * abs(value)
-    low = value - margin if rule in ("near", "above") else -math.inf
-    return low, value + margin if rule in ("near", "below") else math.inf
-
-
-def _measure(file: MeasureFile) -> Measure:
-    kind = next(kind for kind in ("scenario", "sweep", "law") if getattr(file, kind) is not None)
-    return Measure(
-        kind,
-        getattr(file, kind),
-        file.metric,
-        file.set,
-        file.periods,
-        file.where,
-        file.take,
-        file.plant,
-        file.size,
-    )
-
-
-def _cause(file: CauseFile) -> Cause:
-    return Cause(file.says, tuple(file.columns), file.docs, file.switch, file.set)

@@ -1,7 +1,4 @@
-"""What a reproduction leaves: reproduce.json for machines, reproduce.html and Markdown for people.
-
-The rows in words: how many are met, cells of tables, the Markdown of README and documents.
-"""
+"""What a reproduction leaves: reproduce.json for machines, reproduce.html for people, rows in words."""
 
 from __future__ import annotations
 
@@ -18,7 +15,6 @@ from srs_twin.reproduction.verdicts import (
     EXPLAINED,
     MET,
     MISSED,
-    Baseline,
     Judged,
     Outcome,
     outcomes_document,
@@ -42,11 +38,6 @@ TITLES = {
 }
 
 _NOTHING = "–"
-
-
-def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
-    """Return claims with the outcomes of the baseline."""
-    return tuple(Judged(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
 
 
 def count(rows: Sequence[Judged], column: str, uses: Sequence[str] = USES) -> dict[str, int]:
@@ -79,7 +70,7 @@ def published(claim: Claim) -> str:
     """Return the published value, or the rule of a row that has none."""
     if claim.value is None:
         return "order"
-    sign = {"below": "≤ ", "above": "≥ "}.get(claim.rule, "")
+    sign = {"below": "≤ ", "above": "≥ "}.get(str(claim.rule), "")
     return f"{sign}{short(claim.value)}"
 
 
@@ -116,82 +107,6 @@ def verdict(row: Judged) -> str:
     return found[0] if len(set(found)) == 1 else ", ".join(found) or _NOTHING
 
 
-def markdown(rows: Sequence[Judged]) -> str:
-    """Return the tables of docs/reproduction.md: a section a use, and under it why rows are missed."""
-    parts = []
-    for use in USES:
-        chosen = [row for row in rows if row.claim.use == use]
-        lines = [
-            f"### {TITLES[use]}",
-            "",
-            _counted(chosen),
-            "",
-            "| row | statement | published | analytical | twin |",
-            "| --- | --- | --- | --- | --- |",
-            *map(_line, chosen),
-        ]
-        why = list(dict.fromkeys(_reasons(chosen)))
-        parts += [
-            "\n".join(lines),
-            *(["\n".join(["Missed, and why as far as known:", "", *why])] if why else []),
-        ]
-    return "\n\n".join(parts)
-
-
-def _counted(rows: Sequence[Judged]) -> str:
-    told = []
-    for column, name in (("twin", "twin"), ("analytical", "analytical"), ("alone", "without a plant")):
-        found = count(rows, column)
-        if found["all"]:
-            told.append(f"{name} {found[MET]} of {found['all']} met, {found[EXPLAINED]} explained")
-    return f"{'; '.join(told)}."
-
-
-def _line(row: Judged) -> str:
-    claim = row.claim
-    unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
-    cells = [_marked(row.outcomes.get(name)) for name in ("analytical", "twin")]
-    if "alone" in row.outcomes:
-        cells = [_marked(row.outcomes["alone"]), ""]
-    says = f"{claim.says} ({claim.source})"
-    return (
-        "| "
-        + " | ".join([f"`{claim.id}`", says, f"{published(claim)}{unit}", *cells]).replace("\n", " ")
-        + " |"
-    )
-
-
-def _marked(outcome: Outcome | None) -> str:
-    if outcome is None:
-        return ""
-    mark = {MET: "", EXPLAINED: "*", MISSED: "**"}[outcome.verdict]
-    return f"{mark}{cell(outcome)}{mark}"
-
-
-def _reasons(rows: Sequence[Judged]) -> list[str]:
-    found: dict[tuple[str, str], list[str]] = {}
-    for row in rows:
-        for column, outcome in row.outcomes.items():
-            if outcome.verdict != MET:
-                why = outcome.why or "not known"
-                found.setdefault((row.claim.id, f"{outcome.verdict}: {why}"), []).append(column)
-    return [f"- `{name}` ({', '.join(columns)}) {why}" for (name, why), columns in found.items()]
-
-
-def between(page: str, name: str, text: str) -> str:
-    """Return a page with a text between its marks of this name.
-
-    Args:
-        page: with ``<!-- name: begin -->`` and ``<!-- name: end -->``.
-        name: of the marks.
-        text: what is to stand there.
-    """
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, _, rest = page.partition(begin)
-    _, _, after = rest.partition(end)
-    return f"{before}{begin}\n{text}\n{end}{after}"
-
-
 _HEADINGS = ("row", "statement", "published", "allowed", "analytical", "error", "twin", "error", "why")
 
 
@@ -222,19 +137,8 @@ def write_json(path: Path, rows: Sequence[Judged], changes: Sequence[str]) -> No
 
 def _row(row: Judged, outcomes: Any) -> dict[str, Any]:
     claim = row.claim
-    return {
-        "id": claim.id,
-        "source": claim.source,
-        "robot": claim.robot,
-        "says": claim.says,
-        "use": claim.use,
-        "fitted": claim.use == "fit",
-        "rule": claim.rule,
-        "value": claim.value,
-        "unit": claim.unit,
-        "allowed": claim.allowed,
-        "outcomes": outcomes,
-    }
+    names = "id source robot says use fitted rule value unit allowed".split()
+    return {name: getattr(claim, name) for name in names} | {"outcomes": outcomes}
 
 
 def write_html(

@@ -1,8 +1,6 @@
-"""From measures to runs, each under a key, so that rows share runs; what came of them is kept.
+"""Runs that claims need, each under a key of all that decides it, so that rows share runs that are kept.
 
-From measures to orders: what has to be run, each under a key, so that rows share runs that are kept.
-
-Store: what came of orders, kept under their keys as each is done; what is missing runs in processes.
+What is missing runs in worker processes; what comes of each is kept as soon as it is done.
 """
 
 from __future__ import annotations
@@ -83,7 +81,7 @@ class Orders:
         Raises:
             InputError: the scenario or sweep cannot be used.
         """
-        more = {**measure.changes, **(changes or {})}
+        more = {**measure.set, **(changes or {})}
         same = json.dumps([measure.kind, measure.name, more, measure.periods, dict(measure.where)])
         if same not in self._of:
             self._of[same] = tuple(order.key for order in self._made(measure, more))

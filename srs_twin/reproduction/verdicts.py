@@ -1,11 +1,4 @@
-"""Verdicts: what came out of a row in a column, met or missed, and whether that is what was committed.
-
-What came of a row in a column: its number from the runs, and the verdict by the row's rule.
-
-Baseline: the verdicts that are committed; a later run must come to the same.
-
-judge(): every row in every column: what came out, met or missed, and why as far as known.
-"""
+"""Verdicts: what came of a row in a column, met or missed and why, and whether that is what was committed."""
 
 from __future__ import annotations
 
@@ -78,7 +71,7 @@ class Bench:
             column: "analytical", "twin" or "alone".
             changes: fields of the scenarios that are otherwise.
         """
-        values = tuple(self._number(measure, column, changes) for measure in claim.measures)
+        values = tuple(self._number(measure, column, changes) for measure in claim.taken)
         if any(math.isnan(value) for value in values):
             return Outcome(MISSED, values, math.nan, math.nan, self._reason(claim, changes))
         if claim.rule == "ordering":
@@ -114,7 +107,7 @@ class Bench:
 
     def _reason(self, claim: Claim, changes: Mapping[str, Setting] | None) -> str:
         """Say why there is no number."""
-        orders = [order for measure in claim.measures for order in self._orders.of(measure, changes)]
+        orders = [order for measure in claim.taken for order in self._orders.of(measure, changes)]
         failed = [self._store.failure(order.key) for order in orders]
         said = next((reason for reason in failed if reason), "")
         return f"no value: {said}" if said else "no value: there is no such number in the run"
@@ -288,15 +281,15 @@ def judge(
         store.run(due, workers=workers, progress=progress)
 
     bench = Bench(store, orders)
-    run([order for claim in claims for measure in claim.measures for order in orders.of(measure)])
+    run([order for claim in claims for measure in claim.taken for order in orders.of(measure)])
     rows = [Judged(each, {name: bench.outcome(each, name) for name in each.columns}) for each in claims]
     run(
         [
             order
             for row in rows
             for cause in _to_be_shown(row)
-            for measure in row.claim.measures
-            for order in orders.of(measure, cause.changes)
+            for measure in row.claim.taken
+            for order in orders.of(measure, cause.set)
         ]
     )
     return tuple(
@@ -308,12 +301,12 @@ def judge(
 def _to_be_shown(row: Judged) -> list[Cause]:
     """Return the causes that runs must show, of the columns that are missed."""
     missed = {name for name, outcome in row.outcomes.items() if outcome.verdict != MET}
-    return [cause for cause in row.claim.causes if cause.switch is not None and missed & set(cause.columns)]
+    return [cause for cause in row.claim.cause if cause.switch is not None and missed & set(cause.columns)]
 
 
 def _explained(bench: Bench, claim: Claim, column: str, outcome: Outcome) -> Outcome:
     """Return a missed outcome with the first cause that is shown, or with what was thought to be one."""
-    causes = [cause for cause in claim.causes if column in cause.columns]
+    causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
         return outcome
     for cause in causes:
@@ -321,7 +314,7 @@ def _explained(bench: Bench, claim: Claim, column: str, outcome: Outcome) -> Out
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
         if cause.switch is None:
             return replace(outcome, why=f"supposed: {cause.says}")
-        switched = bench.outcome(claim, column, cause.changes)
+        switched = bench.outcome(claim, column, cause.set)
         if switched.verdict == MET:
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.switch}: {cause.says}; met without it")
     tried = ", ".join(f"{cause.switch}" for cause in causes)

@@ -90,7 +90,7 @@ def test_there_are_enough_rows_and_names_are_unique():
 def test_a_table_gives_a_row_a_number_with_the_sign_of_its_side():
     rows = {row.id: row for row in CLAIMS}
     right = rows["table8.radius.m02"]
-    assert (right.value, right.measures[0].where) == (-0.8445, {"controller.offset": -0.2})
+    assert (right.value, right.taken[0].where) == (-0.8445, {"controller.offset": -0.2})
     assert (right.low, right.high) == pytest.approx((-1.2 * 0.8445, -0.8 * 0.8445))
 
 
@@ -102,7 +102,7 @@ def slugs(page):
 
 def test_causes_name_sections_and_switches_that_there_are():
     switches = {switch.name for switch, _ in Ladder(load_scenario("gen3_straight"))._all_switches()}
-    causes = [cause for row in CLAIMS for cause in row.causes]
+    causes = [cause for row in CLAIMS for cause in row.cause]
     # What both plants assume alike is no switch between them.
     assert {cause.switch for cause in causes if cause.switch} <= switches | {"supply flow"}
     for docs in {cause.docs for cause in causes if cause.docs}:

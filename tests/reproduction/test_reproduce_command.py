@@ -9,10 +9,11 @@ from xml.etree import ElementTree
 
 import pytest
 from conftest import ROOT
+from reproduction import between, markdown, remembered
 
 from srs_twin.cli import main
 from srs_twin.reproduction import load_baseline, load_claims
-from srs_twin.reproduction.report import between, markdown, remembered, summary_line
+from srs_twin.reproduction.report import summary_line
 from srs_twin.reproduction.verdicts import MET
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")

@@ -22,14 +22,13 @@ from srs_twin.sweep.task import DONE, Row
 pytestmark = pytest.mark.fast
 
 
-def claim(rule="near", value=1.0, low=0.9, high=1.1, names=("a",), **more):
-    """Return a row whose measures are scenarios of these names."""
-    measures = tuple(Measure("scenario", name, "m") for name in names)
-    given = {"use": "shape", "combine": "value", "columns": ("analytical", "twin"), "causes": ()} | more
-    return Claim(
-        id="row", source="", robot=None, says="", rule=rule, measures=measures, value=value, unit="1",
-        low=low, high=high, quick=False, **given,
-    )  # fmt: skip
+def claim(rule="near", value=1.0, names=("a",), **more):
+    """Return a row, within 0.1 of its value, whose measures are scenarios of these names."""
+    measures = [Measure(scenario=name, metric="m") for name in names]
+    found = {"measure": measures[0]} if len(measures) == 1 else {"measures": measures}
+    found |= {"abs": 0.1} if rule == "near" else {}
+    found |= {"use": "shape"} | more
+    return Claim(id="row", source="Table 8", says="it moves", rule=rule, value=value, **found)
 
 
 class Numbers:
@@ -82,12 +81,12 @@ def test_an_ordering_needs_each_above_the_next():
     assert (found["analytical"].verdict, found["twin"].verdict) == ("met", "missed")
 
 
-SWITCH = Cause("an estimate", ("twin",), switch="compliance", changes={"k": 1})
-DOCS = Cause("it is known", ("analytical",), docs="docs/models.md")
+SWITCH = Cause(says="an estimate", columns=["twin"], switch="compliance", set={"k": 1})
+DOCS = Cause(says="it is known", columns=["analytical"], docs="docs/models.md")
 
 
 def test_a_cause_must_be_shown():
-    row = claim(causes=(SWITCH, DOCS))
+    row = claim(cause=[SWITCH, DOCS])
     shown, ran = judged(row, {"a": (2, 2), "a ('k', 1)": (9, 1.05)})
     assert shown["twin"].verdict == "explained" and "compliance" in shown["twin"].why
     assert shown["analytical"].verdict == "explained" and "docs/models.md" in shown["analytical"].why
@@ -97,13 +96,13 @@ def test_a_cause_must_be_shown():
 
 
 def test_a_cause_that_is_only_supposed_explains_nothing():
-    found, ran = judged(claim(causes=(Cause("an estimate", ("twin",)),)), {"a": (2, 2)})
+    found, ran = judged(claim(cause=[Cause(says="an estimate", columns=["twin"])]), {"a": (2, 2)})
     assert found["twin"].verdict == "missed" and found["twin"].why == "supposed: an estimate"
     assert (found["analytical"].why, ran) == ("", ["a"])
 
 
 def test_nothing_is_explained_that_is_met():
-    found, ran = judged(claim(causes=(SWITCH,)), {"a": (1, 1)})
+    found, ran = judged(claim(cause=[SWITCH]), {"a": (1, 1)})
     assert found["twin"].verdict == "met" and ran == ["a"]
 
 
