@@ -1,12 +1,8 @@
 """A twin that a person steers by keys while it crawls, in real time, and MuJoCo's viewer as its window.
 
-Live: a twin that a person steers by keys while it crawls, in real time. It knows of no window.
-
 Left and right change the offset, up and down the frequency, page up and page down the supply's pressure;
 home has it go straight, space holds the time, backspace begins anew. Keys are GLFW's numbers, which MuJoCo's
-viewer tells.
-
-MuJoCo's passive viewer as a window for a snake that a person steers.
+viewer reports.
 """
 
 from __future__ import annotations

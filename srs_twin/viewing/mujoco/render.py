@@ -1,10 +1,7 @@
 """Videos and pictures of the twin as MuJoCo draws it, without a screen.
 
-Film: pictures one after the other into an MP4 file (H.264, which every browser plays).
-
-A camera that goes along with a snake, steadily: it does not sway with the body.
-
-Render: videos and pictures of the twin as MuJoCo draws it, without a screen.
+The camera goes along with the snake and does not sway with its body; videos are MP4 files (H.264, which
+every browser plays).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Rerun's viewer as a process beside this one: in a window, and the check that a recording is whole.
+"""Rerun's viewer as a process beside this one, and the check that a recording is whole.
 
-Open a recording in Rerun's native viewer, or have Rerun check that it is whole.
-
-Rerun as a process beside this one, on this machine alone, which ends with whoever needs it.
+The process listens on this machine alone and ends with whoever needs it.
 """
 
 from __future__ import annotations
