@@ -1,21 +1,16 @@
-"""Numbered tasks shared out over threads and worker processes, their results in order.
+"""Numbered tasks shared out over threads or worker processes.
 
-threads: numbered tasks shared out over threads, their results in order.
+`Workers` are threads, for tasks that free the interpreter's lock. `each` runs tasks in worker processes, one
+of which may die without costing the others anything.
 
-process_server: where worker processes come from.
-
-On Linux they are forked from a server: a process of its own that has loaded, once, what they need. A worker
-then starts in hundredths of a second instead of one or two, the first one and every one that takes a dead
-one's place. The server itself runs nothing but that; it ends with this process. Elsewhere every worker is
-started anew, because the libraries of other systems do not bear a fork.
-
-processes: numbered tasks shared out over worker processes; one that dies costs only what it was at.
+On Linux worker processes are forked from multiprocessing's server: a process of its own that has loaded,
+once, what they need. A worker then starts in hundredths of a second instead of one or two, the first one and
+every one that takes a dead one's place. Elsewhere every worker is started anew, as the libraries of other
+systems do not bear a fork. Why no pool of a library does this: docs/decisions/worker-processes.md.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import os
 import pickle
 import queue
@@ -24,10 +19,9 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing import Pipe, forkserver, get_context, resource_tracker
 from multiprocessing.connection import Connection
@@ -38,6 +32,8 @@ from typing import Any, Generic, TypeVar
 
 from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedError
 
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
 Returned = TypeVar("Returned")
 Stopped = Callable[[], bool]
 
@@ -81,22 +77,24 @@ class Workers:
                 may end in any way.
             progress: called on the calling thread with how many tasks are done.
         """
+        results: list[Returned] = []
         if self._pool is None:
-            return self._in_turn(count, task, progress)
+            for k in range(count):
+                results.append(task(k, lambda: False))
+                if progress is not None:
+                    progress(k + 1)
+            return results
         end = count  # results from this number on are not wanted
-
-        def wanted_no_more(k: int) -> Stopped:
-            return lambda: k >= end
-
-        futures = [self._pool.submit(task, k, wanted_no_more(k)) for k in range(count)]
-        number = {future: k for k, future in enumerate(futures)}
+        futures = [self._pool.submit(task, k, lambda k=k: k >= end) for k in range(count)]  # type: ignore[misc]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
-                if not future.cancelled() and future.exception() is not None:
-                    end = min(end, number[future] + 1)
+                if future.cancelled():
+                    continue
+                if future.exception() is not None:
+                    end = min(end, futures.index(future) + 1)
                     for later in futures[end:]:
                         later.cancel()
-                elif progress is not None and not future.cancelled():
+                elif progress is not None:
                     progress(done)
         finally:
             end = 0
@@ -104,17 +102,6 @@ class Workers:
                 future.cancel()
             wait(futures)
         return [future.result() for future in futures]
-
-    @staticmethod
-    def _in_turn(
-        count: int, task: Callable[[int, Stopped], Returned], progress: Callable[[int], None] | None
-    ) -> list[Returned]:
-        results = []
-        for k in range(count):
-            results.append(task(k, lambda: False))
-            if progress is not None:
-                progress(k + 1)
-        return results
 
 
 def processors() -> int:
@@ -125,6 +112,8 @@ def processors() -> int:
 
 
 METHOD = "forkserver" if sys.platform == "linux" else "spawn"
+GRACE_S = 2.0
+"""How long a worker that is to end may take to leave its task and clean up."""
 
 # What the server imports is what this process would: nothing from the folder that it happens to stand in.
 # One thread of linear algebra a worker: there are as many workers as processors, and a process that is
@@ -136,8 +125,7 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
-
-_main_module = threading.RLock()
+_preloaded: list[str] = []
 
 
 def start_server(preload: str | None = None) -> None:
@@ -148,71 +136,20 @@ def start_server(preload: str | None = None) -> None:
     """
     if METHOD != "forkserver":
         return
-    server = forkserver._forkserver
     if preload is not None:
-        server.set_forkserver_preload([preload])
-    elif _server_pid() is None:
-        server.set_forkserver_preload([])  # not the program that called this, which is the default
+        _preloaded[:] = [preload]
+    forkserver.set_forkserver_preload(_preloaded)  # by default it imports the program that is run
     # Started outside the block below: it would let Ctrl-C through again.
     resource_tracker.ensure_running()
-    with _interrupts_held_back(), _environment(_ENVIRONMENT):
-        server.ensure_running()
-    atexit.unregister(_end_server)
-    atexit.register(_end_server)
-
-
-def start_process(target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
-    """Start a process that is deaf to Ctrl-C.
-
-    Raises:
-        OSError, EOFError: the server died meanwhile.
-    """
-    start_server()
-    process = get_context(METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
-    # The server is deaf to Ctrl-C and so is who comes from it, while this process may have to wait for it.
-    held_back = contextlib.nullcontext() if METHOD == "forkserver" else _interrupts_held_back()
-    with held_back, empty_main_module():
-        try:
-            process.start()
-        except (OSError, EOFError):
-            _end_server(os.WNOWAIT)  # one that has closed its door, but is not gone yet, would be asked again
-            raise
-    started: BaseProcess = process
-    return started
-
-
-@contextmanager
-def empty_main_module() -> Iterator[None]:
-    """Put an empty module in the place of the program that is run, which is what a worker has there.
-
-    multiprocessing has a process import that program again, and a script without ``__name__ == "__main__"``
-    would run twice. Here it finds none; and what only the program defines cannot be pickled for a worker.
-    """
-    with _main_module:
-        program = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType("__main__")
-        try:
-            yield
-        finally:
-            sys.modules["__main__"] = program
-
-
-def _end_server(left: int = 0) -> None:
-    """End the server, whatever it is at; by itself it would first finish what it imports.
-
-    Args:
-        left: WNOWAIT leaves it to multiprocessing to see that it is gone, and to start another.
-    """
-    pid = _server_pid()
-    if pid is not None:
-        with contextlib.suppress(ProcessLookupError, ChildProcessError):
-            os.kill(pid, signal.SIGKILL)
-            os.waitid(os.P_PID, pid, os.WEXITED | left)
-
-
-def _server_pid() -> int | None:
-    pid: int | None = getattr(forkserver._forkserver, "_forkserver_pid", None)  # it has no public name
-    return pid
+    before = dict(os.environ)
+    os.environ.update(_ENVIRONMENT)
+    try:
+        with _interrupts_held_back():
+            forkserver.ensure_running()
+    finally:
+        for name in _ENVIRONMENT:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 @contextmanager
@@ -226,29 +163,18 @@ def _interrupts_held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _environment(settings: dict[str, str]) -> Iterator[None]:
-    """Set variables for a process that is started here."""
-    before = {name: os.environ.get(name) for name in settings}
-    os.environ.update(settings)
+def _empty_main_module() -> Iterator[None]:
+    """Put an empty module in the place of the program that is run, which is what a worker has there.
+
+    multiprocessing has a process import that program again, and a script without ``__name__ == "__main__"``
+    would run twice. Here it finds none; and what only the program defines cannot be pickled for a worker.
+    """
+    program = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-Argument = TypeVar("Argument")
-Result = TypeVar("Result")
-
-SHORT_S = 0.1
-"""Below this a worker gets its next argument ahead: waiting for it would cost a good part of the task."""
-GRACE_S = 2.0
-"""How long a worker that is to end may take to leave its task and clean up."""
-_LOST = 255
-"""Exit code of a process whose end nobody saw, as multiprocessing has it."""
+        sys.modules["__main__"] = program
 
 
 @dataclass(frozen=True)
@@ -299,167 +225,146 @@ def each(
     for name, given in (("workers", count), ("attempts", attempts)):
         if given < 1:
             raise InputError(f"{name}: {given} is not allowed; it must be 1 or more")
-    return _run(_Pool(_packed((task, prepare)), arguments, count, attempts))
-
-
-def _run(pool: _Pool) -> Generator[Done[Any], None, None]:
     try:
-        finished: list[Done[Any]] = []
-        while pool.left:
-            pool.hand_out()
-            # Only now: the workers are busy while the caller deals with the results.
-            yield from finished
-            finished = pool.wait()
-        yield from finished
-    finally:
-        pool.end()
-
-
-class _Pool:
-    """The worker processes and who is at what."""
-
-    def __init__(self, program: bytes, arguments: Sequence[Any], count: int, attempts: int) -> None:
-        self.left = len(arguments)  # not finished
-        self._program, self._arguments, self._count, self._attempts = program, arguments, count, attempts
-        self._waiting = deque(range(len(arguments)))
-        self._deaths = [0] * len(arguments)
-        self._stillborn, self._last_stillborn = 0, 0.0
-        self._workers: list[_Worker] = []
-
-    def hand_out(self) -> None:
-        """Start the workers that are missing and give arguments to those that can take one."""
-        while len(self._workers) < min(self._count, self.left):
-            try:
-                self._workers.append(_Worker(self._program))
-            except (OSError, EOFError):
-                self._count_stillborn(_LOST)
-        for at in (0, 1):
-            for worker in self._workers:
-                if self._waiting and worker.takes(at):
-                    number = self._waiting.popleft()
-                    if not worker.give(number, self._arguments[number]):
-                        self._waiting.appendleft(number)
-
-    def wait(self) -> list[Done[Any]]:
-        """Wait until a worker answers or dies; return what is finished by that."""
-        ready = wait_for([end for worker in self._workers for end in (worker.pipe, worker.process.sentinel)])
-        finished: list[Done[Any]] = []
-        for worker in list(self._workers):
-            if worker.pipe in ready or worker.process.sentinel in ready:
-                finished += worker.answers()
-                if worker.ready:
-                    self._stillborn = 0
-                if worker.dead:
-                    finished += self._bury(worker)
-        self.left -= len(finished)
-        return finished
-
-    def _bury(self, worker: _Worker) -> list[Done[Any]]:
-        """Put back what a dead worker had; return the task that it was at where that is given up."""
-        self._workers.remove(worker)
-        code = worker.end(time.monotonic() + GRACE_S)
-        if not worker.ready and worker.begun > self._last_stillborn:  # not one of several that died as one
-            self._count_stillborn(code)
-        self._waiting.extendleft(reversed(worker.numbers))
-        if not worker.numbers:
-            return []
-        at = worker.numbers[0]
-        self._deaths[at] += 1
-        if self._deaths[at] < self._attempts:
-            return []
-        self._waiting.remove(at)
-        return [Done(at, None, WorkerDiedError(code, self._attempts))]
-
-    def _count_stillborn(self, code: int) -> None:
-        self._stillborn, self._last_stillborn = self._stillborn + 1, time.monotonic()
-        if self._stillborn == self._attempts:
-            raise WorkerDiedError(code, self._attempts)
-
-    def end(self) -> None:
-        """End the workers, whatever they are at."""
-        for worker in self._workers:
-            worker.pipe.close()
-        latest = time.monotonic() + GRACE_S
-        for worker in self._workers:
-            worker.end(latest)
-
-
-class _Worker:
-    """One worker process, as its parent sees it.
-
-    Attributes:
-        pipe: arguments go there, answers come back in the same order.
-        begun: when it was started, on the monotonic clock, s.
-        ready: whether it has answered that it can begin.
-        numbers: of the arguments that it has; it is at the first.
-        dead: whether no more answers will come.
-    """
-
-    def __init__(self, program: bytes) -> None:
-        self.begun = time.monotonic()
-        self.pipe, theirs = Pipe()
-        self.process = start_process(_work, (theirs, program))
-        theirs.close()
-        self.ready = self.dead = False
-        self.numbers: deque[int] = deque()
-        self._since, self._is_quick = time.monotonic(), False
-
-    def takes(self, at: int) -> bool:
-        """Return whether a worker that has this many arguments should get one more."""
-        return self.ready and len(self.numbers) == at and (at == 0 or self._is_quick)
-
-    def give(self, number: int, argument: Any) -> bool:
-        """Send an argument; return whether the worker was there to take it."""
-        raw = _packed(argument)
-        try:
-            self.pipe.send_bytes(raw)
-        except OSError:
-            return False
-        if not self.numbers:
-            self._since = time.monotonic()
-        self.numbers.append(number)
-        return True
-
-    def answers(self) -> Iterator[Done[Any]]:
-        """Yield what has come back; take note where that was the last."""
-        alive = self.process.is_alive()
-        try:
-            while self.pipe.poll():
-                result, error = pickle.loads(self.pipe.recv_bytes())
-                if not self.ready:
-                    if error is not None:
-                        raise error
-                    self.ready = True
-                    continue
-                now = time.monotonic()
-                self._since, self._is_quick = now, now - self._since < SHORT_S
-                yield Done(self.numbers.popleft(), result, error)
-        except (EOFError, OSError):
-            # Killed in the middle of an answer, too.
-            alive = False
-        self.dead = not alive
-
-    def end(self, latest: float) -> int:
-        """See that the process is gone, by force after a time; return its exit code."""
-        self.pipe.close()
-        self.process.join(max(0.0, latest - time.monotonic()))
-        self.process.kill()
-        self.process.join()
-        code = self.process.exitcode
-        self.process.close()
-        return code if code is not None else 0
-
-
-def _packed(sent: Any) -> bytes:
-    """Pickle what a worker is to have."""
-    try:
-        with empty_main_module():
-            return pickle.dumps(sent)
+        with _empty_main_module():
+            program, *packed = map(pickle.dumps, [(task, prepare), *arguments])
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
             f"worker processes cannot be given this: {error}. They import functions and classes by name, "
             "but not the program that is run: define them in a module and import that"
         ) from error
+    return _run(program, _Exchange(packed), count, attempts)
+
+
+class _Exchange:
+    """What workers' threads and the thread that waits for results share.
+
+    Attributes:
+        packed: pickled arguments.
+        waiting: numbers of tasks that no worker has; None ends a worker's thread.
+        events: what workers came to: how a task ended, an error of `prepare`, or None for a death.
+    """
+
+    def __init__(self, packed: Sequence[bytes]) -> None:
+        self.packed = packed
+        self.waiting: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        self.events: queue.SimpleQueue[tuple[_Worker, Done[Any] | Exception | None]] = queue.SimpleQueue()
+        for number in range(len(packed)):
+            self.waiting.put(number)
+
+
+def _run(program: bytes, exchange: _Exchange, count: int, attempts: int) -> Generator[Done[Any], None, None]:
+    left = len(exchange.packed)
+    deaths, stillborn, last_stillborn = [0] * left, 0, 0.0
+    workers: set[_Worker] = set()
+    try:
+        while left:
+            while len(workers) < min(count, left):
+                workers.add(_Worker(program, exchange))
+            worker, event = exchange.events.get()
+            if isinstance(event, Exception):
+                raise event
+            if event is None:
+                workers.remove(worker)
+                code, number = worker.end(time.monotonic() + GRACE_S), worker.number
+                if number is not None:
+                    deaths[number] += 1
+                    if deaths[number] == attempts:
+                        event = Done(number, None, WorkerDiedError(code, attempts))
+                    else:
+                        exchange.waiting.put(number)
+                elif (
+                    not worker.ready and worker.begun > last_stillborn
+                ):  # not one of several that died as one
+                    stillborn, last_stillborn = stillborn + 1, time.monotonic()
+                    if stillborn == attempts:
+                        raise WorkerDiedError(code, attempts)
+            if worker.ready:
+                stillborn = 0
+            if event is not None:
+                left -= 1
+                yield event
+    finally:
+        for worker in workers:
+            exchange.waiting.put(None)
+            worker.process.terminate()
+        latest = time.monotonic() + GRACE_S
+        for worker in workers:
+            worker.end(latest)
+
+
+class _Worker:
+    """A worker process, and the thread of this one that hands it tasks until it dies.
+
+    Attributes:
+        begun: when it was started, on the monotonic clock, s.
+        ready: whether it has answered that it can begin.
+        number: of the task that it is at, or None.
+    """
+
+    def __init__(self, program: bytes, exchange: _Exchange) -> None:
+        self.begun = time.monotonic()
+        self.ready = False
+        self.number: int | None = None
+        self._pipe, theirs = Pipe()
+        self.process = _start(_work, (theirs, program))
+        theirs.close()
+        threading.Thread(target=self._attend, args=(exchange,), daemon=True).start()
+
+    def _attend(self, exchange: _Exchange) -> None:
+        with self._pipe as pipe:
+            try:
+                _, error = self._answer()
+                if error is not None:
+                    exchange.events.put((self, error))
+                self.ready = error is None
+                while self.ready and (number := exchange.waiting.get()) is not None:
+                    try:
+                        pipe.send_bytes(exchange.packed[number])
+                    except OSError:  # it died before the task
+                        exchange.waiting.put(number)
+                        raise
+                    self.number = number
+                    result, error = self._answer()
+                    self.number = None
+                    exchange.events.put((self, Done(number, result, error)))
+            except (EOFError, OSError):  # killed in the middle of an answer, too
+                exchange.events.put((self, None))
+
+    def _answer(self) -> tuple[Any, Exception | None]:
+        wait_for([self._pipe, self.process.sentinel])  # the latter where its server has died
+        if not self._pipe.poll():
+            raise EOFError
+        answer: tuple[Any, Exception | None] = pickle.loads(self._pipe.recv_bytes())
+        return answer
+
+    def end(self, latest: float) -> int:
+        """See that the process is gone, by force after a time; return its exit code."""
+        self.process.join(max(0.0, latest - time.monotonic()))
+        self.process.kill()
+        self.process.join()
+        code = self.process.exitcode
+        self.process.close()
+        return code or 0
+
+
+def _start(target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
+    """Start a process that is deaf to Ctrl-C; try again for a while where the server has just died."""
+    latest = time.monotonic() + GRACE_S
+    while True:
+        start_server()
+        process = get_context(METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
+        # The server is deaf to Ctrl-C, and so is who comes from it.
+        held_back = nullcontext() if METHOD == "forkserver" else _interrupts_held_back()
+        try:
+            with held_back, _empty_main_module():
+                process.start()
+            started: BaseProcess = process
+            return started
+        except (OSError, EOFError):
+            if time.monotonic() > latest:
+                raise
+            time.sleep(0.02)
 
 
 def _work(pipe: Connection, program: bytes) -> None:
@@ -476,18 +381,11 @@ def _work(pipe: Connection, program: bytes) -> None:
         if prepare is not None:
             prepare()
 
-    _send(pipe, _answer(begin))
-    while True:
-        raw = inbox.get()
-        _send(pipe, _answer(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
-
-
-def _send(pipe: Connection, answer: bytes) -> None:
-    """Send an answer; leave where nobody waits for it any more."""
-    try:
-        pipe.send_bytes(answer)
-    except OSError:
-        raise SystemExit(1) from None
+    with suppress(OSError):  # nobody waits for an answer any more
+        pipe.send_bytes(_answer(begin))
+        while True:
+            raw = inbox.get()
+            pipe.send_bytes(_answer(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
 
 
 def _answer(call: Callable[[], Any]) -> bytes:
@@ -506,12 +404,11 @@ def _answer(call: Callable[[], Any]) -> bytes:
 
 def _listen(pipe: Connection, inbox: queue.SimpleQueue[bytes]) -> None:
     """Take in arguments; where the pipe ends, the worker ends, whatever it is at."""
-    try:
+    with suppress(EOFError, OSError):
         while True:
             inbox.put(pipe.recv_bytes())
-    except (EOFError, OSError):
-        # To the main thread itself: nothing else wakes it where it waits.
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+    # To the main thread itself: nothing else wakes it where it waits.
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
     time.sleep(GRACE_S / 2)
     os._exit(1)
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from functools import partial
-from multiprocessing import Pipe, active_children
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,7 @@ from conftest import exists, wait_until
 
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.io.files import atomic_write
-from srs_twin.parallel import METHOD, _send, each
+from srs_twin.parallel import METHOD, each
 
 # Tasks: a worker imports them from here.
 PREPARED: list[str] = []
@@ -297,13 +297,6 @@ def test_closing_ends_the_workers():
     assert len(active_children()) == 2
     done.close()
     assert active_children() == []
-
-
-def test_a_worker_whose_answer_nobody_waits_for_leaves():
-    ours, theirs = Pipe()
-    ours.close()
-    with pytest.raises(SystemExit):
-        _send(theirs, b"answer")
 
 
 def test_errors_are_of_one_family():

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
@@ -43,7 +43,7 @@ _CORE: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
     (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
     (re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"), lambda text: float(text.replace(".", ""))),
-)  # fmt: skip
+)
 
 
 @dataclass
@@ -135,24 +135,23 @@ def parse_yaml(text: str, name: str) -> Document:
     Raises:
         InputFileError: a syntax error, nesting or size beyond the bounds, a second document.
     """
-    builder = _Builder(Document(name))
+    reader = _Reader(YAML(typ="safe", pure=True).parse(text), Document(name))
     try:
-        for event in YAML(typ="safe", pure=True).parse(text):
-            builder.take(event)
+        reader.read()
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = ": ".join(filter(None, (error.context, error.problem)))
         if "'\\t'" in problem:
             problem += "; YAML is indented with spaces, not tabs"
-        builder.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")
+        reader.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")
     except ReaderError as error:
         before = text[: error.position]
         line, column = before.count("\n") + 1, error.position - before.rfind("\n")
-        builder.fail((line, column), f"not YAML: unusable character U+{ord(text[error.position]):04X}")
+        reader.fail((line, column), f"not YAML: unusable character U+{ord(text[error.position]):04X}")
     except (YAMLError, ValueError, OverflowError) as error:
         # ValueError and OverflowError: an escape such as "\\UFFFFFFFF" that is no character.
-        builder.fail(builder.last, f"not YAML: {error}")
-    return builder.document
+        reader.fail(reader.last, f"not YAML: {error}")
+    return reader.document
 
 
 def dump_yaml(data: Any, *, compact: bool = False) -> str:
@@ -195,115 +194,99 @@ def _position(mark: Any) -> Position:
     return mark.line + 1, mark.column + 1
 
 
-@dataclass
-class _Frame:
-    """A dict or list whose end has not been seen; in a dict a value follows once `key` is set."""
+class _Reader:
+    """Reads a document from ruamel's parse events by recursive descent, within bounds."""
 
-    loc: Loc
-    value: dict[str, Any] | list[Any]
-    key: str | None = None
-
-
-class _Builder:
-    """Makes a document from ruamel's parse events, within bounds."""
-
-    def __init__(self, document: Document) -> None:
+    def __init__(self, parsed: Iterator[Any], document: Document) -> None:
         self.document = document
         self.last: Position = (1, 1)
-        self._frames: list[_Frame] = []
+        self._events = parsed
         self._nodes = 0
-        self._documents = 0
 
     def fail(self, position: Position, message: str) -> None:
         """Stop with this problem and those found before."""
         self.document.problems.append((position, message))
         self.document.finish()
 
-    def take(self, event: Any) -> None:
-        """Take the next event."""
+    def read(self) -> None:
+        """Read the stream, which may hold one document."""
+        documents = 0
+        while not isinstance(event := self._next(), events.StreamEndEvent):
+            if isinstance(event, events.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    self.fail(self.last, "a second document begins here; one file holds one")
+                if event.version or event.tags:
+                    self._refuse("YAML directives are not allowed; remove the line that begins with %")
+            elif isinstance(event, events.NodeEvent):
+                self.document.data = self._value(event, ())
+
+    def _next(self) -> Any:
+        event = next(self._events)
         self.last = _position(event.start_mark)
-        if isinstance(event, events.DocumentStartEvent):
-            self._start_document(event)
-        elif isinstance(event, events.CollectionEndEvent):
-            self._frames.pop()
-        elif isinstance(event, events.NodeEvent):
-            self._node(event)
+        return event
 
-    def _start_document(self, event: Any) -> None:
-        self._documents += 1
-        if self._documents > 1:
-            self.fail(self.last, "a second document begins here; one file holds one")
-        if event.version or event.tags:
-            self._refuse("YAML directives are not allowed; remove the line that begins with %")
+    def _value(self, event: Any, loc: Loc) -> Any:
+        """Return the value at a path, which begins with an event; note where it stands."""
+        self._check(event)
+        if isinstance(event, events.ScalarEvent):
+            if event.implicit[0] and not event.value and loc in self.document.keys:
+                # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
+                self.last = self.document.keys[loc]
+            # A value may have several lines; anything else that a terminal would obey is no text.
+            text = self._text(event, keep="\n\t")
+            self.document.values[loc] = self.last
+            return _plain(text) if event.implicit[0] else text
+        if not isinstance(event, events.AliasEvent) and len(loc) >= MAX_DEPTH:
+            self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
+        self.document.values[loc] = self.last
+        if isinstance(event, events.MappingStartEvent):
+            return self._mapping(loc)
+        if isinstance(event, events.SequenceStartEvent):
+            values: list[Any] = []
+            while not isinstance(event := self._next(), events.CollectionEndEvent):
+                values.append(self._value(event, (*loc, len(values))))
+            return values
+        return None
 
-    def _node(self, event: Any) -> None:
+    def _mapping(self, loc: Loc) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        while not isinstance(event := self._next(), events.CollectionEndEvent):
+            self._check(event)
+            if not isinstance(event, events.ScalarEvent):
+                self.fail(self.last, "a key must be plain text")
+            key = self._text(event, keep="")
+            place = (*loc, key)
+            if key == "<<" and event.implicit[0]:
+                self._refuse("merge keys (<<) are not allowed; write the keys out")
+            elif key in found:
+                line = self.document.keys[place][0]
+                self._refuse(f"{dotted(place)}: given twice; the first is in line {line}")
+            self.document.keys[place] = self.last
+            found[key] = self._value(self._next(), place)
+        return found
+
+    def _check(self, event: Any) -> None:
+        """Count a node; refuse what it must not have."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
             self.fail(self.last, f"more than {MAX_NODES} keys and values")
         if isinstance(event, events.AliasEvent):
             self._refuse(f"aliases (*{event.anchor}) are not allowed; write the value out")
-            self._put(None)
             return
         if event.anchor is not None:
             self._refuse(f"anchors (&{event.anchor}) are not allowed; write each value out")
         if event.tag is not None:
             self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
-        if isinstance(event, events.ScalarEvent):
-            self._scalar(event)
-        else:
-            self._open({} if isinstance(event, events.MappingStartEvent) else [])
 
-    def _scalar(self, event: Any) -> None:
-        frame = self._frames[-1] if self._frames else None
-        plain = event.implicit[0]
-        if plain and not event.value and frame and frame.key is not None:
-            # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
-            self.last = self.document.keys[*frame.loc, frame.key]
-        is_key = frame is not None and isinstance(frame.value, dict) and frame.key is None
-        # A value may have several lines; anything else that a terminal would obey is no text.
-        text = printable(event.value, keep="" if is_key else "\n\t")
+    def _text(self, event: Any, *, keep: str) -> str:
+        text = printable(event.value, keep=keep)
         if text != event.value:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
             surrogate = "\ud800" <= bad <= "\udfff"
             what = "half a surrogate pair" if surrogate else f"the control character {printable(bad)}"
             self._refuse(f"{what} is no character of a text")
-        if frame is not None and is_key:
-            self._key(frame, text, plain)
-        else:
-            self._put(_plain(text) if plain else text)
-
-    def _key(self, frame: _Frame, key: str, plain: bool) -> None:
-        loc = (*frame.loc, key)
-        if key == "<<" and plain:
-            self._refuse("merge keys (<<) are not allowed; write the keys out")
-        elif key in frame.value:
-            line = self.document.keys[loc][0]
-            self._refuse(f"{dotted(loc)}: given twice; the first is in line {line}")
-        frame.key = key
-        self.document.keys[loc] = self.last
-
-    def _open(self, value: dict[str, Any] | list[Any]) -> None:
-        if len(self._frames) >= MAX_DEPTH:
-            self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
-        self._frames.append(_Frame(self._put(value), value))
-
-    def _put(self, value: Any) -> Loc:
-        """Store a value where it belongs and return its path."""
-        loc: Loc = ()
-        if not self._frames:
-            self.document.data = value
-        else:
-            frame = self._frames[-1]
-            if isinstance(frame.value, list):
-                loc = (*frame.loc, len(frame.value))
-                frame.value.append(value)
-            elif frame.key is None:
-                self.fail(self.last, "a key must be plain text")
-            else:
-                loc = (*frame.loc, frame.key)
-                frame.value[frame.key], frame.key = value, None
-        self.document.values[loc] = self.last
-        return loc
+        return text
 
     def _refuse(self, message: str) -> None:
         self.document.problems.append((self.last, message))
