@@ -17,7 +17,7 @@ import pytest
 
 from srs_twin.cli import main
 from srs_twin.cli.app import command
-from srs_twin.cli.progress import Progress
+from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.cli.table import asks_why
 from srs_twin.cli.view import find_recording
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
@@ -383,12 +383,12 @@ def test_quiet_leaves_stdout_and_stderr_empty(start):
 def test_progress_keeps_quiet_for_two_seconds_then_writes_plain_lines(monkeypatch, capsys):
     now = [100.0]
     monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
-    with Progress("gen2") as progress:
+    with ScenarioProgress("gen2") as progress:
         for second in range(30):
             now[0] = 100.0 + second
             progress("twin", second / 30)
     assert capsys.readouterr().err == "gen2: twin 7%\ngen2: twin 40%\ngen2: twin 73%\n"
-    with Progress("gen2", quiet=True) as progress:
+    with ScenarioProgress("gen2", quiet=True) as progress:
         now[0] += 60
         progress("twin", 0.5)
     assert capsys.readouterr().err == ""

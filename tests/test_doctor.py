@@ -16,10 +16,9 @@ import pytest
 from conftest import ROOT, on_interrupt
 
 from srs_twin.cli import main
-from srs_twin.doctor import examination, machine, packages, probes
-from srs_twin.doctor.check import Answer, Check, Fault, ended, failing
-from srs_twin.doctor.children import ask
-from srs_twin.doctor.machine import Machine
+from srs_twin.doctor import checks, examination, probes
+from srs_twin.doctor.checks import Answer, Check, Fault, Machine, ended, failing
+from srs_twin.doctor.examination import ask
 from srs_twin.io.files import shipped_names
 
 TRIALS = {trial.name: trial for trial in examination.TRIALS}
@@ -28,7 +27,7 @@ CPU_S = 5.0
 
 
 def asked(name, installed="1.0", fits=True, extra=""):
-    return packages.Wanted(name, f"{name}>=1", installed, fits, extra)
+    return checks.Wanted(name, f"{name}>=1", installed, fits, extra)
 
 
 def test_a_check_has_a_remedy_exactly_when_it_needs_one():
@@ -47,15 +46,15 @@ def test_only_what_is_necessary_decides():
 
 
 FAILURES = [
-    (packages.python_check("3.10.4", ">=3.11,<3.13"), "broken", "3.10.4", "uv venv --python 3.12"),
-    (packages.python_check("3.13.0", ">=3.11,<3.13"), "broken", "3.13.0", ">=3.11,<3.13"),
-    (packages.packages_check([asked("numpy"), asked("mujoco", None, False)], checkout=True),
+    (checks.python_check("3.10.4", ">=3.11,<3.13"), "broken", "3.10.4", "uv venv --python 3.12"),
+    (checks.python_check("3.13.0", ">=3.11,<3.13"), "broken", "3.13.0", ">=3.11,<3.13"),
+    (checks.packages_check([asked("numpy"), asked("mujoco", None, False)], checkout=True),
      "missing", "mujoco is missing", "uv sync"),
-    (packages.packages_check([asked("mujoco", "4.0", False)], checkout=False),
+    (checks.packages_check([asked("mujoco", "4.0", False)], checkout=False),
      "broken", "mujoco is 4.0, but mujoco>=1", "pip install 'mujoco>=1'"),
-    (machine.processors_check(Machine(8, 1.5, None)), "missing", "time of 1.5", "--jobs 2"),
-    (machine.memory_check(Machine(2, None, 300 << 20)), "missing", "300 MB", "--jobs 1"),
-    (machine.disk_check(Path("runs"), free=5 << 20), "missing", "5 MB", "--out"),
+    (checks.processors_check(Machine(8, 1.5, None)), "missing", "time of 1.5", "--jobs 2"),
+    (checks.memory_check(Machine(2, None, 300 << 20)), "missing", "300 MB", "--jobs 1"),
+    (checks.disk_check(Path("runs"), free=5 << 20), "missing", "5 MB", "--out"),
 ]  # fmt: skip
 
 
@@ -67,13 +66,13 @@ def test_each_failure_has_its_remedy(check, status, finding, remedy):
 @pytest.mark.parametrize(
     "check",
     [
-        packages.python_check("3.11.0", ">=3.11,<3.13"),
-        packages.packages_check([asked("numpy"), asked("ray", None, False, "ray")], checkout=True),
-        machine.processors_check(Machine(4, 4.0, None)),
-        machine.processors_check(Machine(4, None, None)),
-        machine.memory_check(Machine(4, None, None)),
-        machine.memory_check(Machine(4, None, 8 << 30)),
-        machine.disk_check(Path("runs"), free=100 << 30),
+        checks.python_check("3.11.0", ">=3.11,<3.13"),
+        checks.packages_check([asked("numpy"), asked("ray", None, False, "ray")], checkout=True),
+        checks.processors_check(Machine(4, 4.0, None)),
+        checks.processors_check(Machine(4, None, None)),
+        checks.memory_check(Machine(4, None, None)),
+        checks.memory_check(Machine(4, None, 8 << 30)),
+        checks.disk_check(Path("runs"), free=100 << 30),
     ],
     ids=lambda check: check.name,
 )
@@ -198,28 +197,28 @@ def test_requirements_are_compared_with_what_is_installed():
         "numpy>=2.0", "mujoco>=999", "no-such-thing>=1", "pytest>=1; extra == 'more'",
         "win-only; sys_platform == 'nowhere'",
     ]  # fmt: skip
-    found = {each.name: each for each in packages.wanted(given)}
+    found = {each.name: each for each in checks.wanted(given)}
     assert list(found) == ["numpy", "mujoco", "no-such-thing", "pytest"]
     assert [bool(each.fault) for each in found.values()] == [False, True, True, False]
     assert found["pytest"].extra == "more"
-    some = packages.wanted(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
-    assert packages.modules(some) == ["numpy", "dm_control"]
+    some = checks.wanted(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
+    assert checks.modules(some) == ["numpy", "dm_control"]
 
 
 def test_extras_say_what_for_and_how():
     parts = [asked("ray", None, False, "ray"), asked("numpy")]
-    (missing,) = packages.extra_checks(["ray"], parts, checkout=True)
+    (missing,) = checks.extra_checks(["ray"], parts, checkout=True)
     assert (missing.status, missing.remedy) == ("missing", "uv sync --extra ray")
     assert "several machines" in missing.detail
-    (wheel,) = packages.extra_checks(["ray"], parts, checkout=False)
+    (wheel,) = checks.extra_checks(["ray"], parts, checkout=False)
     assert wheel.remedy == "pip install 'ray>=1'"
-    (there,) = packages.extra_checks(["ray"], [asked("ray", extra="ray")], checkout=True)
+    (there,) = checks.extra_checks(["ray"], [asked("ray", extra="ray")], checkout=True)
     assert there.status == "ok"
 
 
 def test_every_extra_has_a_purpose():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    assert set(project.get("optional-dependencies", {})) <= packages.PURPOSES.keys()
+    assert set(project.get("optional-dependencies", {})) <= checks.PURPOSES.keys()
 
 
 def test_limits_of_a_container_count(tmp_path):
@@ -239,11 +238,11 @@ def test_limits_of_a_container_count(tmp_path):
 
 def test_trying_to_write_leaves_nothing(tmp_path):
     (tmp_path / "old").mkdir()
-    assert machine.output_check(tmp_path / "old").status == "ok"
-    assert machine.output_check(tmp_path / "new/er/est").status == "ok"
+    assert checks.output_check(tmp_path / "old").status == "ok"
+    assert checks.output_check(tmp_path / "new/er/est").status == "ok"
     assert [path.name for path in tmp_path.rglob("*")] == ["old"]
     (tmp_path / "file").write_text("")
-    check = machine.output_check(tmp_path / "file")
+    check = checks.output_check(tmp_path / "file")
     assert check.status == "broken" and check.necessary and "--out" in check.remedy
     assert ".srs-twin-doctor" not in check.detail
 

@@ -16,6 +16,7 @@ from srs_twin.io.files import printable, refuse_unprintable
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
     from rich.console import Console
+    from rich.table import Table
     from rich.text import Text
 
 DEBUG = "SRS_TWIN_DEBUG"
@@ -93,11 +94,9 @@ def _guarded(stream: TextIO) -> TextIO:
         return stream
     stream.flush()
     file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
-    return io.TextIOWrapper(
-        file if stream.write_through else io.BufferedWriter(file),
-        encoding=stream.encoding, errors=stream.errors, line_buffering=stream.line_buffering,
-        write_through=stream.write_through,
-    )  # fmt: skip
+    kept = ("encoding", "errors", "line_buffering", "write_through")
+    options = {name: getattr(stream, name) for name in kept}
+    return io.TextIOWrapper(file if stream.write_through else io.BufferedWriter(file), **options)
 
 
 def say(*lines: str, quiet: bool = False) -> None:
@@ -115,6 +114,17 @@ def console() -> Console:
             return super().render_str(printable(text, keep="\n\t"), **options | {"markup": False})
 
     return Plain(file=sys.stdout, highlight=False, emoji=False)
+
+
+def new_table(*headings: str, left: int = 1, title: str | None = None) -> Table:
+    """Return an empty table; so many first columns are on the left, those of numbers right and unbroken."""
+    from rich import box
+    from rich.table import Table
+
+    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if i < left else "right", no_wrap=True)
+    return made
 
 
 def show_traceback(error: Exception) -> None:

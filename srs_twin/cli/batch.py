@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli import INTERRUPTED, say, show_traceback
-from srs_twin.cli.progress import Counting, Progress
+from srs_twin.cli.progress import Counting, ScenarioProgress
 from srs_twin.errors import DivergedError, InputError, SrsError
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def _run(cases: Sequence[Case], task: Callable[..., Ended], jobs: int | None, qu
     workers, orders = min(jobs or processors(), len(cases)), [(case.scenario, case.folder) for case in cases]
     if workers <= 1:
         for case, order in zip(cases, orders, strict=True):
-            with Progress(case.name, quiet=quiet) as progress:
+            with ScenarioProgress(case.name, quiet=quiet) as progress:
                 case.ended = task(order, progress)
             yield case
         return

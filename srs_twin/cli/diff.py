@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import typer
 
-from srs_twin.cli import console, say
+from srs_twin.cli import console, new_table, say
 
 if TYPE_CHECKING:
     from srs_twin.comparison.diff import Difference, Leaf
@@ -69,19 +69,14 @@ def diff(
 
 def _show(found: Difference) -> None:
     """Print what moved as a table, at most `_SHOWN` rows."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("where", "metric"):
-        table.add_column(heading, overflow="fold")
-    for heading in ("a", "b", "(b − a)/|a|"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    lines = new_table("where", "metric", "a", "b", "(b − a)/|a|", left=2)
+    for column in lines.columns[:2]:
+        column.no_wrap, column.overflow = False, "fold"
     for each in found.moved[:_SHOWN]:
         rel = "" if each.rel is None else f"{each.rel:+.2g}"
-        table.add_row(each.where, each.metric, _text(each.a), _text(each.b), rel)
+        lines.add_row(each.where, each.metric, _text(each.a), _text(each.b), rel)
     if found.moved:
-        console().print(table)
+        console().print(lines)
     if len(found.moved) > _SHOWN:
         print(f"and {len(found.moved) - _SHOWN} more; --json lists them all")
     print(f"{len(found.moved)} moved, {found.same} the same")

@@ -17,7 +17,7 @@ import typer
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
-    from srs_twin.doctor.check import Check
+    from srs_twin.doctor.checks import Check
 
 
 def doctor(
@@ -27,7 +27,7 @@ def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
 ) -> None:
     """Say what works on this machine, and what to do about the rest."""
-    from srs_twin.doctor.check import failing
+    from srs_twin.doctor.checks import failing
     from srs_twin.doctor.examination import examine
 
     checks = examine(Path(out))
@@ -53,10 +53,9 @@ def _show(checks: Sequence[Check]) -> None:
         for check in group:
             head = f"  {check.status:10}{check.name:{longest}}  "
             inset = " " * len(head)
-            typer.echo(textwrap.fill(
-                check.detail, width, initial_indent=head, subsequent_indent=inset,
-                break_on_hyphens=False, break_long_words=False,
-            ))  # fmt: skip
+            words = textwrap.TextWrapper(width, initial_indent=head, subsequent_indent=inset)
+            words.break_on_hyphens = words.break_long_words = False
+            typer.echo(words.fill(check.detail))
             if check.remedy:
                 # Not wrapped: a command is to be copied as it stands.
                 typer.echo(f"{inset}→ {check.remedy}")

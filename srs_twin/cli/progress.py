@@ -1,11 +1,4 @@
-"""Progress on stderr: a bar with rate and time left on a terminal, else a line now and then.
-
-Display: how far something is, on stderr: drawn by rich on a terminal, else a line now and then.
-
-How many of many runs are done: a bar on stderr with rate and time left; lines where it is no terminal.
-
-A progress bar on stderr for one scenario; plain lines where that is no terminal.
-"""
+"""How far something is that takes longer than two seconds, on stderr: a bar on a terminal, else lines."""
 
 from __future__ import annotations
 
@@ -37,6 +30,7 @@ class Display(ABC):
         self.title, self._quiet = title, quiet
         self._start, self._next_line = time.monotonic(), self.first_line_s
         self._drawn: Any = None
+        self._bars: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -68,7 +62,33 @@ class Display(ABC):
 
     @abstractmethod
     def _draw(self) -> None:
-        """Draw how far it is; `_drawn` is what draws, imported here: rich takes as long as a short run."""
+        """Draw how far it is; `_drawn` is what draws."""
+
+    def _bar(self, text: str, done: float, total: float, pace: str | None = None) -> None:
+        """Draw one bar; rich is imported here, because that takes as long as a short run."""
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            ProgressColumn,
+            TaskProgressColumn,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
+        if self._drawn is None:
+            columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn()]
+            if pace is None:
+                columns += [TaskProgressColumn()]
+            else:
+                columns += [MofNCompleteColumn(), TextColumn("{task.fields[pace]}")]
+            columns += [TimeRemainingColumn()]
+            self._drawn = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._drawn.start()
+        if text not in self._bars:
+            self._bars[text] = self._drawn.add_task(text, total=total, pace="")
+        self._drawn.update(self._bars[text], completed=done, pace=pace)
 
 
 class Counting(Display):
@@ -112,28 +132,16 @@ class Counting(Display):
         return f"{self.title}: {self._done} of {self._total}{self._pace()}, {left:.0f} s left"
 
     def _draw(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        if self._drawn is None:
-            columns = (
-                TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
-                TextColumn("{task.fields[pace]}"), TimeRemainingColumn(),
-            )  # fmt: skip
-            self._drawn = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._drawn.start()
-            self._task = self._drawn.add_task(self.title, total=self._total, pace="")
-        self._drawn.update(self._task, completed=self._done, pace=self._pace().lstrip(", "))
+        self._bar(self.title, self._done, self._total, self._pace().lstrip(", "))
 
 
-class Progress(Display):
+class ScenarioProgress(Display):
     """Shows how far a scenario is; a callback for `run_scenario`. The title stands before the stage."""
 
     first_line_s = 0.0
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
-        self._tasks: dict[str, Any] = {}
         self._stage, self._part = "", 0.0
 
     def __call__(self, stage: str, part: float) -> None:
@@ -145,18 +153,4 @@ class Progress(Display):
         return f"{self.title}: {self._stage} {self._part:.0%}"
 
     def _draw(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        if self._drawn is None:
-            columns = (
-                TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(),
-                TimeRemainingColumn(),
-            )  # fmt: skip
-            self._drawn = Bar(*columns, console=Console(stderr=True), transient=True)
-            self._drawn.start()
-        stage = self._stage
-        if stage not in self._tasks:
-            self._tasks[stage] = self._drawn.add_task(f"{self.title}: {stage}", total=1.0)
-        self._drawn.update(self._tasks[stage], completed=self._part)
+        self._bar(f"{self.title}: {self._stage}", self._part, 1.0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli.batch import QuietOption
-from srs_twin.cli.progress import Progress
+from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable, shown
 
@@ -103,7 +103,7 @@ def render(
             )
         open_folder(path.parent, (path.name,))
     for run, path in zip(found, paths, strict=True):
-        with Progress(run.name, quiet=quiet) as progress:
+        with ScenarioProgress(run.name, quiet=quiet) as progress:
             job.make(path, run, run.trajectories["twin"], partial(progress, "drawing"))
         if not quiet:
             typer.echo(printable(str(path)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, console, say
+from srs_twin.cli import INTERRUPTED, console, new_table, say
 from srs_twin.cli.batch import QuietOption
 from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
@@ -142,17 +142,12 @@ def _failed(row: Row) -> bool:
 
 def _show(summary: Summary) -> None:
     """Print what the results span, and where they are."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("metric", "least", "median", "most"):
-        table.add_column(heading, justify="left" if heading == "metric" else "right", no_wrap=True)
+    lines = new_table("metric", "least", "median", "most")
     for name, (least, median, most) in summary.spans.items():
-        table.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
+        lines.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
     terminal = console()
     if summary.spans:
-        terminal.print(table)
+        terminal.print(lines)
     if summary.beside is not None and len(summary.beside.rows) <= _MOST_BESIDE:
         terminal.print(_beside(summary.beside))
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
@@ -163,21 +158,17 @@ def _show(summary: Summary) -> None:
 
 def _beside(found: TextTable) -> Table:
     """Return the table of published values: under the name of each metric a line a place."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"beside {found.title}")
-    table.title_justify = "left"
-    numbers = found.headings.index("published")  # names of fields may be broken, numbers not
-    for i, heading in enumerate(found.headings[1:], start=1):
-        table.add_column(heading, justify="left" if i == 1 else "right", no_wrap=i >= numbers)
+    lines = new_table(*found.headings[1:], title=f"beside {found.title}")
+    # Names of fields may be broken, numbers not.
+    for column in lines.columns[: found.headings.index("published") - 1]:
+        column.no_wrap = False
     metric = None
     for name, *cells in found.rows:
         if name != metric:
-            table.add_row(name)
+            lines.add_row(name)
         metric = name
-        table.add_row(*(f"{'' if i else '  '}{cell}" for i, cell in enumerate(cells)))
-    return table
+        lines.add_row(*(f"{'' if i else '  '}{cell}" for i, cell in enumerate(cells)))
+    return lines
 
 
 def _complain(summary: Summary) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.cli import console
+from srs_twin.cli import console, new_table
 from srs_twin.comparison.metrics import difference, published
 from srs_twin.scenario.expectation import verdict
 
@@ -151,27 +151,20 @@ def _followed_or_held(plants: Mapping[str, Mapping[str, Any]]) -> bool:
 
 def show(result: RunResult) -> None:
     """Print the table and the expectations of a run to stdout."""
-    from rich import box
-    from rich.table import Table
-
     lines = rows(result.metrics)
-    table = Table(title=result.name, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("metric", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
     headings = list(result.metrics["plants"])
     if len(headings) > 1:
         headings.append("difference")
     if any(line.published for line in lines):
         headings.append("published")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+    shown = new_table("metric", "unit", *headings, left=2, title=result.name)
     for line in lines:
         cells = [*line.plants]
         cells += [line.difference] if "difference" in headings else []
         cells += [line.published] if "published" in headings else []
-        table.add_row(line.heading, line.unit, *cells)
+        shown.add_row(line.heading, line.unit, *cells)
     terminal = console()
-    terminal.print(table)
+    terminal.print(shown)
     if "attribution" in result.metrics:
         terminal.print(_why(result.metrics["attribution"]))
     for text in [*event_lines(result.metrics), *expectation_lines(result.metrics)]:
@@ -181,22 +174,15 @@ def show(result: RunResult) -> None:
 
 def _why(attribution: Mapping[str, Any]) -> Table:
     """Return the table of what each assumption contributes to the gap."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(
-        title="why they differ: twin − analytical, and the share of each assumption",
-        title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False,
-    )  # fmt: skip
-    table.add_column("assumption", no_wrap=True)
-    for measure in attribution["measures"]:
-        table.add_column("\n".join(_WHY_HEADINGS[measure]), justify="right", no_wrap=True)
+    headings = ["\n".join(_WHY_HEADINGS[measure]) for measure in attribution["measures"]]
+    title = "why they differ: twin − analytical, and the share of each assumption"
+    shown = new_table("assumption", *headings, title=title)
     for share in attribution["shares"]:
-        table.add_row(share["name"], *map(_signed, share["value"]))
-    table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
-    table.add_row("gap", *map(_signed, attribution["gap"]))
-    table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
-    return table
+        shown.add_row(share["name"], *map(_signed, share["value"]))
+    shown.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
+    shown.add_row("gap", *map(_signed, attribution["gap"]))
+    shown.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
+    return shown
 
 
 def _signed(value: float) -> str:
@@ -209,10 +195,8 @@ def _number(value: float | None) -> str:
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Return a line for each event that a person should know of."""
-    return [
-        f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
-        for plant, events in metrics.get("events", {}).items() for event in events
-    ]  # fmt: skip
+    events = [(plant, each) for plant, listed in metrics.get("events", {}).items() for each in listed]
+    return [f"{each['kind']:6} {plant} at {each['time']:.4g} s: {each['text']}" for plant, each in events]
 
 
 def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = WORDS) -> list[str]:

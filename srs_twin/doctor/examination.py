@@ -1,19 +1,23 @@
-"""examine: try everything at once, beside what this process finds out by itself."""
+"""examine: try everything at once in child processes, beside what this process finds out by itself."""
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import signal
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from srs_twin import __version__
-from srs_twin.doctor import machine, packages
-from srs_twin.doctor.check import Answer, Check
-from srs_twin.doctor.children import BUDGET_S, ask
+from srs_twin.doctor import checks, probes
+from srs_twin.doctor.checks import Answer, Check, ended
 from srs_twin.doctor.probes import LIBRARIES, PROBES
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root
@@ -45,7 +49,7 @@ class Trial:
 
 TRIALS = (
     Trial(
-        packages.TOPIC,
+        checks.INSTALLATION,
         "imports",
         f"install it anew ({_REINSTALL}); where a system library is missing, "
         "the error names it; one about OpenGL: `unset MUJOCO_GL`",
@@ -80,6 +84,9 @@ TRIALS = (
 )
 """In the order in which they are shown."""
 
+BUDGET_S = 60.0
+"""Wall time of one probe, s. It needs less than 1 s of a processor, of which a busy machine gives a part."""
+
 
 def examine(folder: Path, *, budget_s: float = BUDGET_S) -> list[Check]:
     """Look at everything; takes some seconds and changes nothing.
@@ -93,34 +100,34 @@ def examine(folder: Path, *, budget_s: float = BUDGET_S) -> list[Check]:
     """
     about: Mapping[str, str]
     try:
-        about, requirements, extras = packages.about_srs_twin()
+        about, requirements, extras = checks.about_srs_twin()
     except metadata.PackageNotFoundError:
         about, requirements, extras = {}, [], []
     checkout = (data_root() / "pyproject.toml").is_file()
-    wanted = packages.wanted(requirements)
-    here = machine.Machine.here()
-    tried = _tried(packages.modules(wanted), budget_s)
+    wanted = checks.wanted(requirements)
+    here = checks.Machine.here()
+    tried = _tried(checks.modules(wanted), budget_s)
     return [
         _installation(about, checkout=checkout),
-        *([packages.python_check(platform.python_version(), about["Requires-Python"])] if about else []),
-        packages.packages_check(wanted, checkout=checkout),
-        *(check for check in tried if check.topic in (packages.TOPIC, SIMULATION)),
-        machine.output_check(folder),
-        machine.disk_check(folder),
-        machine.processors_check(here),
-        machine.memory_check(here),
+        *([checks.python_check(platform.python_version(), about["Requires-Python"])] if about else []),
+        checks.packages_check(wanted, checkout=checkout),
+        *(check for check in tried if check.topic in (checks.INSTALLATION, SIMULATION)),
+        checks.output_check(folder),
+        checks.disk_check(folder),
+        checks.processors_check(here),
+        checks.memory_check(here),
         *(check for check in tried if check.topic in (RENDERING, VIEWERS)),
-        *packages.extra_checks(extras, wanted, checkout=checkout),
+        *checks.extra_checks(extras, wanted, checkout=checkout),
     ]
 
 
 def _installation(about: Mapping[str, str], *, checkout: bool) -> Check:
     where = f"{__version__}, {'checkout' if checkout else 'wheel'} in {data_root()}"
     if about:
-        return Check(packages.TOPIC, "srs_twin", "ok", where, necessary=True)
+        return Check(checks.INSTALLATION, "srs_twin", "ok", where, necessary=True)
     remedy = "uv sync" if checkout else "pip install the wheel again"
     detail = f"{where}; it is not installed, so that nobody knows which packages it asks for"
-    return Check(packages.TOPIC, "srs_twin", "missing", detail, remedy, necessary=True)
+    return Check(checks.INSTALLATION, "srs_twin", "missing", detail, remedy, necessary=True)
 
 
 def _tried(modules: Sequence[str], budget_s: float) -> list[Check]:
@@ -155,3 +162,88 @@ def untried(env: Mapping[str, str], system: str) -> dict[str, Answer]:
         gone = Answer("missing", str(error))
         known |= dict.fromkeys(("rerun", "in a window", "without a screen", "in a browser"), gone)
     return known
+
+
+def ask(modules: Sequence[str], names: Sequence[str], *, budget_s: float = BUDGET_S) -> dict[str, Answer]:
+    """Import modules, then try all probes at once; return the answers by name, "imports" among them.
+
+    One child imports the modules and forks a process for every probe, so that importing is paid once. A
+    probe that crashes or takes too long costs only its own answer. However this ends, also by Ctrl-C, no
+    child and nothing that a child started is left.
+
+    Args:
+        modules: what to import.
+        names: keys of `probes.PROBES`.
+        budget_s: wall time that each probe may take, s.
+
+    Raises:
+        InputError: there is no room for temporary files.
+    """
+    try:
+        room, said = tempfile.TemporaryDirectory(prefix="srs-twin-doctor-"), tempfile.TemporaryFile()
+    except OSError as error:
+        raise InputError(
+            f"cannot write temporary files ({error.strerror}); set TMPDIR to a folder that can be written"
+        ) from error
+    with room, said:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        pid = os.fork()
+        if pid == 0:
+            try:
+                _become_child(room.name, said.fileno())
+                probes.main(modules, names, budget_s)
+            finally:
+                os._exit(1)  # code 0 or not, it has said what it found; nobody's clean-up is its business
+        try:
+            code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        except BaseException:
+            os.kill(pid, signal.SIGKILL)  # it may not have a group of its own yet
+            os.waitpid(pid, 0)
+            raise
+        finally:
+            # What is left of all that it started. macOS says PermissionError of what has only just ended.
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(pid, signal.SIGKILL)
+        said.seek(0)
+        return _answers(said.read().decode("utf-8", "replace").splitlines(), code, names)
+
+
+def _become_child(folder: str, said: int) -> None:
+    """Make a group of its own of this process, in a folder that goes away; what it says goes to a file."""
+    os.setsid()
+    os.chdir(folder)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for stream, to in ((nothing, 0), (said, 1), (said, 2)):
+        os.dup2(stream, to)
+    # As runs have it: MuJoCo loads a library of OpenGL at its import where the variable names one.
+    os.environ.setdefault("MUJOCO_GL", "disabled")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # threads do not survive a fork
+
+
+def _answers(lines: Sequence[str], code: int, names: Sequence[str]) -> dict[str, Answer]:
+    """Return the answers in what a child printed; libraries print other things there too."""
+    found: dict[str, Answer] = {}
+    importing, other = "Python", ""
+    for line in lines:
+        said = _object(line)
+        if "importing" in said:
+            importing = said["importing"]
+        elif "name" in said:
+            name = said.pop("name")
+            found[name] = Answer(**said)
+        elif line.strip():
+            other = line.strip()
+    if "imports" not in found:
+        how = ended(code)
+        found["imports"] = Answer(how.status, f"{importing}: {other if code > 0 and other else how.detail}")
+    untried = Answer("undecided", f"not tried: {found['imports'].detail}", "mend `imports` first")
+    return {name: found.get(name, untried) for name in ("imports", *names)}
+
+
+def _object(line: str) -> dict[str, Any]:
+    try:
+        value = json.loads(line)
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}

@@ -1,4 +1,4 @@
-"""Probes: what the children of `children.ask` try.
+"""Probes: what the children of `examination.ask` try.
 
 A probe returns what it found, or raises: `Fault` where it knows the remedy, anything else where it does not
 work. Each runs in a process of its own, forked from the one that imported the modules.
@@ -22,7 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from srs_twin.doctor.check import Answer, Fault, ended
+from srs_twin.doctor.checks import Answer, Fault, ended
 
 _SERVING_S = _PATIENCE_S = 40
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -154,10 +154,8 @@ def in_a_browser() -> str:
     # A child would go on to ignore interrupts where this process was started to.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # Not `rerun_beside`: in a group of its own Rerun would outlive a probe that is killed with its group.
-    server = subprocess.Popen(
-        [*_rerun(), "--serve-web", "--web-viewer-port", str(port)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    words = [*_rerun(), "--serve-web", "--web-viewer-port", str(port)]
+    server = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if not _served(server, f"http://{HOST}:{port}/"):
             raise Fault("broken", f"its page was not served on {HOST}")
