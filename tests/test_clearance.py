@@ -13,8 +13,6 @@ from srs_twin.comparison.following import clearances, following_metrics
 from srs_twin.scenario import parse_scenario
 from srs_twin.world import Circle, Polygon, World
 
-pytestmark = pytest.mark.fast
-
 WORLD = World(
     (Circle(0.3, 0.1, 0.06), Circle(-0.4, -0.35, 0.11)),
     polygons=(

@@ -25,8 +25,6 @@ from srs_twin.experiment import RunResult
 from srs_twin.parallel import Done
 from srs_twin.scenario import Expectation
 
-pytestmark = pytest.mark.fast
-
 COMMAND = Path(sys.executable).with_name("srs-twin")
 HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
 METRICS = {

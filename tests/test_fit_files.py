@@ -20,8 +20,6 @@ from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns,
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.robot.file import RobotFile, resolve_robot
 
-pytestmark = pytest.mark.fast
-
 ABOUT = {
     "name": "bench", "title": "One module", "robot": "gen4_module", "method": "actuator",
     "command": "srs-twin calibrate actuator step.csv", "versions": {"srs_twin": "0.1.0"},

@@ -18,8 +18,6 @@ from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
 from srs_twin.recordings.floor import MAPS
 
-pytestmark = pytest.mark.fast
-
 LAYOUTS = ("single", "head", "pair")
 
 

@@ -13,8 +13,6 @@ from hypothesis.extra.numpy import arrays
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.errors import InputError
 
-pytestmark = pytest.mark.fast
-
 SLOT = 1e-4
 some = settings(max_examples=25)
 duties = st.floats(0, 1) | st.sampled_from([0.0, 1.0, 0.5])

@@ -11,8 +11,6 @@ from parsers import SCENARIO
 
 from srs_twin.cli import main
 
-pytestmark = pytest.mark.fast
-
 LONG = "x" * 400
 NEW = "new/folder"
 FITTING = ("calibrate", "friction", "nothing.csv", "--robot", "gen2")

@@ -10,8 +10,6 @@ from srs_twin.reproduction import judge, load_claims, open_store
 from srs_twin.reproduction.claims import chosen
 from srs_twin.reproduction.runs import Orders
 
-pytestmark = pytest.mark.fast
-
 ROWS = ("gen2-straight", "gen2-top-speed.middle", "gen3-symmetry.left", "act-step-gen4.tau1")
 
 

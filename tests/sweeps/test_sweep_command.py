@@ -77,7 +77,7 @@ def test_bad_input(srs_twin, tmp_path, words, message):
     assert "Traceback" not in run.stderr and os.listdir(tmp_path) == ["small.yaml"]
 
 
-@pytest.mark.parametrize("words", [("nope",), ("small.yaml",)])
+@pytest.mark.parametrize("words", [pytest.param(("nope",), marks=pytest.mark.slow), ("small.yaml",)])
 def test_nothing_runs_on_when_the_command_has_ended(tmp_path, words):
     write(tmp_path)
     process = subprocess.Popen(
@@ -137,11 +137,11 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
 
 
 @pytest.mark.parametrize(("count", "runs"), [(2, 16), pytest.param(20, 60, marks=pytest.mark.slow)])
-def test_kills(tmp_path, count, runs):
+def test_kills(srs_twin, tmp_path, count, runs):
     """None lost, none twice, none torn: benchmarks/kills.py does it with 200."""
     sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=runs))
-    quiet = kills.start(sweep, tmp_path / "quiet")
-    assert quiet.wait() == 0, quiet.stderr.read()
+    quiet = srs_twin("sweep", str(sweep), "--out", "quiet", "--workers", "1", "-q", cwd=tmp_path)
+    assert quiet.returncode == 0, quiet.stderr
     found = kills.disturbed(sweep, tmp_path / "killed", count, random.Random(4), 0.1)
     assert sum(found.victims.values()) == count
     assert kills.digest(tmp_path / "killed") == kills.digest(tmp_path / "quiet")

@@ -91,6 +91,7 @@ def test_a_robot_file_decides_the_rows_that_name_it(tmp_path, monkeypatch):
     assert len(before.keys() & after) == 4
 
 
+@pytest.mark.slow
 def test_an_edited_source_is_named_and_its_rows_are_run_again(tmp_path):
     """A gait that was reversed in the source must not keep the speeds of the other."""
     package = tmp_path / "there/srs_twin"
