@@ -174,7 +174,7 @@ def commanded():
             yield pytest.param(page, marks=[pytest.mark.slow] if slow else [])
 
 
-@pytest.mark.parametrize("page", commanded(), ids=name_of)
+@pytest.mark.parametrize("page", list(commanded()), ids=name_of)
 def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
     """As a reader would: save what is to be saved, type what is to be typed. README: tests/test_readme.py."""
     page.save_files(tmp_path)

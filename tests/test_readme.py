@@ -47,7 +47,7 @@ def marked(command):
     return pytest.param(command, marks=[pytest.mark.slow] if long else [])
 
 
-@pytest.mark.parametrize("command", map(marked, RUNNABLE))
+@pytest.mark.parametrize("command", [marked(command) for command in RUNNABLE])
 def test_commands_run_as_printed(command, checkout, srs_twin_process):
     assert command.startswith("uv run srs-twin ")
     done = srs_twin_process(*words_of(command), cwd=checkout)

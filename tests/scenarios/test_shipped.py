@@ -17,16 +17,21 @@ DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 
 # One of each kind is run by default: these take longest.
 SLOW = {
-    *("follow_fig56", "follow_gen4_a", "follow_gen4_b"),
-    *("ilc_curve", "ilc_curve_without", "ilc_growth", "ilc_stuck_valve"),
+    *("follow_fig56", "follow_gen4_a", "follow_gen4_b", "gen3_turn", "gen4_turn"),
+    *("ilc_curve", "ilc_curve_without", "ilc_growth", "ilc_straight_without", "ilc_table8"),
     *("module_hold_leak_iterative", "module_sine_025hz_direct", "module_sine_025hz_iterative"),
     *("module_sine_1hz_direct", "module_sine_1hz_iterative", "module_sine_6hz_direct"),
     *("module_sine_6hz_iterative", "module_square_2hz_iterative"),
+    *("plan_fig54_3", "plan_fig54_5", "sensor_rectangular"),
 }
 SHIPPED = [
     pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
     for name in sorted(shipped_names("scenario"))
 ]
+
+
+def test_what_is_slow_is_shipped():
+    assert set(shipped_names("scenario")) >= SLOW
 
 
 @pytest.mark.parametrize("name", SHIPPED)
