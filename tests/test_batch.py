@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import importlib
 import io
 import os
 import signal
@@ -37,7 +38,6 @@ from srs_twin import (
     run_many,
 )
 from srs_twin.parallel import Workers
-from srs_twin.plants import batch as batch_module
 from srs_twin.plants.physics import ENGINE_WARNINGS
 from srs_twin.pneumatics import make_pneumatics
 
@@ -514,7 +514,7 @@ def test_what_a_batch_in_hand_refuses():
     assert np.array_equal(batch.step(np.stack([vented(SPEC)] * 2)).time, [0.02, 0.02])
 
 
-@pytest.mark.parametrize("module", [rollout, batch_module], ids=lambda module: module.__name__)
-def test_examples_in_the_docstrings_say_what_happens(module):
-    outcome = doctest.testmod(module)
+@pytest.mark.parametrize("name", ["srs_twin.rollout", "srs_twin.plants.batch"])
+def test_examples_in_the_docstrings_say_what_happens(name):
+    outcome = doctest.testmod(importlib.import_module(name))
     assert (outcome.failed, outcome.attempted > 4) == (0, True)

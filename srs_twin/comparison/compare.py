@@ -276,29 +276,22 @@ class Attribution:
     Attributes:
         reference: the analytical values of `MEASURES`; 0 for the distance.
         gap: twin − analytical.
-        shares: what is explained; their values and the remainder add up to the gap.
         remainder: what is not explained by any of them.
         matched: gap that is left when both plants have stiff bends and the same friction at the same points.
         same: assumptions on which the two plants agree in this scenario, so that they explain nothing.
+        shares: what is explained; their values and the remainder add up to the gap.
     """
 
     reference: tuple[float, ...]
     gap: tuple[float, ...]
-    shares: tuple[Share, ...]
     remainder: tuple[float, ...]
     matched: tuple[float, ...]
     same: tuple[str, ...]
+    shares: tuple[Share, ...]
 
     def document(self) -> dict[str, Any]:
         """Return plain data for metrics.json, measures by name."""
-        parts = asdict(self)
-        return {
-            "measures": list(MEASURES),
-            **{name: list(parts[name]) for name in ("reference", "gap", "remainder", "matched", "same")},
-            "shares": [
-                {k: list(v) if isinstance(v, tuple) else v for k, v in s.items()} for s in parts["shares"]
-            ],
-        }
+        return {"measures": tuple(MEASURES), **asdict(self)}
 
 
 def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:

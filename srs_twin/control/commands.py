@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,11 +69,8 @@ class GaitLimits:
 
     def clipped(self, command: GaitCommand) -> GaitCommand:
         """Return a command with each part inside its limits."""
-        return GaitCommand(
-            _between(command.offset, self.offset),
-            _between(command.frequency, self.frequency),
-            _between(command.pressure, self.pressure),
-        )
+        parts = zip(astuple(command), astuple(self), strict=True)
+        return GaitCommand(*(min(max(value, low), high) for value, (low, high) in parts))
 
 
 class CommandedGait:
@@ -115,10 +112,6 @@ class CommandedGait:
         self._pneumatics.regulate(command.pressure)
         self.command = command
         return self.gait.valves_at(time)
-
-
-def _between(value: float, limits: Range) -> float:
-    return min(max(value, limits[0]), limits[1])
 
 
 _SAME_S = 1e-9

@@ -545,8 +545,5 @@ def _recorded(time: float, plan: Plan) -> dict[str, Any]:
         "outcome": plan.outcome.value,
         "reason": plan.reason,
         "nodes": plan.expanded,
-        "segments": [
-            [s.start.x, s.start.y, s.start.heading, s.curvature, s.length, s.offset, s.speed]
-            for s in plan.segments
-        ],
+        "segments": [[*s.start, s.curvature, s.length, s.offset, s.speed] for s in plan.segments],
     }

@@ -126,7 +126,8 @@ class ModuleFaults:
             self.tested[j], self.testing = True, True
             self._since[j], self._bent[j] = time, BENT * float(target[j].min())
             self._rest[j] = self._looks[j] = 0
-            self._tell(time, "fault_suspected", f"segment {j + 1}: a valve may be stuck; both chambers vent")
+            text = f"segment {j + 1}: a valve may be stuck; both chambers vent"
+            self._events.append(Event(time, "fault_suspected", text))
 
     def look(self, time: float, reading: np.ndarray) -> None:
         """Take the readings of a tick, shape (segments,), rad, while segments are tested; end their tests."""
@@ -149,15 +150,11 @@ class ModuleFaults:
             self._name(time, j, f"valve of the {SIDES[int(np.argmax(weak))]} chamber stuck shut")
         else:
             self._cleared[j] = True
-            self._tell(
-                time, "fault_not_found", f"segment {j + 1}: rests straight when vented; no valve is stuck"
-            )
+            text = f"segment {j + 1}: rests straight when vented; no valve is stuck"
+            self._events.append(Event(time, "fault_not_found", text))
         self._weak[j] = self._strong[j] = 0
 
     def _name(self, time: float, j: int, what: str) -> None:
         self.faulty[j] = True
         self.named.append(f"segment {j + 1}: {what}")
-        self._tell(time, "fault", self.named[-1])
-
-    def _tell(self, time: float, kind: str, text: str) -> None:
-        self._events.append(Event(time, kind, text))
+        self._events.append(Event(time, "fault", self.named[-1]))

@@ -97,27 +97,21 @@ class SnakePhysics(dm.Physics):
 
     @classmethod
     def build(
-        cls,
-        spec: RobotSpec,
-        numerics: Numerics,
-        pneumatics: Pneumatics,
-        *,
-        supply_pa: float,
-        world: World | None = None,
+        cls, spec: RobotSpec, numerics: Numerics, chambers: Pneumatics, supply_pa: float, world: World | None
     ) -> SnakePhysics:
         """Compile the scene of a robot.
 
         Args:
             spec: the robot.
             numerics: time step, discretisation, contact.
-            pneumatics: its chambers.
+            chambers: its own.
             supply_pa: largest pressure that can occur, Pa.
             world: what it may run into; None: nothing.
         """
         # A copy: whoever changes a number in the model of one twin must not change the others'.
         model = copy.copy(_compiled(spec, numerics, supply_pa, world if world and world.solid else None))
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
-        physics._attach(spec, numerics, pneumatics)
+        physics._attach(spec, numerics, chambers)
         return physics
 
     def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
@@ -234,17 +228,17 @@ class SnakePhysics(dm.Physics):
             sensordata=sensed,
         )
         self.refresh()
-        pushed = sensed[0][:, self._hull_force]
-        stretch = StepBatch(
+        push = sensed[0][:, self._hull_force]
+        record = StepBatch(
             states[0],
             self._at_feet(sensed[0], self._force_columns),
             self._at_feet(sensed[0], self._foot_columns),
             sensed[0][:, self._energy_column],
-            np.einsum("ih,thk->tik", self._owners, pushed),
-            -(pushed * sensed[0][:, self._hull_velocity]).sum(axis=(1, 2)),
+            np.einsum("ih,thk->tik", self._owners, push),
+            -(push * sensed[0][:, self._hull_velocity]).sum(axis=(1, 2)),
         )
-        self._floor_force = stretch.floor_force.mean(axis=0)
-        return stretch
+        self._floor_force = record.floor_force.mean(axis=0)
+        return record
 
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return what is sensed at the feet, shape (steps, N, 2, 3); 0 where nothing stands on a floor."""

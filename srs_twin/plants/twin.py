@@ -110,11 +110,9 @@ class TwinSnake(Plant):
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
                 f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
-        largest = supply * self.pneumatics.overshoot
         self.touches = world is not None and world.solid
-        self.physics = SnakePhysics.build(
-            spec, self._numerics, self.pneumatics, supply_pa=largest, world=world
-        )
+        largest = supply * self.pneumatics.overshoot
+        self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, largest, world)
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
@@ -189,14 +187,14 @@ class TwinSnake(Plant):
             wrong = implausible([*before, *self._theta, self._spent])
             what = f"its state held {wrong:g} before the step, which no snake reaches"
             raise DivergedError(self.name, begun + self.timestep, what)
-        trace, stretch = self._drive(schedule, samples * steps)
+        trace, record = self._drive(schedule, samples * steps)
         interval = schedule.span / samples
         times = begun + interval * np.arange(1, samples + 1)
-        good = self._plausible_steps(stretch.states)
+        good = self._plausible_steps(record.states)
         whole = good // steps
-        history = self._history(times[:whole], trace, stretch, steps)
-        if good < len(stretch.states):
-            last = stretch.states[good - 1] if good else before
+        history = self._history(times[:whole], trace, record, steps)
+        if good < len(record.states):
+            last = record.states[good - 1] if good else before
             raise self._diverged(begun + (good + 1) * self.timestep, last, history if whole else None)
         return history
 
@@ -204,37 +202,36 @@ class TwinSnake(Plant):
         """Advance chambers and bodies; return what the chambers did at the steps' ends, and the bodies."""
         felt = self.pneumatics.felt_s
         most = max(1, math.floor(felt / self.timestep * (1 + 1e-9))) if self.pneumatics.feels_bend else steps
-        traces, stretches = [], []
+        traces, records = [], []
         for first in range(0, steps, most):
             last = min(first + most, steps)
-            trace = self.physics.fill(
-                schedule.part(first * self.timestep, last * self.timestep), last - first
-            )
-            stretches.append(self.physics.run(trace.pressure[:-1]))
+            part = schedule.part(first * self.timestep, last * self.timestep)
+            trace = self.physics.fill(part, last - first)
+            records.append(self.physics.run(trace.pressure[:-1]))
             traces.append(trace.at(np.arange(1, last - first + 1)))
-        return joined(traces), joined(stretches)
+        return joined(traces), joined(records)
 
-    def _history(self, times: np.ndarray, trace: Trace, stretch: StepBatch, steps: int) -> SnakeState:
+    def _history(self, times: np.ndarray, trace: Trace, record: StepBatch, steps: int) -> SnakeState:
         """Return what was to be seen at these times, each at the end of so many steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
         if self._numerics.base == "clamped":
             # In the air: nothing pushes, nothing is spent.
             force = np.zeros((count, *self._last_push.shape))
-            work = stretch.energy[ends]
-            return self._observe(times, stretch.states[ends], trace.at(ends), force, force[:, :, 0], work)
-        push, velocity = stretch.floor_force[:used, ..., :2], stretch.foot_velocity[:used, ..., :2]
+            work = record.energy[ends]
+            return self._observe(times, record.states[ends], trace.at(ends), force, force[:, :, 0], work)
+        push, velocity = record.floor_force[:used, ..., :2], record.foot_velocity[:used, ..., :2]
         # The floor's force acts with the velocity that it leads to, at the end of its step.
         earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push
-        power = stretch.obstacle_power[:used] - (earlier * velocity).sum(axis=(1, 2, 3))
+        power = record.obstacle_power[:used] - (earlier * velocity).sum(axis=(1, 2, 3))
         spent = self._spent + self.timestep * np.cumsum(power)
         if used:
             self._spent, self._last_push = float(spent[-1]), push[-1]
-        work = stretch.energy[ends] + spent[ends]
+        work = record.energy[ends] + spent[ends]
         force = push.reshape(count, steps, *push.shape[1:]).mean(axis=1)
-        met = stretch.obstacle_force[:used, :, :2]
-        obstacles = met.reshape(count, steps, *met.shape[1:]).mean(axis=1)
-        return self._observe(times, stretch.states[ends], trace.at(ends), force, obstacles, work)
+        contact = record.obstacle_force[:used, :, :2]
+        obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
+        return self._observe(times, record.states[ends], trace.at(ends), force, obstacles, work)
 
     def _observe(
         self,

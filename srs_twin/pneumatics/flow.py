@@ -93,12 +93,8 @@ def _conductance(passed: Callable[[float], float], p: float, tau: float, spec: R
 
     def lagging(at: float) -> float:
         space = dead + growth * (at - late * prompt(at))
-        return (
-            REFERENCE_PA
-            * c
-            * passed(at)
-            / (space + growth * (at + AMBIENT_PA) * (1 - late * slope(prompt, at)))
-        )
+        grown = growth * (at + AMBIENT_PA) * (1 - late * slope(prompt, at))
+        return REFERENCE_PA * c * passed(at) / (space + grown)
 
     c = 1.0
     c = -1 / (tau * slope(prompt, p))
