@@ -125,17 +125,17 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
       where that path runs against the period-mean heading.
     - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
     - ``turning_radius_m``: radius of the circle on which each period carries the centre of mass, positive
-      where its centre lies on the left; None when straight (`turning`).
+      where its centre lies on the left; None when straight (`gait.turning_radius`).
     - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over them; head first.
       ``mean_bend_amplitude_rad`` is the mean over the segments.
     - ``bend_bias_rad``: mean bend, head first.
-    - what it costs: see `energy.energy_metrics`.
+    - what it costs: see `gait.energy_metrics`.
 
     A run with a reference for the bends has `tracking.tracking_metrics`, one under iterative learning
     `learning.learning_metrics`; they are None without. A run on a bench without a reference has
     ``final_bend_rad``, the first segment's bend at its end. A run with a sensor that is not ideal has
     `reading.reading_metrics`; one that followed a plan `following.following_metrics`.
-    What is said against a measured robot (`measured_…`) is None here; see `measured.MeasuredDifference`.
+    What is said against a measured robot (`measured_…`) is None here; see `compare.MeasuredDifference`.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
     a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over

@@ -207,7 +207,7 @@ class Footprint:
         """Return how late (m) the path turns after a change of offset, and how long (m) the arc between is.
 
         Of the measured jumps, linear in how large the change is, that of the nearest size beyond them;
-        (0, 0) where none is known. `shaping` has the law.
+        (0, 0) where none is known. `planner` has the law.
         """
         change = after - before
         known: dict[float, list[tuple[float, float]]] = {}

@@ -25,9 +25,10 @@ import math
 from dataclasses import replace
 
 from srs_twin.errors import InputError
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import Outcome, Plan, Problem, Segment
+from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, segment
 from srs_twin.world import Pose
 
 G_STEP = 0.001
@@ -42,7 +43,8 @@ def greedy(problem: Problem) -> Plan:
     Raises:
         InputError: the problem has no primitives, or its goal no heading.
     """
-    if problem.primitives is None:
+    arcs = problem.primitives
+    if arcs is None:
         raise InputError(
             "planner greedy needs primitives: their number N, alpha_max and the length of a step"
         )
@@ -54,11 +56,11 @@ def greedy(problem: Problem) -> Plan:
     branches: list[list[tuple[Pose, float]]] = [[], []]
     for turn in range(2 * _MOST):
         side = turn % 2
-        joint = _joint(tips[0], tips[1], problem, there)
+        joint = _joint(tips[0], tips[1], arcs, there)
         if joint is not None:
-            path = _path(branches, joint, problem)
+            path = _path(branches, joint, problem.start, arcs, problem.footprint)
             return Plan(Outcome.FOUND, "the branches met", path, turn)
-        taken = _best(tips[side], tips[1 - side], problem, (there, back)[side])
+        taken = _best(tips[side], tips[1 - side], arcs, (there, back)[side])
         if taken is None:
             where = f"{turn // 2} arcs from the {('start', 'goal')[side]}"
             why = f"every arc is blocked {where}, and greedy does not go back; try best_first"
@@ -98,10 +100,8 @@ def mirrored(footprint: Footprint) -> Footprint:
     )
 
 
-def _best(tip: Pose, other: Pose, problem: Problem, checker: Checker) -> tuple[float, Pose] | None:
+def _best(tip: Pose, other: Pose, arcs: Primitives, checker: Checker) -> tuple[float, Pose] | None:
     """Return curvature and end of the child with the least score, None where all are blocked."""
-    arcs = problem.primitives
-    assert arcs is not None, "checked before"
     best, least = None, math.inf
     for i, (curvature, child) in enumerate(zip(arcs.curvatures, arcs.children(tip), strict=True)):
         score = G_STEP * abs(i - arcs.count // 2) + arc_to(child, other.x, other.y)[1]
@@ -110,29 +110,24 @@ def _best(tip: Pose, other: Pose, problem: Problem, checker: Checker) -> tuple[f
     return best
 
 
-def _joint(here: Pose, there: Pose, problem: Problem, checker: Checker) -> tuple[float, float] | None:
+def _joint(here: Pose, there: Pose, arcs: Primitives, checker: Checker) -> tuple[float, float] | None:
     """Return the arc between the newest nodes if they are near enough and it can be followed and is free."""
-    arcs = problem.primitives
-    assert arcs is not None, "checked before"
     curvature, length = arc_to(here, there.x, there.y)
     near = length < arcs.length and abs(curvature) <= arcs.curvatures[-1]
     return (curvature, length) if near and checker.free(here, curvature, length) else None
 
 
 def _path(
-    branches: list[list[tuple[Pose, float]]], joint: tuple[float, float], problem: Problem
+    branches: list[list[tuple[Pose, float]]],
+    joint: tuple[float, float],
+    start: Pose,
+    arcs: Primitives,
+    body: Footprint,
 ) -> tuple[Segment, ...]:
-    arcs, body = problem.primitives, problem.footprint
-    assert arcs is not None, "checked before"
-
-    def segment(start: Pose, curvature: float, length: float) -> Segment:
-        motion = body.at(curvature)
-        return Segment(start, curvature, length, motion.offset, motion.speed)
-
-    path = [segment(pose, curvature, arcs.length) for pose, curvature in branches[0]]
-    path.append(segment(path[-1].end if path else problem.start, *joint))
+    path = [segment(pose, curvature, arcs.length, body) for pose, curvature in branches[0]]
+    path.append(segment(path[-1].end if path else start, *joint, body))
     for pose, curvature in reversed(branches[1]):
-        end = segment(pose, curvature, arcs.length).end
+        end = segment(pose, curvature, arcs.length, body).end
         # The same arc from its other end: it turns the other way.
-        path.append(segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, arcs.length))
+        path.append(segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, arcs.length, body))
     return tuple(path)

@@ -169,12 +169,18 @@ class Plan:
     def samples(self, spacing: float = 0.01) -> np.ndarray:
         """Return poses (x, y, heading) along the path, so far apart at most, m; shape (n, 3)."""
         rows = []
-        for segment in self.segments:
-            pieces = max(1, math.ceil(segment.length / spacing))
-            rows += [(*segment.pose(segment.length * k / pieces),) for k in range(pieces)]
+        for each in self.segments:
+            pieces = max(1, math.ceil(each.length / spacing))
+            rows += [(*each.pose(each.length * k / pieces),) for k in range(pieces)]
         if self.end:
             rows.append((*self.end,))
         return np.array(rows, dtype=float).reshape(-1, 3)
+
+
+def segment(start: Pose, curvature: float, length: float, footprint: Footprint) -> Segment:
+    """Return an arc with the offset and the speed that the footprint has for its curvature."""
+    row = footprint.at(curvature)
+    return Segment(start, curvature, length, row.offset, row.speed)
 
 
 def path_of(start: Pose, pieces: list[tuple[float, float]], footprint: Footprint) -> tuple[Segment, ...]:
@@ -189,7 +195,6 @@ def path_of(start: Pose, pieces: list[tuple[float, float]], footprint: Footprint
             merged.append([curvature, length])
     segments: list[Segment] = []
     for curvature, length in merged:
-        motion = footprint.at(curvature)
-        segments.append(Segment(start, curvature, length, motion.offset, motion.speed))
+        segments.append(segment(start, curvature, length, footprint))
         start = segments[-1].end
     return tuple(segments)

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from srs_twin.arrays import LARGEST, implausible, joined, plausible
-from srs_twin.errors import DivergedError, InputError
-from srs_twin.pneumatics.valves import Schedule
+from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.sensing import Sensor, make_sensor
 
 Pose = tuple[float, float, float]
 
@@ -97,7 +98,7 @@ class Plant(ABC):
         spec: the robot.
         tick: control tick, s; a multiple of the plant's time step.
         stretch: how much of a script it likes to follow at a time, s.
-        layout: its valves, one of `pneumatics.schedule.LAYOUTS`.
+        layout: its valves, one of `pneumatics.valves.LAYOUTS`.
     """
 
     name: str
@@ -180,6 +181,46 @@ class Plant(ABC):
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording beside a trajectory (JSON values)."""
         return {"plant": self.name, "robot": self.spec.name, "tick_s": self.tick}
+
+
+class PneumaticPlant(Plant):
+    """A plant with the package's chambers and sensors; a subclass says how its bodies follow a schedule.
+
+    Attributes:
+        pneumatics: its chambers.
+        sensor: of its bends.
+    """
+
+    pneumatics: Pneumatics
+    sensor: Sensor
+
+    def _equip(
+        self, pneumatics: str | Pneumatics, supply_pa: float | None, layout: str, sensor: str | Sensor
+    ) -> float:
+        """Make the robot's chambers and sensors; return the supply pressure, Pa."""
+        supply = self.spec.supply.nominal if supply_pa is None else supply_pa
+        self.pneumatics = make_pneumatics(pneumatics, self.spec, supply_pa=supply, layout=layout)
+        self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, self.spec)
+        self.metered = self.pneumatics.metered
+        return supply
+
+    def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
+        """Advance one tick; see `Plant.advance`."""
+        history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
+        return [history.at(k) for k in range(samples)]
+
+    def play(self, schedule: Schedule, samples: int) -> SnakeState:
+        """Follow a schedule; see `Plant.play`."""
+        self.pneumatics.check(schedule.states)
+        return self._follow(schedule, whole_steps("schedule", schedule.span, "tick", self.tick), samples)
+
+    def openings(self) -> np.ndarray:
+        """Return how often each chamber's inlet has opened, shape (segments, 2)."""
+        return self.pneumatics.openings
+
+    @abstractmethod
+    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+        """Follow a schedule of possible valve states over so many ticks; return so many samples."""
 
 
 _STATES = np.iinfo(np.int8)

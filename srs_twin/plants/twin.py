@@ -10,18 +10,18 @@ import numpy as np
 from srs_twin.arrays import implausible, joined, plausible
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.mjcf.numerics import PRELOAD, WHEELS, Numerics
-from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, check_plausible
+from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_plausible
 from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
-from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.sensing import Sensor, make_sensor
+from srs_twin.sensing import Sensor
 from srs_twin.world import World
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
 
 
-class TwinSnake(Plant):
+class TwinSnake(PneumaticPlant):
     """The MuJoCo twin: rigid bodies in three dimensions, several hinges a segment, wheels or skids.
 
     Its segments have stiffness k and damping c = k τ₂ and are driven by the moment k G (p⁺ − p⁻), so that a
@@ -72,7 +72,7 @@ class TwinSnake(Plant):
             slip_time: time constant with which contact friction stops a slip, s.
             axle_time: the same for the axles' friction, s.
             preload: by how many times its static load each wheel is pressed down besides; default what
-                suits the wheels, `mjcf_numerics.PRELOAD`.
+                suits the wheels, `mjcf.numerics.PRELOAD`.
             link_share: mass between a segment's hinges over the lightest connector's.
             wheel_spin: multiple of the wheels' inertia about their axles.
             constant_curvature: force the hinges of a segment to bend alike.
@@ -88,6 +88,7 @@ class TwinSnake(Plant):
         one_of("base", base, BASES)
         whole_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep, self.wheels = spec, tick, timestep, wheels
+        supply = self._equip(pneumatics, supply_pa, layout, sensor)
         self._numerics = Numerics(
             timestep=timestep,
             hinges_per_segment=hinges_per_segment,
@@ -100,10 +101,6 @@ class TwinSnake(Plant):
             constant_curvature=constant_curvature,
             base=base,
         )
-        supply = spec.supply.nominal if supply_pa is None else supply_pa
-        self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
-        self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
-        self.metered = self.pneumatics.metered
         self._bias = spec.modules.array("bias")
         if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
             raise InputError(
@@ -128,16 +125,6 @@ class TwinSnake(Plant):
         trace = self.pneumatics.resting()
         return self._observe(np.zeros(1), state, trace, force, obstacles, np.zeros(1)).at(0)
 
-    def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance one tick; see `Plant.advance`."""
-        history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
-        return [history.at(k) for k in range(samples)]
-
-    def play(self, schedule: Schedule, samples: int) -> SnakeState:
-        """Follow a schedule; see `Plant.play`."""
-        self.pneumatics.check(schedule.states)
-        return self._follow(schedule, whole_steps("schedule", schedule.span, "tick", self.tick), samples)
-
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
         interval = schedule.span / samples
@@ -155,10 +142,6 @@ class TwinSnake(Plant):
                 raise
         self._ticks += ticks
         return check_plausible(self.name, SnakeState.history(parts))
-
-    def openings(self) -> np.ndarray:
-        """Return how often each chamber's inlet has opened, shape (segments, 2)."""
-        return self.pneumatics.openings
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""

@@ -5,7 +5,7 @@ Unknown are the amounts of air n = P V of every chamber, the free bends, and the
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
-φ, b and the gains g are those of `bending`, V(q) is the law of `chamber.py`, the flows are those of
+φ, b and the gains g are those of `chambers.py`, which has V(q) as well, the flows are those of
 `flow.py`. Conductances follow from the robot's τ₁ (`flow.conductances`); Λ is such that a held chamber of a
 nominal module at the working point loses its pressure at the rate
 `leak_per_s`. Without a flow limit the line holds the supply's pressure. With one, a compressor with a

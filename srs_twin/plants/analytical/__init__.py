@@ -39,7 +39,7 @@ import numpy as np
 
 from srs_twin.arrays import check_positive, implausible, joined
 from srs_twin.compiled import compiled
-from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
+from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.friction import AT_TRACK, LAWS
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
@@ -55,11 +55,11 @@ from srs_twin.plants.analytical.kernels import (
     step,
 )
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, chord_terms
-from srs_twin.plants.base import BASES, Plant, Pose, SnakeState, check_plausible
-from srs_twin.pneumatics import Pneumatics, Schedule, Trace, make_pneumatics
+from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_plausible
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.sensing import Sensor, make_sensor
+from srs_twin.sensing import Sensor
 
 
 @dataclass(frozen=True)
@@ -482,7 +482,7 @@ INERTIAS = ("point", "connector", "lumped")
 _MASSLESS_S = 0.0001  # at 0.25 ms pressures of point masses swing below ambient; half of this changes nothing
 
 
-class AnalyticalSnake(Plant):
+class AnalyticalSnake(PneumaticPlant):
     """The planar model (Section 3.1): `complete`, whose bends follow Eq. 14, or one of its neighbours.
 
     Point masses on arcs of constant curvature under the floor's friction; Eq. 11 summed over the body (E22).
@@ -558,12 +558,9 @@ class AnalyticalSnake(Plant):
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
+        self._equip(pneumatics, supply_pa, layout, sensor)
         self._model, self._inertia, self._turning = model, inertia, friction_torque
         self.base = base
-        supply = spec.supply.nominal if supply_pa is None else supply_pa
-        self.pneumatics = make_pneumatics(pneumatics, spec, supply_pa=supply, layout=layout)
-        self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, spec)
-        self.metered = self.pneumatics.metered
         if track is None:
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction
@@ -581,16 +578,6 @@ class AnalyticalSnake(Plant):
         now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
         resting = self._observe(np.zeros(1), now, trace)
         return resting.at(0)
-
-    def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance one tick; see `Plant.advance`."""
-        history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
-        return [history.at(k) for k in range(samples)]
-
-    def play(self, schedule: Schedule, samples: int) -> SnakeState:
-        """Follow a schedule; see `Plant.play`."""
-        self.pneumatics.check(schedule.states)
-        return self._follow(schedule, whole_steps("schedule", schedule.span, "tick", self.tick), samples)
 
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
@@ -638,10 +625,6 @@ class AnalyticalSnake(Plant):
             return
         for begin, end, piece in steps.pieces(self._turn):
             yield schedule.part(begin, end), piece
-
-    def openings(self) -> np.ndarray:
-        """Return how often each chamber's inlet has opened, shape (segments, 2)."""
-        return self.pneumatics.openings
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
