@@ -72,9 +72,9 @@ def hull_lines(trajectory: Trajectory) -> np.ndarray:
 
     The twin collides a capsule between each two neighbouring hinges (`mjcf.surroundings`); this is the line
     of their axes in the plane, through connectors and hinges, head first. A connector's pose places the
-    hinges next to it, so that the line is the twin's own for one or two hinges a segment. With more, the inner
-    ones are taken to share the bend equally. A model without hinges has those that the twin would have in
-    its place: the middle of a segment bent by q is then $$ l\,|q|/24 $$ inside of its arc's, and 5 % more
+    hinges next to it, so that the line is the twin's own for one or two hinges a segment. With more, the
+    inner ones are taken to share the bend equally. A model without hinges has those that the twin would have
+    in its place: the middle of a segment bent by q is then $$ l\,|q|/24 $$ inside of its arc's, and 5 % more
     at 1.5 rad (1.5 mm at 1 rad in generation 2).
 
     Args:
