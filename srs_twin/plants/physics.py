@@ -9,19 +9,24 @@ from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 
-import mujoco  # noqa: E402
 import numpy as np
+
+from srs_twin.plants.base import Pose
+from srs_twin.pneumatics import Pneumatics, Schedule, Trace
+from srs_twin.pneumatics.chambers import as_felt
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.world import World
+
+# Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
+os.environ.setdefault("MUJOCO_GL", "disabled")
+
+import mujoco  # noqa: E402
 from dm_control import mujoco as dm  # noqa: E402
 from mujoco import rollout as mujoco_rollout  # noqa: E402
 
 from srs_twin.mjcf.model import scene_mjcf  # noqa: E402
 from srs_twin.mjcf.numerics import Numerics  # noqa: E402
 from srs_twin.mjcf.wheels import preload_force, treads  # noqa: E402
-from srs_twin.plants.base import Pose
-from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.chambers import as_felt
-from srs_twin.robot.spec import GRAVITY, RobotSpec
-from srs_twin.world import World
 
 
 @dataclass(frozen=True)
@@ -68,10 +73,6 @@ class View:
     headings: np.ndarray
     bends: np.ndarray
     bend_rates: np.ndarray
-
-
-# Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
-os.environ.setdefault("MUJOCO_GL", "disabled")
 
 
 class EngineWarnings(threading.local):
