@@ -50,7 +50,8 @@ FITS = {
 def scenarios(folder: Path, *names: str) -> Iterator[tuple[str, str]]:
     """Yield the digests of runs: each trajectory's file, and metrics.json without what the clock decides."""
     out = folder / "runs"
-    _run("run", *(names or [str(HERE.parent / "scenarios")]), "--out", str(out), "--quiet")
+    where = out / names[0] if len(names) == 1 else out  # of one alone, the folder itself
+    _run("run", *(names or [str(HERE.parent / "scenarios")]), "--out", str(where), "--quiet")
     for run in sorted(path for path in out.iterdir() if path.is_dir()):
         for path in sorted(run.glob("*.parquet")):
             yield f"{run.name}/{path.name}", _digest(path.read_bytes())
