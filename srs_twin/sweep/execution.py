@@ -1,8 +1,6 @@
 """Running a sweep: an engine runs what is missing, every row is kept at once, one table at the end.
 
-Engines: who runs the points of a sweep. Rows do not depend on it.
-
-Running a sweep: what is missing is run, every row is kept at once, at the end they become one table.
+Rows do not depend on the engine that ran them.
 """
 
 from __future__ import annotations

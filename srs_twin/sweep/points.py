@@ -1,7 +1,4 @@
-"""Sweep and its points: documents of scenarios that differ in some fields, and the key of each.
-
-Samples: the values of several fields put together to points.
-"""
+"""A sweep and its points: how values of fields are put together, and the key of each point."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""report.html of a sweep: what was varied, what came out, beside what was published.
-
-What a sweep's results say as tables of text: a row a run, and means by the values of each field.
-"""
+"""report.html of a sweep: what was varied, a row a run, and means by the values of each field."""
 
 from __future__ import annotations
 

@@ -1,12 +1,8 @@
 """Rows that are kept as soon as they are finished, and the table they become.
 
-RowStore: rows that are kept as soon as they are finished, whatever happens to the process next.
-
 An SQLite file in the sweep's folder. A row is there or not, never in part; nobody else can write while a
 sweep does. Its log is not flushed to the disk at every row: what a process finished before it was killed
 stays, only a power cut may take the last rows along, and they are run again.
-
-The results of a sweep as one table, and the digest by which two of them are told apart.
 """
 
 from __future__ import annotations
