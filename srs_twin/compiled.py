@@ -59,7 +59,7 @@ class _Cache(FunctionCache):
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
-        except (EOFError, pickle.UnpicklingError):
+        except (EOFError, pickle.UnpicklingError, ImportError, AttributeError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 
 
@@ -76,7 +76,7 @@ def _warn(why: str) -> None:
 @functools.cache
 def _stamp(function: Any) -> str:
     """Return what changes with anything that decides what a function computes, but with no comment."""
-    total = hashlib.sha256(repr(sorted(_ARITHMETIC)).encode())
+    total = hashlib.sha256(f"{function.__module__} {sorted(_ARITHMETIC)}".encode())
     for part in _meaning(function.__code__, function.__globals__, set()):
         total.update(part.encode() + b"\0")
     return total.hexdigest()
@@ -106,6 +106,7 @@ def _of_values(name: str, values: Iterable[Any], seen: set[CodeType]) -> Iterato
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):
+            yield f"{function.__module__}.{function.__qualname__}"  # machine code names where it is from
             yield from _meaning(function.__code__, function.__globals__, seen)
         elif isinstance(value, tuple):
             yield from _of_values(name, value, seen)

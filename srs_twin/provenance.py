@@ -30,6 +30,9 @@ NOT_PHYSICS = ("name", "title", "expect")
 POINTS = "srs_twin.sweep.task"
 """The module that runs a point."""
 
+_SHOWS = "srs_twin.viewing"
+"""What only shows results: no row depends on it."""
+
 _FOR_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
 _IMPORT = re.compile(r"^\s*(?:from (srs_twin[\w.]*) import (\([^)]*\)|[^\n]*)|import (srs_twin[\w.]*))", re.M)
 
@@ -139,7 +142,7 @@ def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
     to_read, seen = [module], set()
     while to_read:
         name = to_read.pop()
-        if name in seen or (path := _source(root, name)) is None:
+        if name in seen or name.startswith(_SHOWS) or (path := _source(root, name)) is None:
             continue
         seen.add(name)
         text = path.read_text("utf-8")

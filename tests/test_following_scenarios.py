@@ -235,8 +235,8 @@ def test_a_run_up_goes_straight_first_and_must_be_free():
 
 def test_a_path_that_is_given_ends_where_it_ends():
     planner = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0.5, -0.5], "step_m": 0.2}
-    settings = parse_scenario(data(planner=planner, world={})).controller
-    plan, goal = settings.planner.plan(), settings.planner.problem.goal
+    route = parse_scenario(data(planner=planner, world={})).planner
+    plan, goal = route.plan(), route.problem.goal
     assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
     assert (goal.x, goal.y, goal.heading) == pytest.approx((plan.end.x, plan.end.y, 0.0))
 

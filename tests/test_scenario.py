@@ -241,7 +241,7 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
 
     parameters = inspect.signature(KINDS["orifice"]).parameters
     for chambers in ({"kind": "lag"}, {"kind": "orifice", "flow_limit_l_per_min": 600}):
-        settings = scenario(pneumatics=chambers).file.pneumatics.arguments()
+        settings = scenario(pneumatics=chambers, plants=plants()).file.pneumatics.arguments()
         assert (settings.pop("kind"), settings.pop("flow_limit", 0.01)) == (chambers["kind"], 0.01)
         assert settings == {name: parameters[name].default for name in settings}
 

@@ -101,7 +101,7 @@ def slugs(page):
 
 
 def test_causes_name_sections_and_switches_that_there_are():
-    switches = {switch.name for switch, _ in Ladder(load_scenario("gen3_straight"))._all_switches()}
+    switches = {switch.name for switch in Ladder(load_scenario("gen3_straight"))._all_switches()}
     causes = [cause for row in CLAIMS for cause in row.cause]
     # What both plants assume alike is no switch between them.
     assert {cause.switch for cause in causes if cause.switch} <= switches | {"supply flow"}

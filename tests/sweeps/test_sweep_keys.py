@@ -124,7 +124,9 @@ def test_an_edited_source_is_named_and_its_rows_are_run_again(tmp_path):
     assert speeds() == forward
     assert run("--changed").returncode == 0
     assert min(forward) > 0.1 and max(speeds()) < -0.1
-    (package / "viewing/report.py").write_text((package / "viewing/report.py").read_text() + "\n# another\n")
+    (package / "viewing/html/report.py").write_text(
+        (package / "viewing/html/report.py").read_text() + "\n# another\n"
+    )
     again = run()
     assert again.returncode == 0 and "2 of 2 rows are there already" in again.stderr
 

@@ -13,8 +13,7 @@ from pydantic import Field, model_validator
 
 from srs_twin.comparison.metrics import relative_difference
 from srs_twin.errors import UnknownNameError
-from srs_twin.io.validation import Strict
-from srs_twin.scenario.fields import section
+from srs_twin.scenario.fields import Section, section
 from srs_twin.viewing.html.page import Table
 from srs_twin.viewing.plots.labels import field_label, metric_label
 
@@ -31,7 +30,7 @@ PublishedValues = Annotated[
 ]
 
 
-class Plot(Strict):
+class Plot(Section):
     """A picture of the results."""
 
     kind: Literal["contour", "line", "scatter"] = section("Which kind.")
@@ -51,7 +50,7 @@ class Plot(Strict):
         return self
 
 
-class Published(Strict):
+class Published(Section):
     """What was published of the metrics, at some values of the varied fields."""
 
     source: str = Field(
