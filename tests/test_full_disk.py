@@ -44,13 +44,15 @@ def room(tmp_path):
 
 @contextmanager
 def largest_file(size):
-    """Let no file grow beyond a size (bytes), as a quota does."""
+    """Let no file grow beyond a size (bytes), as a quota does; Python would keep bytecode that is cut off."""
+    bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = bytecode
 
 
 @pytest.mark.parametrize("size", [0, 4_000, 8_000, 60_000])
@@ -129,6 +131,7 @@ def test_the_command_says_it_in_one_line_and_exits_with_2(room):
     done = subprocess.run(
         ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", script, "run", "./brief.yaml", "--out", "out"],
         cwd=room,
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
         timeout=300,

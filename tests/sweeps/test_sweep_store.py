@@ -122,6 +122,7 @@ def test_a_file_that_may_not_grow_leaves_the_rows_before(tmp_path, limit):
     """The same by the operating system: every write beyond the limit fails."""
     code = f"""
 import resource, sys
+sys.dont_write_bytecode = True
 from pathlib import Path
 from srs_twin.errors import InputError
 from srs_twin.sweep.store import RowStore
