@@ -15,6 +15,7 @@ from pathlib import Path
 import kills
 import pyarrow.parquet as pq
 import pytest
+from conftest import wait_until
 from small import SMALL, write
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
