@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -55,13 +56,13 @@ class _PlannerFile(Section):
             raise InputError("there is no goal to plan to; give world.goal")
         return goal
 
+    @abstractmethod
     def find(self, problem: Problem) -> Plan:
         """Return the plan of a problem.
 
         Raises:
             InputError: start or goal cannot be, or the extra `ompl` is missing.
         """
-        raise NotImplementedError
 
 
 class _SearchFile(_PlannerFile):
