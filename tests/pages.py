@@ -1,4 +1,4 @@
-"""The pages of the documentation as tests read them: links, blocks, commands."""
+"""The pages of the documentation as tests read them: blocks, commands, scripts."""
 
 from __future__ import annotations
 
@@ -54,12 +54,6 @@ class Page:
     def prose(self) -> str:
         """The page without its blocks."""
         return re.sub(r"^ *```.*\n(?:.*\n)*? *```$", "", self.text, flags=re.M)
-
-    @property
-    def links(self) -> list[str]:
-        """Targets of links and pictures inside the checkout."""
-        spoken = re.sub(r"`[^`]*`", "``", self.prose)
-        return [t for t in re.findall(r"\]\(([^)\s]+)\)", spoken) if not re.match(r"\w+:", t)]
 
     @property
     def anchors(self) -> set[str]:

@@ -1,9 +1,10 @@
-"""What the pages tell a reader is so: links lead somewhere, commands parse, files load, examples run."""
+"""What the pages tell a reader is so: commands parse, files load, examples run (links: the site's build)."""
 
 from __future__ import annotations
 
 import ast
 import importlib
+import json
 import re
 from functools import cache
 
@@ -84,17 +85,6 @@ def check_script(words):
     assert {option for option in options if f'"{option}"' not in text} == set(), script
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_somewhere(page):
-    lost = []
-    for target in page.links:
-        path, _, anchor = target.partition("#")
-        file = (page.path.parent / path).resolve() if path else page.path
-        if not file.exists() or (anchor and anchor not in BY_PATH[file].anchors):
-            lost.append(target)
-    assert lost == []
-
-
 @pytest.mark.parametrize(("page", "line"), COMMANDS, ids=lambda value: name_of(value) or str(value))
 def test_commands_parse_and_what_they_name_is_there(page, line):
     for part in line.split(" && "):
@@ -166,17 +156,19 @@ COMMANDED = [page for page in PAGES if any(block.mark == "runnable" for block in
 SCRIPTED = [page for page in PAGES if page.script]
 
 
+README = BY_PATH[ROOT / "README.md"]
+
+
 def commanded():
     """Pages whose commands are run; those but the first steps take long."""
     for page in COMMANDED:
-        if page.name != "README.md":
-            slow = page.name != "docs/quickstart.md"
-            yield pytest.param(page, marks=[pytest.mark.slow] if slow else [])
+        slow = page.name != "docs/quickstart.md"
+        yield pytest.param(page, marks=[pytest.mark.slow] if slow else [])
 
 
 @pytest.mark.parametrize("page", list(commanded()), ids=name_of)
 def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
-    """As a reader would: save what is to be saved, type what is to be typed. README: tests/test_readme.py."""
+    """As a reader would: save what is to be saved, type what is to be typed."""
     page.save_files(tmp_path)
     for block in page.blocks:
         for line in block.text.splitlines() if block.mark == "runnable" else ():
@@ -186,10 +178,38 @@ def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
             assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", [page for page in SCRIPTED if page.name != "README.md"], ids=name_of)
+@pytest.mark.parametrize("page", SCRIPTED, ids=name_of)
 def test_python_runs_as_a_script(page, tmp_path):
-    """README: tests/test_readme.py."""
     page.run_script(tmp_path)
+
+
+def test_the_first_command_is_the_main_job_and_gives_what_the_readme_says(tmp_path, srs_twin):
+    README.save_files(tmp_path)
+    first, again = README.commands[:2]
+    assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
+    main_job = first.partition("srs-twin ")[2]
+    assert again.endswith(main_job)
+    done = srs_twin(*main_job.split(), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    promised = re.findall(r"^\| ((?:`[\w.]+`(?:, )?)+) \|", README.text, re.M)
+    run = tmp_path / "runs/gen2_straight"
+    files = {name for cell in promised for name in re.findall(r"`([\w.]+)`", cell)}
+    assert {path.name for path in run.iterdir()} == files
+    metrics = json.loads((run / "metrics.json").read_text("utf-8"))
+    speeds = [metrics["plants"][plant]["com_speed_m_s"] for plant in ("analytical", "twin")]
+    assert printed("CoM speed") == pytest.approx(speeds, rel=0.01)
+    assert printed("body shape") == pytest.approx([metrics["comparison"]["shape_rms_body"]], abs=0.001)
+
+
+def printed(row):
+    """Return the numbers of the analytical and the twin column in the README's table of measured values."""
+    (cells,) = re.findall(rf"^\| {row}[^|]*\|([^|]*)\|([^|]*)\|", README.text, re.M)
+    return [float(cell) for cell in cells if cell.strip()]
+
+
+def test_one_test_command_everywhere():
+    assert "uv run pytest" in README.commands
+    assert "uv run pytest" in (ROOT / ".ci/run").read_text("utf-8")
 
 
 def test_a_script_that_fails_is_noticed(tmp_path):
