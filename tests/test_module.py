@@ -343,8 +343,8 @@ def test_a_run_shows_how_the_reference_is_followed(tmp_path):
 
     scenario = module(record_hz=1000, duration_s=0.3, sensor={"kind": "hall", "span_rad": 0.8})
     result = run_scenario(scenario, tmp_path)
-    headings = {row.heading for row in rows(result.metrics)}
-    assert {"overshoot", "rise, 10 to 90 %", "openings, inlet"} <= headings
+    headings = {heading for heading, *_ in rows(result.metrics)}
+    assert {"overshoot, relative", "rise, 10 to 90 %", "inlet openings"} <= headings
     assert not headings & {"CoM speed", "path length", "yaw rate"}
     page = (tmp_path / "report.html").read_text("utf-8")
     assert "How the first segment follows its reference." in page and "Speed of the centre" not in page

@@ -261,7 +261,7 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
     assert metrics["residuals"]["twin"]["rms"]["shape_m"] == pytest.approx(
         metrics["plants"]["twin"]["measured_shape_rms_m"]
     )
-    assert "shape, from measured" in done.stdout and "met    analytical measured_shape_rms_m" in done.stdout
+    assert "measured shape RMS" in done.stdout and "met    analytical measured_shape_rms_m" in done.stdout
     report = (run / "report.html").read_text("utf-8")
     assert "How far each plant is from what was measured" in report
     assert b"world/measured/connectors" in (run / "recording.rrd").read_bytes()

@@ -215,7 +215,7 @@ def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
     words = ["replay", str(bench / "logger.csv"), "--valves", str(bench / "logger.csv"), "-r", "gen4_module"]
     done = srs_twin(*words, "--bench", "--expect", str(expect), "--check", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "bends, from measured" in done.stdout and "met    twin measured_bend_rms_rad" in done.stdout
+    assert "measured bend RMS" in done.stdout and "met    twin measured_bend_rms_rad" in done.stdout
     run = tmp_path / "runs/logger"
     metrics = json.loads((run / "metrics.json").read_text("utf-8"))
     assert metrics["residuals"]["twin"]["rms"].keys() == {"bend_1_rad"}

@@ -7,10 +7,11 @@ import os
 import sys
 import traceback
 import warnings
-from pathlib import Path
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.errors import CacheWarning, InputError, SrsError
+from srs_twin.errors import CacheWarning, InputError, SrsError, TaskFailedError
 from srs_twin.io.files import printable, refuse_unprintable
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def main(argv: list[str] | None = None) -> None:
         if _interrupted(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
-        say(_internal(error))
+        say(f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the traceback")
         sys.exit(SrsError.exit_code)
 
 
@@ -105,6 +106,16 @@ def say(*lines: str, quiet: bool = False) -> None:
         print(printable(line, keep="\n\t"), file=sys.stderr, flush=True)
 
 
+@contextmanager
+def interruptible(words: Callable[[], str] | str) -> Iterator[None]:
+    """Where a command is interrupted, say what is left of its work, and end it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say(f"interrupted; {words if isinstance(words, str) else words()}")
+        raise SystemExit(INTERRUPTED) from None
+
+
 def console() -> Console:
     """Return rich's console on stdout for text as it stands: no markup, control characters escaped."""
     import rich.console
@@ -116,14 +127,14 @@ def console() -> Console:
     return Plain(file=sys.stdout, highlight=False, emoji=False)
 
 
-def new_table(*headings: str, left: int = 1, title: str | None = None) -> Table:
-    """Return an empty table; so many first columns are on the left, those of numbers right and unbroken."""
+def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = None) -> Table:
+    """Return an empty table of unbroken columns; those of these places stand on the left, others right."""
     from rich import box
     from rich.table import Table
 
     made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if i < left else "right", no_wrap=True)
+        made.add_column(heading, justify="left" if i in left else "right", no_wrap=True)
     return made
 
 
@@ -143,14 +154,3 @@ def _interrupted(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
-
-
-def _internal(error: Exception) -> str:
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{Path(last.filename).name}:{last.lineno}"
-    said = " ".join(str(error).split())
-    return (
-        f"srs-twin: internal error: {type(error).__name__}: {said} ({where}). "
-        "This is a fault of srs-twin, not of your files: please report it as CONTRIBUTING.md says; "
-        "`srs-twin --debug …` shows the traceback"
-    )

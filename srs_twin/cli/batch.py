@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, say, show_traceback
+from srs_twin.cli import interruptible, say, show_traceback
 from srs_twin.cli.progress import Counting, ScenarioProgress
-from srs_twin.errors import DivergedError, InputError, SrsError
+from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
     from srs_twin.experiment import RunResult
@@ -50,6 +50,11 @@ class Ended:
         from srs_twin.scenario.expectation import verdict
 
         return Counter(map(verdict, self.metrics.get("expectations", ())))
+
+    def exit_code(self, fails: Set[str]) -> int:
+        """Return the highest of its errors' codes; verdicts that fail have one too."""
+        failed = EXPECTATION_FAILED if fails & self.verdicts.keys() else 0
+        return max([failed, *(error.exit_code for error in self.errors)])
 
 
 @dataclass
@@ -97,39 +102,16 @@ def simulate(
         from srs_twin.attribution import explain as explanation
 
         asked["explain"] = explanation
-    result: RunResult | None = None
-    errors: tuple[SrsError, ...] = ()
+    scenario, folder = order
     try:
-        scenario, folder = order
         result = prepare(scenario, folder, plants=plants).execute(progress, **asked)
-        errors = (*result.diverged, *result.unexplained)
-        result = replace(result, trajectories={}, diverged=(), unexplained=())
     except InputError as error:
-        errors = (error,)
+        return Ended(None, (error,), time.perf_counter() - start)
+    errors = (*result.diverged, *result.unexplained)
     for each in errors:
-        if isinstance(each, DivergedError):
-            # The file that it names holds them.
-            each.trajectory = each.history = None
+        each.trajectory = each.history = None  # the file that it names holds them
+    result = replace(result, trajectories={}, diverged=(), unexplained=())
     return Ended(result, errors, time.perf_counter() - start)
-
-
-OutOption = Annotated[
-    str | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]",
-    ),
-]
-OneOutOption = Annotated[
-    str | None,
-    typer.Option("--out", metavar="DIR", help="Folder for the files. [default: runs/SCENARIO]"),
-]
-CheckOption = Annotated[bool, typer.Option("--check", help="Exit with 1 when an expectation fails.")]
-StrictOption = Annotated[
-    bool, typer.Option("--strict", help="--check, which also fails on what is marked `known`, met or missed.")
-]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")]
 
 
 def failing(*, check: bool, strict: bool) -> frozenset[str]:
@@ -169,28 +151,26 @@ def run_all(
     """
     from srs_twin.cli.junit import report_path, write_junit
 
-    report = None if junit is None else report_path(junit)
-    if report is not None:
-        # Found out now that it cannot be written; and whatever ends this process, no old report is left.
-        write_junit(report, cases, fails)
-    try:
+    def finished() -> str:
+        complete = [str(case.folder) for case in cases if case.ended and case.ended.metrics]
+        return f"finished before: {', '.join(complete) or 'nothing'}"
+
+    with ExitStack() as ends, interruptible(finished):
+        if junit is not None:
+            write = partial(write_junit, report_path(junit), cases, fails)
+            # Found out now that it cannot be written; and whatever ends this process, no old report is left.
+            write()
+            ends.callback(write)
         to_do = _load(cases, out, quiet)
         with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
             for case in run:
                 _report(case, fails=fails, quiet=quiet)
-    except KeyboardInterrupt:
-        complete = [str(case.folder) for case in cases if case.ended and case.ended.metrics]
-        say(f"interrupted; finished before: {', '.join(complete) or 'nothing'}")
-        raise typer.Exit(INTERRUPTED) from None
-    finally:
-        if report is not None:
-            write_junit(report, cases, fails)
     if fails and not quiet:
         from srs_twin.scenario.expectation import tally
 
         verdicts = sum((case.ended.verdicts for case in to_do if case.ended), Counter())
         say(f"expectations: {tally(verdicts)}")
-    if code := max((_exit_code(case, fails=fails) for case in cases), default=0):
+    if code := max((case.ended.exit_code(fails) for case in cases if case.ended), default=0):
         raise typer.Exit(code)
 
 
@@ -232,9 +212,9 @@ def _load(cases: Sequence[Case], out: str | None, quiet: bool) -> list[Case]:
             assert case.scenario is not None
             check_run(case.scenario, case.folder)
     good = [case for case in good if case.ended is None]
-    for case in () if quiet else good:
-        for warning in case.scenario.warnings if case.scenario else ():
-            say(f"warning: {warning}")
+    for case in good:
+        assert case.scenario is not None
+        say(*(f"warning: {each}" for each in case.scenario.warnings), quiet=quiet)
     return good
 
 
@@ -302,10 +282,3 @@ def _report(case: Case, *, fails: frozenset[str], quiet: bool) -> None:
     for error in ended.errors:
         show_traceback(error)
         say(str(error))
-
-
-def _exit_code(case: Case, *, fails: frozenset[str]) -> int:
-    if case.ended is None:
-        return 0
-    codes = [error.exit_code for error in case.ended.errors]
-    return max([*codes, EXPECTATION_FAILED if fails & case.ended.verdicts.keys() else 0])

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, say
-from srs_twin.cli.batch import QuietOption
-from srs_twin.cli.fitting import (
+from srs_twin.cli import interruptible, say
+from srs_twin.cli.fitting import NOTHING_WRITTEN, FitDestination, checked_name, names_in, print_table
+from srs_twin.cli.options import (
     FilesArgument,
     FindOption,
-    FitDestination,
     FitOptions,
+    FloorOption,
     FrequencyOption,
     OffsetOption,
+    OverwriteOption,
     PressureOption,
+    QuietOption,
     ReadingOptions,
+    RobotArgument,
     RobotOption,
     ValidateOption,
     ValvesOption,
-    names_in,
+    argument,
+    at_once,
     option,
-    print_table,
     with_options,
 )
 from srs_twin.cli.progress import Counting
@@ -63,11 +66,9 @@ def friction(
     files: FilesArgument,
     robot: RobotOption,
     validate: ValidateOption = None,
-    law: Annotated[
-        str, option("--law", "NAME", "Of sliding throws: wheel, axis or ellipse (skids).")
-    ] = "wheel",
+    law: Annotated[str, option("--law NAME", "Of sliding throws: wheel, axis or ellipse (skids).")] = "wheel",
     wheel_inertia: Annotated[
-        bool, typer.Option("--wheel-inertia/--no-wheel-inertia", help="Whether throws spin wheels up.")
+        bool, option("--wheel-inertia/--no-wheel-inertia", "Whether throws spin wheels up.")
     ] = True,
     markers: ReadingOptions = _AS_FOUND,
     fit: FitOptions = _BESIDE,
@@ -77,7 +78,6 @@ def friction(
     Pulls are a table of deflections of a spring car, throws recordings.
     """
     place = FitDestination.of(context, "friction", robot, fit)
-    from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
     from srs_twin.identification.takes import RecordingReader
     from srs_twin.robot.spec import load_robot
@@ -88,8 +88,7 @@ def friction(
             raise InputError(f"{files[1]}: one table of pulls makes a fit; give others with --validate")
         pulls, others = read_pulls(files[0]), [read_pulls(each) for each in kept]
         found = fit_pulls(pulls, validation=others)
-        title = f"Friction of {spec.name} from pulls"
-        place.finish(found, title=title, robot=robot, method="pulls", data=data_sets([pulls], others))
+        place.finish(found, "pulls", f"Friction of {spec.name} from pulls", [pulls], others)
         return
     how = RecordingReader(**markers.given())
 
@@ -101,8 +100,7 @@ def friction(
     throws, held = [throw(each) for each in files], [throw(each) for each in kept]
     with place.searching() as watch:
         found = fit_coasting(throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch)
-    title = f"Friction of {spec.name} from throws"
-    place.finish(found, title=title, robot=robot, method="coasting", data=data_sets(throws, held))
+    place.finish(found, "coasting", f"Friction of {spec.name} from throws", throws, held)
 
 
 @app.command()
@@ -116,7 +114,7 @@ def actuator(
     pressure: PressureOption = None,
     find: FindOption = None,
     offset: OffsetOption = None,
-    starts: Annotated[int, option("--starts", "N", "Searches.", min=1, max=100)] = 1,
+    starts: Annotated[int, option("--starts N", "Searches.", min=1, max=100)] = 1,
     markers: ReadingOptions = _AS_FOUND,
     fit: FitOptions = _BESIDE,
 ) -> None:
@@ -126,7 +124,6 @@ def actuator(
     """
     place = FitDestination.of(context, "actuator", robot, fit)
     from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
-    from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.takes import RecordingReader
     from srs_twin.robot.spec import load_robot
 
@@ -136,8 +133,7 @@ def actuator(
         tables, others = ([read_static(each, spec) for each in given] for given in (files, kept))
         with place.searching() as watch:
             found = fit_static(tables, spec, names=names, validation=others, watch=watch)
-        title = f"Actuators of {spec.name} from held pressures"
-        place.finish(found, title=title, robot=robot, method="static", data=data_sets(tables, others))
+        place.finish(found, "static", f"Actuators of {spec.name} from held pressures", tables, others)
         return
     how = RecordingReader(**markers.given(), offset_s=offset)
     supply = _supply(spec, pressure)
@@ -146,8 +142,7 @@ def actuator(
     fitted, held = responses[: len(files)], responses[len(files) :]
     with place.searching() as watch:
         found = fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
-    title = f"Actuators of {spec.name} from responses"
-    place.finish(found, title=title, robot=robot, method="actuator", data=data_sets(fitted, held))
+    place.finish(found, "actuator", f"Actuators of {spec.name} from responses", fitted, held)
 
 
 @app.command()
@@ -160,21 +155,15 @@ def locomotion(
     validate: ValidateOption = None,
     pressure: PressureOption = None,
     find: FindOption = _LOCOMOTION,
-    plant: Annotated[
-        str, option("--plant", "NAME", "Stands for the robot: analytical or twin.")
-    ] = "analytical",
+    plant: Annotated[str, option("--plant NAME", "Stands for the robot: analytical or twin.")] = "analytical",
     model: Annotated[
-        str | None, option("--model", "NAME", "Of the analytical plant. [default: complete]")
+        str | None, option("--model NAME", "Of the analytical plant. [default: complete]")
     ] = None,
-    law: Annotated[
-        str | None, option("--law", "NAME", "Of the analytical plant's floor. [default: wheel]")
-    ] = None,
-    against: Annotated[
-        str, option("--against", "WHAT", "What is compared: averages, shapes or both.")
-    ] = "both",
+    law: FloorOption = None,
+    against: Annotated[str, option("--against WHAT", "What is compared: averages, shapes or both.")] = "both",
     starts: Annotated[
         int | None,
-        option("--starts", "N", "Searches. [default: 3; 1 where the twin's shapes lead]", min=1, max=100),
+        option("--starts N", "Searches. [default: 3; 1 where the twin's shapes lead]", min=1, max=100),
     ] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
@@ -183,7 +172,6 @@ def locomotion(
 ) -> None:
     """Find friction, gap, masses or stiffness from crawling runs."""
     place = FitDestination.of(context, "locomotion", robot, fit)
-    from srs_twin.identification.fit_file import data_sets
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
     from srs_twin.identification.takes import RecordingReader, gait_run, starts_at_rest
     from srs_twin.robot.spec import load_robot
@@ -199,40 +187,24 @@ def locomotion(
             say(warning, quiet=fit.quiet)
     runs = [gait_run(take, path, supply) for path, take in takes]
     fitted, held = runs[: len(files)], runs[len(files) :]
-    searches = starts or (1 if plant == "twin" and against != "averages" else 3)
+    starts = starts or (1 if plant == "twin" and against != "averages" else 3)
+    fit_runs = partial(fit_locomotion, fitted, spec, names_in(find) or [], model=stands, against=against)
     with place.searching() as watch:
-        found = fit_locomotion(
-            fitted,
-            spec,
-            names_in(find) or [],
-            model=stands,
-            against=against,
-            validation=held,
-            starts=searches,
-            watch=watch,
-        )
-    title = f"Locomotion of {spec.name} against the {plant} plant"
-    place.finish(found, title=title, robot=robot, method="locomotion", data=data_sets(fitted, held))
+        found = fit_runs(validation=held, starts=starts, watch=watch)
+    place.finish(found, "locomotion", f"Locomotion of {spec.name} against the {plant} plant", fitted, held)
 
 
 @app.command()
 def robot(
-    fits: Annotated[
-        list[str], typer.Argument(metavar="FIT", help="Fit files of one robot; later ones count.")
-    ],
-    name: Annotated[str, option("--name", "NAME", "Of the new robot and its file.")],
-    out: Annotated[str | None, option("--out", "FILE.yaml", "[default: robots/NAME.yaml]")] = None,
-    weak: Annotated[
-        bool, typer.Option("--weak/--no-weak", help="Take what is only weakly identified as well.")
-    ] = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
+    fits: Annotated[list[str], argument("FIT", "Fit files of one robot; later ones count.")],
+    name: Annotated[str, option("--name NAME", "Of the new robot and its file.")],
+    out: Annotated[str | None, option("--out FILE.yaml", "[default: robots/NAME.yaml]")] = None,
+    weak: Annotated[bool, option("--weak/--no-weak", "Take what is only weakly identified as well.")] = True,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write a robot file: where fits began, with what they found."""
-    from pathlib import Path
-
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
-    from srs_twin.io.files import shown
 
     path = Path(out) if out else Path("robots") / f"{name}.yaml"
     if path.exists() and not overwrite:
@@ -293,34 +265,30 @@ def _needless(given: object, option: str, why: str) -> None:
 
 @app.command()
 def footprint(
-    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A shipped robot or a file.")],
+    robot: RobotArgument,
     controller: Annotated[
-        str, option("--controller", "NAME", "gait (open loop) or ilc (iterative learning).")
+        str, option("--controller NAME", "gait (open loop) or ilc (iterative learning).")
     ] = "gait",
     frequency: Annotated[
-        float | None, option("--frequency", "HZ", "Of the gait. [default: 2; ilc: 1.5]")
+        float | None, option("--frequency HZ", "Of the gait. [default: 2; ilc: 1.5]")
     ] = None,
-    pressure: Annotated[
-        float | None, option("--pressure", "KPA", "Supply. [default: the robot's own]")
-    ] = None,
-    target: Annotated[float, option("--target", "RAD", "Bend that ilc aims at.")] = 0.7,
-    plant: Annotated[str, option("--plant", "NAME", "twin or analytical.")] = "twin",
+    pressure: PressureOption = None,
+    target: Annotated[float, option("--target RAD", "Bend that ilc aims at.")] = 0.7,
+    plant: Annotated[str, option("--plant NAME", "twin or analytical.")] = "twin",
     offsets: Annotated[
-        str | None, option("--offsets", "LIST", "As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]")
+        str | None, option("--offsets LIST", "As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]")
     ] = None,
     transients: Annotated[
-        bool, typer.Option("--transients/--no-transients", help="Measure changes of offset as well.")
+        bool, option("--transients/--no-transients", "Measure changes of offset as well.")
     ] = True,
-    periods: Annotated[int, option("--periods", "N", "Gait periods measured of each run.")] = 6,
-    phases: Annotated[int, option("--phases", "N", "Runs an offset, each begun at another phase.")] = 4,
-    threads: Annotated[
-        int | None, option("--threads -j", "N", "Runs at once. [default: one a processor]", min=1, max=4096)
-    ] = None,
-    out: Annotated[str, option("--out", "DIR", "Folder of the file.")] = FOOTPRINTS,
+    periods: Annotated[int, option("--periods N", "Gait periods measured of each run.")] = 6,
+    phases: Annotated[int, option("--phases N", "Runs an offset, each begun at another phase.")] = 4,
+    threads: Annotated[int | None, at_once("--threads -j N")] = None,
+    out: Annotated[str, option("--out DIR", "Folder of the file.")] = FOOTPRINTS,
     name: Annotated[
-        str | None, option("--name", "NAME", "Of the footprint and its file. [default: ROBOT_CONTROLLER]")
+        str | None, option("--name NAME", "Of the footprint and its file. [default: ROBOT_CONTROLLER]")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace another file.")] = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Measure what a robot sweeps at each offset, for the planner.
@@ -343,22 +311,17 @@ def footprint(
     study = study_of(
         drive, offsets=wanted, changes=None if transients else (), periods=periods, phases=phases
     )
-    called = _name(f"{spec.name}_{controller}" if name is None else name)
+    called = checked_name(f"{spec.name}_{controller}" if name is None else name, "--name")
     path = Path(out) / f"{called}.yaml"
     if not overwrite:
         refuse_other(path, study, robot, called)
     open_folder(path.parent, (path.name,))
-    try:
-        with Counting(called, study.runs, quiet=quiet) as counting:
-            measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
-    except KeyboardInterrupt:
-        say("interrupted; nothing was written")
-        raise typer.Exit(INTERRUPTED) from None
+    with interruptible(NOTHING_WRITTEN), Counting(called, study.runs, quiet=quiet) as counting:
+        measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
     if not quiet:
         _show(measured)
     save_footprint(footprint_file(measured, called), path, header=header(study, robot, called, versions()))
-    if not quiet:
-        say(f"footprint in {shown(path)}")
+    say(f"footprint in {shown(path)}", quiet=quiet)
 
 
 def _numbers(text: str) -> list[float]:
@@ -371,13 +334,6 @@ def _numbers(text: str) -> list[float]:
         return sorted(float(each) for each in text.split(","))
     except ValueError:
         raise InputError(f"--offsets: '{text}' is no list of numbers such as -0.3,0,0.3") from None
-
-
-def _name(text: str) -> str:
-    if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", text):
-        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
-        raise InputError(f"--name: '{text}' is not allowed; {allowed}")
-    return text
 
 
 def _show(measured: Measured) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
-from xml.etree.ElementTree import Element, SubElement
 
 import typer
 
 from srs_twin.cli import console, new_table, say
+from srs_twin.cli.junit import TestCase, report_path, write_report
+from srs_twin.cli.options import JsonOption, argument, option
 
 if TYPE_CHECKING:
     from srs_twin.comparison.diff import Difference, Leaf
@@ -19,31 +20,25 @@ _SHOWN = 40
 
 
 def diff(
-    a: Annotated[str, typer.Argument(metavar="A", help="Reference: a folder of results, or one file.")],
-    b: Annotated[str, typer.Argument(metavar="B", help="Results that are held against it.")],
+    a: Annotated[str, argument("A", "Reference: a folder of results, or one file.")],
+    b: Annotated[str, argument("B", "Results that are held against it.")],
     rel: Annotated[
-        float | None,
-        typer.Option("--rel", metavar="NUMBER", help="Relative tolerance of a number. [default: 1e-6]"),
+        float | None, option("--rel NUMBER", "Relative tolerance of a number. [default: 1e-6]")
     ] = None,
     abs_: Annotated[
-        float | None,
-        typer.Option("--abs", metavar="NUMBER", help="Absolute tolerance of a number. [default: 1e-9]"),
+        float | None, option("--abs NUMBER", "Absolute tolerance of a number. [default: 1e-9]")
     ] = None,
     tolerances: Annotated[
-        str | None,
-        typer.Option("--tolerances", metavar="FILE", help="Tolerances by metric, a YAML file (docs/ci.md)."),
+        str | None, option("--tolerances FILE", "Tolerances by metric, a YAML file (docs/ci.md).")
     ] = None,
-    junit: Annotated[
-        str | None, typer.Option("--junit", metavar="FILE", help="Also write what moved as JUnit XML.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    junit: Annotated[str | None, option("--junit FILE", "Also write what moved as JUnit XML.")] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Compare results number by number; exit with 1 when one moved.
 
     A and B are what `run`, `compare`, `replay`, `sweep` or `reproduce` left: metrics.json, results.parquet,
     reproduce.json, or folders that hold such files.
     """
-    from srs_twin.cli.junit import report_path
     from srs_twin.comparison.diff import Tolerances, load_tolerances, read_results
     from srs_twin.comparison.diff import diff as difference
     from srs_twin.errors import InputError
@@ -62,14 +57,14 @@ def diff(
     else:
         _show(found)
     if report is not None:
-        _write_junit(report, found)
+        write_report(report, "srs-twin diff", [("diff", _test_cases(found))])
     if found.moved:
         raise typer.Exit(MOVED)
 
 
 def _show(found: Difference) -> None:
     """Print what moved as a table, at most `_SHOWN` rows."""
-    lines = new_table("where", "metric", "a", "b", "(b − a)/|a|", left=2)
+    lines = new_table("where", "metric", "a", "b", "(b − a)/|a|", left=(0, 1))
     for column in lines.columns[:2]:
         column.no_wrap, column.overflow = False, "fold"
     for each in found.moved[:_SHOWN]:
@@ -88,18 +83,9 @@ def _text(value: Leaf) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
-def _write_junit(path: Path, found: Difference) -> None:
-    """Write a test case a place, a failure where a value moved."""
-    from srs_twin.cli.junit import sum_up, writable, write_tree
-
-    root = Element("testsuites", name="srs-twin diff")
-    suite = SubElement(root, "testsuite", name="diff")
+def _test_cases(found: Difference) -> Iterator[TestCase]:
+    """Yield a test case a place, a failure where a value moved."""
     for where in found.wheres:
-        case = SubElement(suite, "testcase", classname="diff", name=writable(where), time="0.000")
         lines = [f"{m.metric}: {_text(m.a)} → {_text(m.b)}" for m in found.moved if m.where == where]
-        if lines:
-            failure = SubElement(case, "failure", message=f"{len(lines)} moved", type="moved")
-            failure.text = writable("\n".join(lines))
-    sum_up(suite, 0.0)
-    sum_up(root, 0.0)
-    write_tree(path, root)
+        failure = ("failure", f"{len(lines)} moved", "moved", "\n".join(lines)) if lines else ()
+        yield TestCase("diff", where, 0.0, *failure)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from srs_twin.cli.options import JsonOption, option
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,10 +22,8 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    out: Annotated[
-        str, typer.Option("--out", metavar="DIR", help="Where results would go, to see if they can.")
-    ] = "runs",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
+    out: Annotated[str, option("--out DIR", "Where results would go, to see if they can.")] = "runs",
+    as_json: JsonOption = False,
 ) -> None:
     """Say what works on this machine, and what to do about the rest."""
     from srs_twin.doctor.checks import failing

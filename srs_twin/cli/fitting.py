@@ -1,29 +1,26 @@
-"""What the commands that fit share: options, progress on stderr, where a fit goes, what is shown of it."""
+"""What the commands that fit share: progress on stderr, where a fit goes, what is shown of it."""
 
 from __future__ import annotations
 
-import inspect
 import re
 import shlex
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, is_dataclass
-from dataclasses import fields as dataclass_fields
-from functools import wraps
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, console, say
-from srs_twin.cli.batch import QuietOption
+from srs_twin.cli import console, interruptible, new_table, say
+from srs_twin.cli.options import FITS, FitOptions
 from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.identification.estimate import Estimate, Parameter, Role
-    from srs_twin.identification.fit_file import DataSet, FitFile, Method
+    from srs_twin.identification.fit_file import Data, FitFile, Method
 
 
 class Searching(Display):
@@ -39,19 +36,11 @@ class Searching(Display):
         self._show()
 
     def _line(self) -> str:
-        return (
-            f"{self.title}: {self._runs} runs of the model, weighted residuals {self._least:.3g} RMS at best"
-        )
+        return f"{self.title}: {self._bar()[2]}"
 
-    def _draw(self) -> None:
-        from rich.console import Console
-        from rich.markup import escape
-
-        text = escape(self._line())
-        if self._drawn is None:
-            self._drawn = Console(stderr=True).status(text)
-            self._drawn.start()
-        self._drawn.update(text)
+    def _bar(self) -> tuple[str, None, str]:
+        words = f"{self._runs} runs of the model, weighted residuals {self._least:.3g} RMS at best"
+        return self.title, None, words
 
 
 _WIDTH = 100
@@ -60,14 +49,9 @@ _MOST_PAIRS = 6
 _MOST_SIGNALS = 24
 
 
-def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[str] = ()) -> None:
-    """Print a table, its columns to the right but for those named."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=True)
+def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()) -> None:
+    """Print a table, its columns to the right but for those of these places."""
+    table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
     terminal = console()
@@ -78,7 +62,7 @@ def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Co
 def show(estimate: Estimate) -> None:
     """Print what was found."""
     headings = ("parameter", "value", "95 % interval", "unit", "verdict")
-    print_table(headings, map(_row, estimate.parameters), left=("parameter", "unit", "verdict"))
+    print_table(headings, map(_row, estimate.parameters), left=(0, 3, 4))
     terminal = console()
     reasons = (f"{each.name}: {each.why}" for each in estimate.parameters if each.why)
     for line in (*reasons, *correlations(estimate), *cancelling(estimate), _residuals(estimate)):
@@ -126,94 +110,24 @@ def _residuals(estimate: Estimate) -> str:
     return "\n".join(lines)
 
 
-FITS = "calibration/fits"
 _LONGEST_COMMAND = 2000
+NOTHING_WRITTEN = "nothing was written"
 
 
-def option(flags: str, metavar: str, help: str, **more: Any) -> Any:
-    """Return an option of a command; flags as in "--robot -r"."""
-    return typer.Option(*flags.split(), metavar=metavar, help=help, **more)
+def checked_name(name: str, source: str) -> str:
+    """Return the name of a file.
 
+    Args:
+        name: lower-case letters, digits and _.
+        source: what it was given with, for the message.
 
-FilesArgument = Annotated[
-    list[str], typer.Argument(metavar="FILE", help="Recordings or tables that the fit is made from.")
-]
-RobotOption = Annotated[
-    str, option("--robot -r", "ROBOT", "Where the search starts: a shipped robot or a file.")
-]
-ValidateOption = Annotated[
-    list[str] | None, option("--validate", "FILE", "Held against the fit, which does not see it; repeatable.")
-]
-_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]"
-ValvesOption = Annotated[list[str] | None, option("--valves", "LOG", _LOGS)]
-_OFFSET = "What to add to the logs' times. [default: estimated]"
-OffsetOption = Annotated[float | None, option("--offset", "S", _OFFSET)]
-PressureOption = Annotated[float | None, option("--pressure", "KPA", "Of the supply. [default: the robot's]")]
-FindOption = Annotated[
-    str | None, option("--find", "NAMES", "What to look for, as friction.mu_t,friction.mu_n.")
-]
-FrequencyOption = Annotated[float | None, option("--frequency", "HZ", "Of the gait. [default: the valves']")]
-
-
-@dataclass(frozen=True)
-class ReadingOptions:
-    """How markers are read; see `RecordingReader`."""
-
-    up: Annotated[str, option("--up", "AXIS", "Axis of the files that points up.")] = "auto"
-    layout: Annotated[str, option("--layout", "NAME", "Markers: auto, single, head or pair.")] = "auto"
-    head: Annotated[str | None, option("--head", "MARKER", "At the head. [default: where it crawls to]")] = (
-        None
-    )
-    longest_gap: Annotated[
-        float | None, option("--longest-gap", "S", "Longest gap that is filled. [default: 0.2]")
-    ] = None
-
-    def given(self) -> dict[str, Any]:
-        """Return what was given, by the names of `RecordingReader`."""
-        values = {"up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap}
-        return {name: value for name, value in values.items() if value is not None}
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """Where a fit goes, and whether to be quiet."""
-
-    name: Annotated[
-        str | None, option("--name", "NAME", "Of the fit and its file. [default: ROBOT_WHAT]")
-    ] = None
-    out: Annotated[
-        str | None, option("--out", "FILE.yaml", f"Where the fit goes. [default: {FITS}/NAME.yaml]")
-    ] = None
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the fit of another command.")] = (
-        False
-    )
-    quiet: QuietOption = False
-
-
-def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command in which a parameter that is a class of options has become these options."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, type[Any]] = {
-        name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)
-    }
-    parameters = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        if kind := groups.get(name):
-            own = get_type_hints(kind, include_extras=True)
-            fields = inspect.signature(kind).parameters.values()
-            parameters += [each.replace(annotation=own[each.name]) for each in fields]
-        else:
-            parameters.append(parameter.replace(annotation=hints[name]))
-
-    @wraps(command)
-    def run(**given: Any) -> None:
-        for name, kind in groups.items():
-            given[name] = kind(**{each.name: given.pop(each.name) for each in dataclass_fields(kind)})
-        command(**given)
-
-    keywords = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
-    run.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
-    return run
+    Raises:
+        InputError: it is none.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
+        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
+        raise InputError(f"{source}: '{name}' is not allowed; {allowed}")
+    return name
 
 
 @dataclass(frozen=True)
@@ -223,12 +137,14 @@ class FitDestination:
     Attributes:
         name: of the fit.
         path: of its file; the report lies beside it.
+        robot: where the search starts, as it was given.
         command: as it can be typed again.
         quiet: print errors only.
     """
 
     name: str
     path: Path
+    robot: str
     command: str
     quiet: bool
 
@@ -240,11 +156,8 @@ class FitDestination:
             InputError: a name that is none, or the fit of another command is there.
         """
         name, out = options.name, options.out
-        given = name or (Path(out).stem if out else f"{Path(robot).stem}_{what}")
-        if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", given):
-            source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
-            allowed = "lower-case letters, digits and _, a letter first, 60 at most"
-            raise InputError(f"{source}: '{given}' is not allowed; {allowed}")
+        source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
+        given = checked_name(name or (Path(out).stem if out else f"{Path(robot).stem}_{what}"), source)
         path = Path(out) if out else Path(FITS) / f"{given}.yaml"
         if path.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out: {path} is not allowed; a fit file ends in .yaml")
@@ -254,27 +167,27 @@ class FitDestination:
         from srs_twin.io.files import open_folder
 
         open_folder(path.parent, (path.name, path.with_suffix(".html").name))
-        return cls(given, path, command, options.quiet)
+        return cls(given, path, robot, command, options.quiet)
 
     @contextmanager
     def searching(self) -> Iterator[Searching]:
-        """Show how far the search is; an interrupt ends the command, and nothing is written.
-
-        Raises:
-            typer.Exit: it was interrupted.
-        """
-        try:
-            with Searching(self.name, quiet=self.quiet) as searching:
-                yield searching
-        except KeyboardInterrupt:
-            say("interrupted; nothing was written")
-            raise typer.Exit(INTERRUPTED) from None
+        """Show how far the search is; an interrupt ends the command, and nothing is written."""
+        with interruptible(NOTHING_WRITTEN), Searching(self.name, quiet=self.quiet) as searching:
+            yield searching
 
     def finish(
-        self, estimate: Estimate, *, title: str, robot: str, method: Method, data: Sequence[DataSet]
+        self, estimate: Estimate, method: Method, title: str, fitted: Iterable[Data], held: Iterable[Data]
     ) -> None:
-        """Write report and fit file, the fit last, and show what was found."""
-        from srs_twin.identification.fit_file import fit_file, write_fit
+        """Write report and fit file, the fit last, and show what was found.
+
+        Args:
+            estimate: what was found.
+            method: of the fit.
+            title: one line for people.
+            fitted: what the fit was made from.
+            held: what it was validated with.
+        """
+        from srs_twin.identification.fit_file import data_sets, fit_file, write_fit
         from srs_twin.io.files import atomic_write, shown
         from srs_twin.provenance import versions
         from srs_twin.viewing.html.fit_report import fit_report
@@ -283,11 +196,11 @@ class FitDestination:
             estimate,
             name=self.name,
             title=title[:200],
-            robot=robot,
+            robot=self.robot,
             method=method,
             command=self.command,
             versions=versions(),
-            data=data,
+            data=data_sets(fitted, held),
         )
         report = self.path.with_suffix(".html")
         text = fit_report(fit, estimate)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -31,6 +31,60 @@ def report_path(given: str) -> Path:
     return path
 
 
+class TestCase(NamedTuple):
+    """A test case of a report.
+
+    Attributes:
+        classname: what it belongs to.
+        name: of it.
+        wall_s: what it took, s.
+        outcome: "failure", "error" or "skipped"; empty where it passed.
+        message: what is said of the outcome, on a line.
+        kind: of the failure or error.
+        text: all that is said of it.
+    """
+
+    classname: str
+    name: str
+    wall_s: float = 0.0
+    outcome: str = ""
+    message: str = ""
+    kind: str = ""
+    text: str = ""
+
+
+def write_report(path: Path, name: str, suites: Iterable[tuple[str, Iterable[TestCase]]]) -> None:
+    """Write a report, whole or not at all.
+
+    Args:
+        path: the file; an earlier one is replaced.
+        name: of the report.
+        suites: the name and the test cases of each.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    root = Element("testsuites", name=name)
+    for title, cases in suites:
+        suite = SubElement(root, "testsuite", name=_writable(title))
+        for each in cases:
+            names = {"classname": _writable(each.classname), "name": _writable(each.name)}
+            case = SubElement(suite, "testcase", names, time=f"{each.wall_s:.3f}")
+            if each.outcome:
+                about = {"message": _writable(each.message)} | ({"type": each.kind} if each.kind else {})
+                SubElement(case, each.outcome, about).text = _writable(each.text) or None
+    for element in (*root, root):
+        tests = list(element.iter("testcase"))
+        element.set("tests", str(len(tests)))
+        for counted, tag in _OUTCOMES.items():
+            element.set(counted, str(len(list(element.iter(tag)))))
+        element.set("time", f"{sum(float(test.get('time', 0)) for test in tests):.3f}")
+    tree = ElementTree.ElementTree(root)
+    ElementTree.indent(tree)
+    with atomic_write(path) as part:
+        tree.write(part, encoding="utf-8", xml_declaration=True)
+
+
 def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()) -> None:
     """Write a report: a suite for each scenario, a test case for its run and for each of its expectations.
 
@@ -45,77 +99,38 @@ def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
     Raises:
         InputError: it cannot be written.
     """
-    root = Element("testsuites", name="srs-twin")
-    root.extend(_suite(case, fails | {"missed"}) for case in cases)
-    sum_up(root, sum(case.ended.wall_s for case in cases if case.ended))
-    write_tree(path, root)
+    write_report(path, "srs-twin", [(case.name, _test_cases(case, fails | {"missed"})) for case in cases])
 
 
-def write_tree(path: Path, root: Element) -> None:
-    """Write a report, whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    tree = ElementTree.ElementTree(root)
-    ElementTree.indent(tree)
-    with atomic_write(path) as part:
-        tree.write(part, encoding="utf-8", xml_declaration=True)
-
-
-def _suite(case: Case, fails: Set[str]) -> Element:
+def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
     from srs_twin.scenario.expectation import verdict
 
-    suite = Element("testsuite", name=writable(case.name))
-    wall_s = case.ended.wall_s if case.ended else 0.0
-    run = _test(suite, case, "runs", wall_s)
+    run = TestCase(case.name, "runs", case.ended.wall_s if case.ended else 0.0)
     if case.ended is None:
-        SubElement(run, "skipped", message="not finished")
+        run = run._replace(outcome="skipped", message="not finished")
     elif case.ended.errors:
-        words = writable("\n".join(map(str, case.ended.errors)))
-        kind = type(case.ended.errors[0]).__name__
-        SubElement(run, "error", message=words, type=kind).text = words
-    for name, outcome in _outcomes(case):
-        test = _test(suite, case, name, 0.0)
-        if outcome is None:
-            SubElement(test, "skipped", message="there is no whole run to measure")
-        elif verdict(outcome) in fails:
-            said = f"{name} = {outcome['value']}, allowed {outcome['allowed']}"
-            failure = SubElement(test, "failure", message=writable(said), type="expectation")
-            known = {"known": outcome["known"]} if outcome["known"] else {}
-            told = {key: outcome[key] for key in ("value", "allowed")}
-            told |= {"source": outcome["source"] or "ours"} | known
-            failure.text = writable("\n".join(f"{key}: {each}" for key, each in told.items()))
-        elif verdict(outcome) == "known":
-            SubElement(test, "skipped", message=writable(f"known: {outcome['known']}"))
-    sum_up(suite, wall_s)
-    return suite
-
-
-def _outcomes(case: Case) -> Iterator[tuple[str, dict[str, Any] | None]]:
-    """Yield a name for each expectation and what came out; None where nothing could be measured."""
-    expected = case.scenario.expect if case.scenario else ()
+        words, kind = "\n".join(map(str, case.ended.errors)), type(case.ended.errors[0]).__name__
+        run = run._replace(outcome="error", message=words, kind=kind, text=words)
+    yield run
     metrics = case.ended.metrics if case.ended else None
     seen: Counter[str] = Counter()
-    for each in expected:
+    for each in case.scenario.expect if case.scenario else ():
         name = f"{each.subject} {each.metric}"
         seen[name] += 1
-        number = f" ({seen[name]})" if seen[name] > 1 else ""
-        yield name + number, each.check(metrics) if metrics else None
+        test = TestCase(case.name, f"{name} ({seen[name]})" if seen[name] > 1 else name)
+        found = each.check(metrics) if metrics else None
+        if found is None:
+            test = test._replace(outcome="skipped", message="there is no whole run to measure")
+        elif verdict(found) in fails:
+            said = f"{test.name} = {found['value']}, allowed {found['allowed']}"
+            keys = ("value", "allowed", "source", *["known"] * bool(found["known"]))
+            text = "\n".join(f"{key}: {(found | {'source': found['source'] or 'ours'})[key]}" for key in keys)
+            test = test._replace(outcome="failure", message=said, kind="expectation", text=text)
+        elif verdict(found) == "known":
+            test = test._replace(outcome="skipped", message=f"known: {found['known']}")
+        yield test
 
 
-def _test(suite: Element, case: Case, name: str, wall_s: float) -> Element:
-    return SubElement(suite, "testcase", classname=writable(case.name), name=name, time=f"{wall_s:.3f}")
-
-
-def sum_up(element: Element, wall_s: float) -> None:
-    """Count what is in a suite, or in all of them."""
-    element.set("tests", str(sum(1 for _ in element.iter("testcase"))))
-    for name, outcome in _OUTCOMES.items():
-        element.set(name, str(sum(1 for _ in element.iter(outcome))))
-    element.set("time", f"{wall_s:.3f}")
-
-
-def writable(text: str) -> str:
+def _writable(text: str) -> str:
     """Return a text with escapes for what XML cannot write."""
     return _UNWRITABLE.sub(lambda found: ascii(found[0])[1:-1], text)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from srs_twin.cli.options import argument, option
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -17,10 +18,8 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 
 @app.command()
 def export(
-    names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="Robots, or files of robots; default all.")
-    ] = None,
-    out: Annotated[str, typer.Option("--out", metavar="DIR", help="Where models/<robot>/ go.")] = "models",
+    names: Annotated[list[str] | None, argument("NAME", "Robots, or files of robots; default all.")] = None,
+    out: Annotated[str, option("--out DIR", "Where models/<robot>/ go.")] = "models",
 ) -> None:
     """Write robots as MJCF, each in a folder of its own."""
     from srs_twin.io.files import open_folder, printable, shipped_names
@@ -39,8 +38,7 @@ def export(
 @app.command()
 def check(
     models: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="FILE|NAME", help="MJCF files or robots; default all shipped."),
+        list[str] | None, argument("FILE|NAME", "MJCF files or robots; default all shipped.")
     ] = None,
 ) -> None:
     """Compile models and give each a second of random control.

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli import say
-from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS, OneOutOption, QuietOption
+from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS
+from srs_twin.cli.options import OneOutOption, QuietOption, ScenarioArgument, option
 from srs_twin.errors import InputError
 from srs_twin.io.files import shown
 
@@ -22,13 +23,10 @@ PLAN, PICTURE = "plan.json", "plan.png"
 
 
 def plan(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a file.")],
+    scenario: ScenarioArgument,
     out: OneOutOption = None,
     check: Annotated[
-        bool,
-        typer.Option(
-            "--check", help="Exit with 1 when an expectation of the plan fails, or no plan is found."
-        ),
+        bool, option("--check", "Exit with 1 when an expectation of the plan fails, or no plan is found.")
     ] = False,
     quiet: QuietOption = False,
 ) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
+from srs_twin.cli.options import RobotArgument
 
 
 def play(
-    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="A shipped robot, or the file of one.")],
+    robot: RobotArgument,
 ) -> None:
     """Steer the twin of a robot live, in MuJoCo's viewer.
 

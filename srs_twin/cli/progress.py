@@ -58,37 +58,29 @@ class Display(ABC):
 
     @abstractmethod
     def _line(self) -> str:
-        """Return how far it is."""
+        """Return how far it is, in words."""
 
     @abstractmethod
-    def _draw(self) -> None:
-        """Draw how far it is; `_drawn` is what draws."""
+    def _bar(self) -> tuple[str, float | None, str]:
+        """Return what a bar is of, how much is done (0 to 1; None: nobody knows), and the words beside it."""
 
-    def _bar(self, text: str, done: float, total: float, pace: str | None = None) -> None:
-        """Draw one bar; rich is imported here, because that takes as long as a short run."""
+    def _draw(self) -> None:
+        """Draw the bar; rich is imported here, because that takes as long as a short run."""
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            ProgressColumn,
-            TaskProgressColumn,
-            TextColumn,
-            TimeRemainingColumn,
-        )
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         if self._drawn is None:
-            columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn()]
-            if pace is None:
-                columns += [TaskProgressColumn()]
-            else:
-                columns += [MofNCompleteColumn(), TextColumn("{task.fields[pace]}")]
-            columns += [TimeRemainingColumn()]
+            title, beside = (
+                TextColumn(f"{{task.{key}}}", markup=False) for key in ("description", "fields[words]")
+            )
+            columns = (title, BarColumn(), beside, TimeRemainingColumn())
             self._drawn = Progress(*columns, console=Console(stderr=True), transient=True)
             self._drawn.start()
+        text, part, words = self._bar()
         if text not in self._bars:
-            self._bars[text] = self._drawn.add_task(text, total=total, pace="")
-        self._drawn.update(self._bars[text], completed=done, pace=pace)
+            total = None if part is None else 1.0
+            self._bars[text] = self._drawn.add_task(text, total=total, words=words)
+        self._drawn.update(self._bars[text], completed=part, words=words)
 
 
 class Counting(Display):
@@ -131,8 +123,8 @@ class Counting(Display):
         left = (self._total - self._done) / self._rate()
         return f"{self.title}: {self._done} of {self._total}{self._pace()}, {left:.0f} s left"
 
-    def _draw(self) -> None:
-        self._bar(self.title, self._done, self._total, self._pace().lstrip(", "))
+    def _bar(self) -> tuple[str, float, str]:
+        return self.title, self._done / self._total, f"{self._done}/{self._total}{self._pace()}"
 
 
 class ScenarioProgress(Display):
@@ -152,5 +144,5 @@ class ScenarioProgress(Display):
     def _line(self) -> str:
         return f"{self.title}: {self._stage} {self._part:.0%}"
 
-    def _draw(self) -> None:
-        self._bar(f"{self.title}: {self._stage}", self._part, 1.0)
+    def _bar(self) -> tuple[str, float, str]:
+        return f"{self.title}: {self._stage}", self._part, f"{self._part:.0%}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.batch import QuietOption
+from srs_twin.cli.options import QuietOption, argument, option
 from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable, shown
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.trajectory import Trajectory
     from srs_twin.viewing.mujoco.render import Size
 
+_OUT = "Where the picture goes; of several runs, a folder. [default: the run's folder]"
 VIDEO, PICTURE = ".mp4", ".png"
 _SMALLEST, _LARGEST = 64, 4096  # pixels
 
@@ -41,34 +42,19 @@ class _Job:
 
 
 def render(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN", help="Run folders, or names in runs/.")],
+    runs: Annotated[list[str], argument("RUN", "Run folders, or names in runs/.")],
     video: Annotated[
-        str | None,
-        typer.Option("--video", metavar="FILE.mp4", help="Make a video; of several runs, a folder for them."),
+        str | None, option("--video FILE.mp4", "Make a video; of several runs, a folder for them.")
     ] = None,
-    image: Annotated[
-        str | None, typer.Option("--image", metavar="t=2.5", help="Make a picture of that moment, s.")
-    ] = None,
+    image: Annotated[str | None, option("--image t=2.5", "Make a picture of that moment, s.")] = None,
     strobe: Annotated[
-        bool, typer.Option("--strobe", help="Make one picture from above, the snake at several moments.")
+        bool, option("--strobe", "Make one picture from above, the snake at several moments.")
     ] = False,
-    out: Annotated[
-        str | None,
-        typer.Option(
-            "--out",
-            metavar="FILE.png",
-            help="Where the picture goes; of several runs, a folder. [default: the run's folder]",
-        ),
-    ] = None,
-    size: Annotated[
-        str, typer.Option("--size", metavar="WxH", help="Pixels; of --strobe the width counts.")
-    ] = "1280x720",
-    fps: Annotated[
-        int, typer.Option("--fps", min=1, max=120, metavar="N", help="Pictures a second of a video.")
-    ] = 30,
+    out: Annotated[str | None, option("--out FILE.png", _OUT)] = None,
+    size: Annotated[str, option("--size WxH", "Pixels; of --strobe the width counts.")] = "1280x720",
+    fps: Annotated[int, option("--fps N", "Pictures a second of a video.", min=1, max=120)] = 30,
     speed: Annotated[
-        float,
-        typer.Option("--speed", min=0.001, max=1000, metavar="X", help="Of a video: 0.25 is slow motion."),
+        float, option("--speed X", "Of a video: 0.25 is slow motion.", min=0.001, max=1000)
     ] = 1.0,
     quiet: QuietOption = False,
 ) -> None:

@@ -7,15 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from srs_twin.cli import say
-from srs_twin.cli.batch import RUNS, Case, CheckOption, QuietOption, StrictOption, failing, run_all
-from srs_twin.cli.fitting import (
+from srs_twin.cli.batch import RUNS, Case, failing, run_all
+from srs_twin.cli.options import (
+    CheckOption,
+    FloorOption,
     FrequencyOption,
     OffsetOption,
     PressureOption,
+    QuietOption,
     ReadingOptions,
+    StrictOption,
+    argument,
     option,
     with_options,
 )
@@ -31,32 +34,30 @@ _AS_FOUND = ReadingOptions()
 
 @with_options
 def replay(
-    motion: Annotated[str, typer.Argument(metavar="MOTION", help="What cameras saw, or bends on a bench.")],
-    robot: Annotated[str, option("--robot -r", "ROBOT", "A shipped robot or a file.")],
+    motion: Annotated[str, argument("MOTION", "What cameras saw, or bends on a bench.")],
+    robot: Annotated[str, option("--robot -r ROBOT", "A shipped robot or a file.")],
     valves: Annotated[
-        str | None, option("--valves", "LOG", "Valves or pressures. [default: NAME.valves.csv beside it]")
+        str | None, option("--valves LOG", "Valves or pressures. [default: NAME.valves.csv beside it]")
     ] = None,
     fit: Annotated[
-        list[str] | None, option("--fit", "FIT", "What a fit of this robot found; repeatable.")
+        list[str] | None, option("--fit FIT", "What a fit of this robot found; repeatable.")
     ] = None,
     expect: Annotated[
-        str | None, option("--expect", "FILE.yaml", "Expectations, as a scenario has them: `expect: …`.")
+        str | None, option("--expect FILE.yaml", "Expectations, as a scenario has them: `expect: …`.")
     ] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
     bench: Annotated[
-        bool, typer.Option("--bench", help="It hung in the air, held at its head; also of one module.")
+        bool, option("--bench", "It hung in the air, held at its head; also of one module.")
     ] = False,
     pressure: PressureOption = None,
-    plants: Annotated[str, option("--plants", "LIST", "analytical, twin or both.")] = "analytical,twin",
-    model: Annotated[str, option("--model", "NAME", "Of the analytical plant.")] = "complete",
-    law: Annotated[
-        str | None, option("--law", "NAME", "Of the analytical plant's floor. [default: wheel]")
-    ] = None,
+    plants: Annotated[str, option("--plants LIST", "analytical, twin or both.")] = "analytical,twin",
+    model: Annotated[str, option("--model NAME", "Of the analytical plant.")] = "complete",
+    law: FloorOption = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
     markers: ReadingOptions = _AS_FOUND,
-    out: Annotated[str | None, option("--out", "DIR", "Folder for the files. [default: runs/MOTION]")] = None,
+    out: Annotated[str | None, option("--out DIR", "Folder for the files. [default: runs/MOTION]")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Drive both plants as the robot was driven, beside what it did.

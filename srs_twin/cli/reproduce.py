@@ -1,58 +1,23 @@
-"""Rows of the reproduction as JUnit XML: a suite a use, a test case for each row and column.
-
-`srs-twin reproduce`: every statement of the dissertation beside what both plants say.
-"""
+"""`srs-twin reproduce`: every statement of the dissertation beside what both plants say."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from xml.etree.ElementTree import Element, SubElement
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, say
-from srs_twin.cli.junit import sum_up, writable, write_tree
+from srs_twin.cli import interruptible, say
+from srs_twin.cli.junit import TestCase, write_report
+from srs_twin.cli.options import JobsOption, QuietOption, option
 from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
     from srs_twin.reproduction import Claim, Judged, Store
     from srs_twin.reproduction.runs import Orders
     from srs_twin.sweep.task import Row
-
-
-def write_rows(path: Path, rows: Sequence[Judged]) -> None:
-    """Write a report: what is missed is a failure, explained or not.
-
-    Args:
-        path: the file; an earlier one is replaced.
-        rows: judged.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    root = Element("testsuites", name="srs-twin reproduce")
-    for use in dict.fromkeys(row.claim.use for row in rows):
-        suite = SubElement(root, "testsuite", name=use)
-        for row in (row for row in rows if row.claim.use == use):
-            _cases(suite, row)
-        sum_up(suite, 0.0)
-    sum_up(root, 0.0)
-    write_tree(path, root)
-
-
-def _cases(suite: Element, row: Judged) -> None:
-    from srs_twin.reproduction.report import cell
-    from srs_twin.reproduction.verdicts import MET
-
-    claim = row.claim
-    for column, outcome in row.outcomes.items():
-        case = SubElement(suite, "testcase", classname=claim.id, name=column, time="0.000")
-        if outcome.verdict != MET:
-            said = f"{claim.id}, {column}: {cell(outcome)}, allowed {claim.allowed}"
-            failure = SubElement(case, "failure", message=writable(said), type=outcome.verdict)
-            failure.text = writable("\n".join([claim.says, claim.source, outcome.why]))
 
 
 CHANGED = 1
@@ -62,31 +27,16 @@ _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
 def reproduce(
     only: Annotated[
-        list[str] | None,
-        typer.Option("--only", metavar="ID", help="Row, or the rows that begin with it; may be repeated."),
+        list[str] | None, option("--only ID", "Row, or the rows that begin with it; may be repeated.")
     ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="The quick rows only: laws first, short runs.")
-    ] = False,
-    out: Annotated[
-        Path,
-        typer.Option("--out", metavar="DIR", help="Folder of the results and of the runs that are kept."),
-    ] = OUT,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=1, max=4096, help="Runs at once. [default: one a processor]"
-        ),
-    ] = None,
-    no_figures: Annotated[
-        bool, typer.Option("--no-figures", help="Draw no figures, and run nothing for them.")
-    ] = False,
+    quick: Annotated[bool, option("--quick", "The quick rows only: laws first, short runs.")] = False,
+    out: Annotated[Path, option("--out DIR", "Folder of the results and of the runs that are kept.")] = OUT,
+    jobs: JobsOption = None,
+    no_figures: Annotated[bool, option("--no-figures", "Draw no figures, and run nothing for them.")] = False,
     write_baseline: Annotated[
-        bool, typer.Option("--write-baseline", help="Let what comes out be the baseline of later runs.")
+        bool, option("--write-baseline", "Let what comes out be the baseline of later runs.")
     ] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="No table and no progress; errors only.")
-    ] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Reproduce the dissertation: run what its claims need, judge every row, compare with the baseline."""
     from srs_twin.parallel import start_server
@@ -102,17 +52,12 @@ def reproduce(
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; leave --only and --quick out")
     claims = chosen(load_claims(), tuple(only or ()), quick=quick)
-    orders = Orders()
-    try:
-        with open_store(out) as store:
-            rows = _judged(claims, store, orders, jobs, quiet=quiet)
-            figures = (
-                None if no_figures else _figures(store, orders, jobs, every=not (only or quick), quiet=quiet)
-            )
-            changes = _written(out, rows, figures, write_baseline=write_baseline)
-    except KeyboardInterrupt:
-        say("interrupted; what was finished is kept, start again to go on")
-        raise typer.Exit(INTERRUPTED) from None
+    orders, figures = Orders(), []
+    with interruptible("what was finished is kept, start again to go on"), open_store(out) as store:
+        rows = _judged(claims, store, orders, jobs, quiet=quiet)
+        if not no_figures:
+            figures = _figures(store, orders, jobs, every=not (only or quick), quiet=quiet)
+        changes = _written(out, rows, figures, write_baseline=write_baseline)
     if not quiet:
         _show(rows)
         say(f"files in {shown(out)}: {HTML}, {JSON}, {JUNIT}")
@@ -128,17 +73,19 @@ def _judged(
 ) -> tuple[Judged, ...]:
     from srs_twin.reproduction import judge
 
-    counts: list[Counting] = []
+    counting: Counting
+    with ExitStack() as stack:
 
-    def planned(count: int) -> None:
-        counts.append(Counting("runs", count, quiet=quiet))
+        def planned(count: int) -> None:
+            nonlocal counting
+            counting = stack.enter_context(Counting("runs", count, quiet=quiet))
 
-    def progress(row: Row) -> None:
-        counts[-1](failed=row.exit_code != 0)
-        if row.exit_code and not quiet:
-            say(f"a run failed: {row.reason}")
+        def progress(row: Row) -> None:
+            counting(failed=row.exit_code != 0)
+            if row.exit_code:
+                say(f"a run failed: {row.reason}", quiet=quiet)
 
-    return judge(claims, store, orders, workers=jobs, progress=progress, planned=planned)
+        return judge(claims, store, orders, workers=jobs, progress=progress, planned=planned)
 
 
 def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, quiet: bool) -> list[Any]:
@@ -148,16 +95,13 @@ def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, qui
     if every:
         keys = dict.fromkeys(order.key for order in wanted(PICTURES, orders))
         due = store.missing(orders.made[key] for key in keys)
-        counting = Counting("runs for figures", len(due), quiet=quiet)
-        store.run(due, workers=jobs, progress=lambda row: counting(failed=row.exit_code != 0))
+        with Counting("runs for figures", len(due), quiet=quiet) as counting:
+            store.run(due, workers=jobs, progress=lambda row: counting(failed=row.exit_code != 0))
     return drawn(PICTURES, StoredRuns(store, orders))
 
 
-def _written(
-    out: Path, rows: Sequence[Judged], figures: list[Any] | None, *, write_baseline: bool
-) -> list[str]:
+def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_baseline: bool) -> list[str]:
     """Write the files; return what has changed from the baseline."""
-    pass
     from srs_twin.reproduction import load_baseline
     from srs_twin.reproduction.report import write_html, write_json
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT
@@ -166,10 +110,27 @@ def _written(
     if write_baseline:
         write(rows)
     changes = load_baseline().changes(rows)
-    write_rows(out / JUNIT, rows)
-    write_html(out / HTML, rows, figures or [], changes)
+    write_report(out / JUNIT, "srs-twin reproduce", _suites(rows))
+    write_html(out / HTML, rows, figures, changes)
     write_json(out / JSON, rows, changes)
     return changes
+
+
+def _suites(rows: Sequence[Judged]) -> Iterator[tuple[str, list[TestCase]]]:
+    """Yield a suite a use with a test case for each row and column; missed is a failure, explained or not."""
+    from srs_twin.reproduction.report import cell
+    from srs_twin.reproduction.verdicts import MET
+
+    def test(claim: Claim, column: str, outcome: Any) -> TestCase:
+        if outcome.verdict == MET:
+            return TestCase(claim.id, column)
+        said = f"{claim.id}, {column}: {cell(outcome)}, allowed {claim.allowed}"
+        text = "\n".join([claim.says, claim.source, outcome.why])
+        return TestCase(claim.id, column, 0.0, "failure", said, outcome.verdict, text)
+
+    for use in dict.fromkeys(row.claim.use for row in rows):
+        of = [row for row in rows if row.claim.use == use]
+        yield use, [test(row.claim, *each) for row in of for each in row.outcomes.items()]
 
 
 def _show(rows: Sequence[Judged]) -> None:
@@ -182,17 +143,11 @@ def _show(rows: Sequence[Judged]) -> None:
         if chosen:
             print(f"\n{TITLES[use]}")
         for row in chosen:
-            first, twin = (
-                row.outcomes.get("analytical") or row.outcomes.get("alone"),
-                row.outcomes.get("twin"),
-            )
-            cells = [_narrow(each) for each in (first, twin)]
+            twin = row.outcomes.get("twin")
+            first = row.outcomes.get("analytical") or row.outcomes.get("alone")
+            stated, apart = published(row.claim), percent(row.claim, twin or first)
             said = verdict(row) + (" (fitted)" if use == "fit" else "")
-            print(
-                _FORMAT.format(
-                    row.claim.id, published(row.claim), *cells, percent(row.claim, twin or first), said
-                )
-            )
+            print(_FORMAT.format(row.claim.id, stated, _narrow(first), _narrow(twin), apart, said))
     print(f"\n{summary_line(rows)}")
 
 

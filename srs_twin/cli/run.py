@@ -4,28 +4,30 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
-from srs_twin.cli.batch import (
+from srs_twin.cli.batch import cases_of, failing, run_all
+from srs_twin.cli.options import (
     CheckOption,
+    JobsOption,
     OneOutOption,
-    OutOption,
     QuietOption,
+    ScenarioArgument,
     StrictOption,
-    cases_of,
-    failing,
-    run_all,
+    argument,
+    option,
 )
+
+_OUT = "Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]"
+_JUNIT = "Write a JUnit report: expectations, divergences, bad input."
 
 
 def compare(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a file.")],
+    scenario: ScenarioArgument,
     out: OneOutOption = None,
     check: CheckOption = False,
     strict: StrictOption = False,
     quiet: QuietOption = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Say why the plants differ: the share of each assumption.")
+        bool, option("--explain", "Say why the plants differ: the share of each assumption.")
     ] = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference."""
@@ -34,30 +36,12 @@ def compare(
 
 
 def run(
-    scenarios: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENARIO", help="Shipped scenarios, files, folders of files."),
-    ],
-    out: OutOption = None,
+    scenarios: Annotated[list[str], argument("SCENARIO", "Shipped scenarios, files, folders of files.")],
+    out: Annotated[str | None, option("--out DIR", _OUT)] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
-    junit: Annotated[
-        str | None,
-        typer.Option(
-            "--junit", metavar="FILE.xml", help="Write a JUnit report: expectations, divergences, bad input."
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            "-j",
-            metavar="N",
-            min=1,
-            max=4096,
-            help="Scenarios at once; 1: one after the other. [default: one a processor]",
-        ),
-    ] = None,
+    junit: Annotated[str | None, option("--junit FILE.xml", _JUNIT)] = None,
+    jobs: JobsOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Run scenarios on the plants they name."""

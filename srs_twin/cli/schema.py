@@ -7,15 +7,14 @@ from typing import Annotated
 
 import typer
 
+from srs_twin.cli.options import argument
 from srs_twin.errors import UnknownNameError
 
 _KINDS = ("scenario", "sweep")
 
 
 def schema(
-    kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="Of which files: scenario or sweep.")
-    ] = "scenario",
+    kind: Annotated[str, argument("KIND", "Of which files: scenario or sweep.")] = "scenario",
 ) -> None:
     """Print the JSON Schema of scenario files, or of sweep files."""
     if kind not in _KINDS:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import INTERRUPTED, console, new_table, say
-from srs_twin.cli.batch import QuietOption
+from srs_twin.cli import console, interruptible, new_table, say
+from srs_twin.cli.options import QuietOption, argument, at_once, option
 from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
 from srs_twin.io.files import shown
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from srs_twin.sweep import Summary, Sweep
     from srs_twin.sweep.execution import Engine
-    from srs_twin.sweep.task import Row
     from srs_twin.viewing.html.page import Table as TextTable
 
 SWEEPS = Path("runs/sweeps")
@@ -28,36 +27,22 @@ _MOST_BESIDE = 30  # rows of published values; more are for the report
 
 
 def sweep(
-    given: Annotated[str, typer.Argument(metavar="SWEEP", help="A shipped sweep or a file.")],
+    given: Annotated[str, argument("SWEEP", "A shipped sweep or a file.")],
     out: Annotated[
-        str | None,
-        typer.Option("--out", metavar="DIR", help="Folder of the results. [default: runs/sweeps/SWEEP]"),
+        str | None, option("--out DIR", "Folder of the results. [default: runs/sweeps/SWEEP]")
     ] = None,
-    engine: Annotated[
-        str, typer.Option("--engine", metavar="NAME", help="Who runs the points: local or ray.")
-    ] = "local",
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers", metavar="N", min=1, max=4096, help="How many at once. [default: one a processor]"
-        ),
-    ] = None,
+    engine: Annotated[str, option("--engine NAME", "Who runs the points: local or ray.")] = "local",
+    workers: Annotated[int | None, at_once("--workers N")] = None,
     address: Annotated[
-        str | None,
-        typer.Option(
-            "--address", metavar="HOST:PORT", help="Of a Ray cluster. [default: a Ray of this machine's own]"
-        ),
+        str | None, option("--address HOST:PORT", "Of a Ray cluster. [default: a Ray of this machine's own]")
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what failed.")] = False,
+    retry_failed: Annotated[bool, option("--retry-failed", "Run again what failed.")] = False,
     changed: Annotated[
-        bool,
-        typer.Option("--changed", help="Go on in a folder of an earlier version; keep what still belongs."),
+        bool, option("--changed", "Go on in a folder of an earlier version; keep what still belongs.")
     ] = False,
     without: Annotated[
         list[str] | None,
-        typer.Option(
-            "--without", metavar="FIELD=VALUE", help="Leave out the points with this value; may be repeated."
-        ),
+        option("--without FIELD=VALUE", "Leave out the points with this value; may be repeated."),
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -78,15 +63,16 @@ def sweep(
         there = len(wanted) - len(missing)
         if there and not quiet:
             say(f"{there} of {len(wanted)} rows are there already, {len(missing)} to do")
-        try:
+
+        def kept() -> str:
+            summary = opened.finish()
+            rows = summary.done + summary.failed
+            return f"{rows} of {summary.points} rows are kept, start again to go on"
+
+        with interruptible(kept):
             with Counting(found.name, len(missing), quiet=quiet) as counting:
-                opened.run(chosen, missing, lambda row: counting(failed=_failed(row)))
+                opened.run(chosen, missing, lambda row: counting(failed=row.exit_code != 0))
             summary = opened.finish()
-        except KeyboardInterrupt:
-            summary = opened.finish()
-            kept = summary.done + summary.failed
-            say(f"interrupted; {kept} of {summary.points} rows are kept, start again to go on")
-            raise typer.Exit(INTERRUPTED) from None
     if not quiet:
         _show(summary)
     if summary.exit_code:
@@ -134,10 +120,6 @@ def _engine(name: str, workers: int | None, address: str | None) -> Engine:
     if address is not None:
         raise InputError("--address belongs to --engine ray")
     return execution.local(workers)
-
-
-def _failed(row: Row) -> bool:
-    return row.exit_code != 0
 
 
 def _show(summary: Summary) -> None:

@@ -3,96 +3,55 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Container, Mapping
-from dataclasses import dataclass
+from collections.abc import Container, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.cli import console, new_table
-from srs_twin.comparison.metrics import difference, published
+from srs_twin.comparison.compare import MEASURES
+from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, difference, published
 from srs_twin.scenario.expectation import verdict
+from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from srs_twin.experiment import RunResult
 
-_MEASURED_ROWS = {
-    "measured_shape_rms_m": ("shape, from measured", "m"),
-    "measured_path_rms_m": ("path, from measured", "m"),
-    "measured_bend_rms_rad": ("bends, from measured", "rad"),
-    "measured_heading_rms_rad": ("heading, from measured", "rad"),
+_MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
+_GAIT = f"""
+    com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
+    periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
+    path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
+""".split()
+# Of a run whose bends follow a reference, or of one on a bench.
+_BENCH = f"""
+    final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
+    steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
+    outlet_openings reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
+""".split()
+# Of a run that followed a plan.
+_PLAN = """
+    plan_found plan_length_m goal_reached arrival_error_m arrival_heading_error_rad cross_track_rms_m
+    cross_track_max_m inside_share inside_50mm_share contacts clearance_m following_time_s replans
+    com_speed_m_s realtime_factor
+""".split()
+_COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad")
+# What is said where the words of a metric's name alone would not do.
+_HEADINGS = {
+    "amplitude_error_end_rel": "amplitude error, end",
+    "path_speed_m_s": "speed at the end",
+    "path_curvature_before_per_m": "curvature before",
+    "path_curvature_per_m": "curvature at the end",
+    "rise_time_s": "rise, 10 to 90 %",
+    "settling_5_s": "settled within 5 %",
+    "settling_2_s": "settled within 2 %",
+    "steady_error_rad": "mean error at rest",
+    "steady_rms_rad": "RMS error at rest",
+    "ripple_pp_rad": "ripple, peak-peak",
+    "fit_residual_rad": "from a sine, RMS",
+    "reading_r_squared": "reading: R² of a line",
+    "reading_range_t": "reading: field range",
 }
-# metric of a plant → (heading, unit)
-_PLANT_ROWS = {
-    "com_speed_m_s": ("CoM speed", "m/s"),
-    "yaw_rate_rad_s": ("yaw rate", "rad/s"),
-    "turning_radius_m": ("turning radius", "m"),
-    "path_length_m": ("path length", "m"),
-    "mean_bend_amplitude_rad": ("mean bend amplitude", "rad"),
-    "periods_to_converge": ("periods to converge", "1"),
-    "amplitude_error_end_rel": ("amplitude error, end", "1"),
-    "path_speed_m_s": ("speed at the end", "m/s"),
-    "path_curvature_before_per_m": ("curvature before", "1/m"),
-    "path_curvature_per_m": ("curvature at the end", "1/m"),
-    "mechanical_power_w": ("mechanical power", "W"),
-    "cost_of_transport": ("cost of transport", "1"),
-    "pneumatic_power_w": ("power of the air", "W"),
-    **_MEASURED_ROWS,
-    "realtime_factor": ("real-time factor", "1"),
-}
-# The same of a run whose bends follow a reference, or of one on a bench.
-_BENCH_ROWS = {
-    "final_bend_rad": ("bend at the end", "rad"),
-    **_MEASURED_ROWS,
-    "rise_time_s": ("rise, 10 to 90 %", "s"),
-    "overshoot_rel": ("overshoot", "1"),
-    "settling_5_s": ("settled within 5 %", "s"),
-    "settling_2_s": ("settled within 2 %", "s"),
-    "steady_error_rad": ("mean error at rest", "rad"),
-    "steady_rms_rad": ("RMS error at rest", "rad"),
-    "ripple_pp_rad": ("ripple, peak-peak", "rad"),
-    "error_rms_rad": ("error, RMS", "rad"),
-    "amplitude_rel": ("amplitude, relative", "1"),
-    "phase_lag_rad": ("phase lag", "rad"),
-    "fit_residual_rad": ("beside sine, RMS", "rad"),
-    "inlet_openings": ("openings, inlet", "1"),
-    "outlet_openings": ("openings, outlet", "1"),
-    "reading_r_squared": ("reading: R² of a line", "1"),
-    "reading_error_rad": ("reading: worst error", "rad"),
-    "reading_backstep_rad": ("reading: turns back", "rad"),
-    "reading_range_t": ("reading: field range", "T"),
-    "realtime_factor": ("real-time factor", "1"),
-}
-# The same of a run that followed a plan.
-_PLAN_ROWS = {
-    "plan_found": ("plan found", "1"),
-    "plan_length_m": ("length of the plan", "m"),
-    "goal_reached": ("goal reached", "1"),
-    "arrival_error_m": ("distance from the goal", "m"),
-    "arrival_heading_error_rad": ("heading beside goal's", "rad"),
-    "cross_track_rms_m": ("cross-track, RMS", "m"),
-    "cross_track_max_m": ("cross-track, largest", "m"),
-    "inside_share": ("inside the footprint", "1"),
-    "inside_50mm_share": ("inside 50 mm", "1"),
-    "contacts": ("contacts", "1"),
-    "clearance_m": ("clearance", "m"),
-    "following_time_s": ("time taken", "s"),
-    "replans": ("new plans", "1"),
-    "com_speed_m_s": ("CoM speed", "m/s"),
-    "realtime_factor": ("real-time factor", "1"),
-}
-_COMPARISON_ROWS = {
-    "shape_rms_m": ("body shape, RMS", "m"),
-    "path_rms_m": ("CoM path, RMS", "m"),
-    "bend_rms_rad": ("bends, RMS", "rad"),
-}
-_WHY_HEADINGS = {
-    "com_speed_m_s": ("CoM speed", "m/s"),
-    "yaw_rate_rad_s": ("yaw rate", "rad/s"),
-    "mean_bend_amplitude_rad": ("amplitude", "rad"),
-    "shape_rms_m": ("shape", "m"),
-}
-_NONE = (None, "")
 WORDS = {"met": "met", "missed": "MISSED", "known": "known", "holds": "HOLDS"}
 """Verdict on an expectation → how a line begins."""
 
@@ -100,69 +59,59 @@ _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences of the plants that `compare --explain` takes apart."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of the table, numbers already as text; '' where there is none."""
-
-    heading: str
-    unit: str
-    plants: tuple[str, ...]
-    difference: str = ""
-    published: str = ""
-
-
-def rows(metrics: Mapping[str, Any]) -> list[Row]:
-    """Choose and format the lines of the table.
+def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
+    """Choose and format the lines of the table: metric, unit, a value a plant, difference, published.
 
     Args:
         metrics: what stands in metrics.json.
     """
-    plants, stated = metrics["plants"], published(metrics["expectations"])
+    plants, comparison = metrics["plants"], metrics["comparison"] or {}
+    stated = published(metrics["expectations"])
+    nothing = [""] * len(plants)
     found = []
-    for key, (heading, unit) in _rows_of(plants).items():
+
+    def add(key: str, texts: Sequence[str], apart: str) -> None:
+        value, _ = stated.get(key, (None, ""))
+        unit = (METRIC_UNITS | COMPARISON_UNITS)[key]
+        found.append([_heading(key), unit, *texts, apart, _number(value)])
+
+    for key in _chosen(plants):
         values = [each.get(key) for each in plants.values()]
-        if all(value is None for value in values):
-            continue
-        texts = tuple(map(_number, values))
-        found.append(Row(heading, unit, texts, difference(metrics, key), _number(stated.get(key, _NONE)[0])))
-    comparison = metrics["comparison"] or {}
-    if comparison.get("gap_factor", 1.0) != 1.0:
-        text = f"× {comparison['gap_factor']:.4g}"
-        found.insert(1, Row("… by the gap factor", "1", (text, *[""] * (len(plants) - 1))))
-    for key, (heading, unit) in _COMPARISON_ROWS.items():
+        if any(value is not None for value in values):
+            add(key, [_number(value) for value in values], difference(metrics, key))
+    if (factor := comparison.get("gap_factor", 1.0)) != 1.0:
+        found.insert(1, ["… by the gap factor", "1", f"× {factor:.4g}", *nothing[1:], "", ""])
+    for key in _COMPARISON:
         if comparison.get(key) is not None:
-            blank = ("",) * len(plants)
-            text = _number(comparison[key])
-            found.append(Row(heading, unit, blank, text, _number(stated.get(key, _NONE)[0])))
+            add(key, nothing, _number(comparison[key]))
     return found
 
 
-def _rows_of(plants: Mapping[str, Mapping[str, Any]]) -> Mapping[str, tuple[str, str]]:
-    if any(each.get("plan_found") is not None for each in plants.values()):
-        return _PLAN_ROWS
-    return _BENCH_ROWS if _followed_or_held(plants) else _PLANT_ROWS
+def _chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
+    """Return the metrics of plants that are shown: by whether they followed a plan or a reference."""
+
+    def measured(*names: str) -> bool:
+        return any(each.get(name) is not None for each in plants.values() for name in names)
+
+    if measured("plan_found"):
+        return _PLAN
+    return _BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT
 
 
-def _followed_or_held(plants: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Say whether the bends followed a reference, or hung on a bench without one."""
-    said = [each.get(key) for each in plants.values() for key in ("error_rms_rad", "final_bend_rad")]
-    return any(value is not None for value in said)
+def _heading(metric: str) -> str:
+    """Return 'CoM speed' for com_speed_m_s: the unit has a column of its own."""
+    return _HEADINGS.get(metric) or metric_label(metric).partition(" (")[0]
 
 
 def show(result: RunResult) -> None:
     """Print the table and the expectations of a run to stdout."""
-    lines = rows(result.metrics)
-    headings = list(result.metrics["plants"])
-    if len(headings) > 1:
-        headings.append("difference")
-    if any(line.published for line in lines):
-        headings.append("published")
-    shown = new_table("metric", "unit", *headings, left=2, title=result.name)
+    lines, plants = rows(result.metrics), result.metrics["plants"]
+    needless = {"difference": len(plants) < 2, "published": not any(line[-1] for line in lines)}
+    headings = ["metric", "unit", *plants, "difference", "published"]
+    kept = [k for k, heading in enumerate(headings) if not needless.get(heading)]
+    shown = new_table(*(headings[k] for k in kept), left=(0, 1), title=result.name)
     for line in lines:
-        cells = [*line.plants]
-        cells += [line.difference] if "difference" in headings else []
-        cells += [line.published] if "published" in headings else []
-        shown.add_row(line.heading, line.unit, *cells)
+        shown.add_row(*(line[k] for k in kept))
     terminal = console()
     terminal.print(shown)
     if "attribution" in result.metrics:
@@ -174,7 +123,7 @@ def show(result: RunResult) -> None:
 
 def _why(attribution: Mapping[str, Any]) -> Table:
     """Return the table of what each assumption contributes to the gap."""
-    headings = ["\n".join(_WHY_HEADINGS[measure]) for measure in attribution["measures"]]
+    headings = ["\n".join(MEASURES[measure]) for measure in attribution["measures"]]
     title = "why they differ: twin − analytical, and the share of each assumption"
     shown = new_table("assumption", *headings, title=title)
     for share in attribution["shares"]:

@@ -11,22 +11,19 @@ from typing import Annotated
 
 import typer
 
+from srs_twin.cli.options import argument, option
 from srs_twin.errors import InputError
 
 
 def view(
     runs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="RUN", help="Run folders, recordings, or names in runs/; several stand side by side."
-        ),
+        list[str], argument("RUN", "Run folders, recordings, or names in runs/; several stand side by side.")
     ],
     web: Annotated[
-        bool, typer.Option("--web", help="Serve the viewer for a browser on this machine, until Ctrl-C.")
+        bool, option("--web", "Serve the viewer for a browser on this machine, until Ctrl-C.")
     ] = False,
     port: Annotated[
-        int | None,
-        typer.Option("--port", metavar="N", min=1, max=65535, help="Of the page. [default: a free one]"),
+        int | None, option("--port N", "Of the page. [default: a free one]", min=1, max=65535)
     ] = None,
 ) -> None:
     """Open the recordings of runs."""
