@@ -127,7 +127,7 @@ class WorkerDiedError(SrsError):
 
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
-        super().__init__(f"the worker process {_ending(exit_code)}{times}; {_cause(exit_code)}")
+        super().__init__(f"the worker process {ending(exit_code)}{times}; {_cause(exit_code)}")
 
 
 def _restored(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str, Any]) -> SrsError:
@@ -137,7 +137,7 @@ def _restored(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str,
     return error
 
 
-def _ending(exit_code: int) -> str:
+def ending(exit_code: int) -> str:
     """Return how a process ended: multiprocessing gives a signal as its negative."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,27 +17,11 @@ from srs_twin.io.files import printable, shown
 
 if TYPE_CHECKING:
     from srs_twin.experiment import FinishedRun
-    from srs_twin.trajectory import Trajectory
     from srs_twin.viewing.mujoco.render import Size
 
 _OUT = "Where the picture goes; of several runs, a folder. [default: the run's folder]"
 VIDEO, PICTURE = ".mp4", ".png"
 _SMALLEST, _LARGEST = 64, 4096  # pixels
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What is made of each run.
-
-    Attributes:
-        name: of the file where only its folder is known, from the name of the run.
-        suffix: of the file.
-        make: takes the file, the run, its twin's trajectory and who is told of the progress.
-    """
-
-    name: Callable[[str], str]
-    suffix: str
-    make: Callable[[Path, FinishedRun, Trajectory, Callable[[float], None]], object]
 
 
 def render(
@@ -69,57 +52,47 @@ def render(
     from srs_twin.experiment import load_run
     from srs_twin.io.files import open_folder
 
-    job = _job(video, image, _size(size), fps, speed)
-    target = None if (given := video if video is not None else out) is None else Path(given)
-    several = len(runs) > 1
-    if several and target is not None and target.suffix == job.suffix:
+    ending, write = _writing(video, image, _size(size), fps, speed)
+    suffix = VIDEO if video is not None else PICTURE
+    given = video if video is not None else out
+    target = None if given is None else Path(given)
+    if target is not None and target.suffix == suffix and len(runs) > 1:
         raise InputError(f"{target}: one file for {len(runs)} runs; give a folder")
-    if target is not None and target.suffix not in ("", job.suffix):
-        raise InputError(f"{target}: the file must end in {job.suffix}")
-    found = [load_run(name) for name in runs]
-    paths = [
-        target if target is not None and target.suffix else (target or run.folder) / job.name(run.name)
-        for run in found
-    ]
-    for run, path in zip(found, paths, strict=True):
+    if target is not None and target.suffix not in ("", suffix):
+        raise InputError(f"{target}: the file must end in {suffix}")
+    work: list[tuple[FinishedRun, Path]] = []
+    for run in map(load_run, runs):
+        one = target is not None and target.suffix
+        path = target if target and one else (target or run.folder) / f"{run.name}{ending}"
+        work.append((run, path))
+    for run, path in work:
         if "twin" not in run.trajectories:
             raise InputError(
                 f"{shown(run.folder)}: the twin did not run, and MuJoCo draws nothing else; "
                 "`srs-twin view` shows the analytical model"
             )
         open_folder(path.parent, (path.name,))
-    for run, path in zip(found, paths, strict=True):
+    for run, path in work:
         with ScenarioProgress(run.name, quiet=quiet) as progress:
-            job.make(path, run, run.trajectories["twin"], partial(progress, "drawing"))
+            told = {"progress": partial(progress, "drawing")} if video is not None else {}
+            write(path, run.scenario, run.trajectories["twin"], **told)
         if not quiet:
             typer.echo(printable(str(path)))
 
 
-def _job(video: str | None, image: str | None, size: Size, fps: int, speed: float) -> _Job:
+def _writing(
+    video: str | None, image: str | None, size: Size, fps: int, speed: float
+) -> tuple[str, Callable[..., object]]:
+    """Return how a file's name ends after that of the run, and what writes it; a video takes `progress`."""
     from srs_twin.viewing.mujoco.render import write_image, write_video
-
-    if video is not None:
-        return _Job(
-            lambda run: f"{run}{VIDEO}",
-            VIDEO,
-            lambda path, run, twin, tell: write_video(
-                path, run.scenario, twin, size=size, fps=fps, speed=speed, progress=tell
-            ),
-        )
-    if image is not None:
-        time = _moment(image)
-        return _Job(
-            lambda run: f"{run}-{time:g}s{PICTURE}",
-            PICTURE,
-            lambda path, run, twin, tell: write_image(path, run.scenario, twin, time, size=size),
-        )
     from srs_twin.viewing.mujoco.strobe import write_strobe
 
-    return _Job(
-        lambda run: f"{run}-strobe{PICTURE}",
-        PICTURE,
-        lambda path, run, twin, tell: write_strobe(path, run.scenario, twin, width=size.width),
-    )
+    if video is not None:
+        return VIDEO, partial(write_video, size=size, fps=fps, speed=speed)
+    if image is not None:
+        time = _moment(image)
+        return f"-{time:g}s{PICTURE}", partial(write_image, time=time, size=size)
+    return f"-strobe{PICTURE}", partial(write_strobe, width=size.width)
 
 
 def _moment(given: str) -> float:

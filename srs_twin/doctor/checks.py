@@ -10,34 +10,22 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 import shlex
 import shutil
 import signal
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from email.message import Message
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, ending
 from srs_twin.io.files import open_folder, shown
-from srs_twin.parallel import processors
 
 INSTALLATION, MACHINE, EXTRAS = "installation", "machine", "extras"
 Status = Literal["ok", "missing", "broken", "undecided"]
-
-
-class Fault(Exception):
-    """What a probe finds wrong.
-
-    Attributes:
-        status: "missing" or "broken".
-        remedy: what to do; empty: the probe's usual one.
-    """
-
-    def __init__(self, status: Status, detail: str, remedy: str = "") -> None:
-        super().__init__(detail)
-        self.status, self.remedy = status, remedy
 
 
 @dataclass(frozen=True)
@@ -68,7 +56,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a probe; fields as in `Check`, the remedy empty where the probe names none."""
+    """What came of a probe; fields as in `Check`, the remedy empty where the probe knows none itself."""
 
     status: Status
     detail: str
@@ -80,10 +68,7 @@ def ended(code: int) -> Answer:
     if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: by a system short of memory
         remedy = "this machine is busy, or very slow: run `srs-twin doctor` again when it is not"
         return Answer("undecided", "slow: no answer in time", remedy)
-    if code >= 0:
-        return Answer("broken", f"ended with exit code {code}")
-    known = -code in set(signal.Signals)
-    return Answer("broken", f"ended by {signal.Signals(-code).name if known else f'signal {-code}'}")
+    return Answer("broken", ending(code))
 
 
 def failing(checks: Iterable[Check]) -> list[Check]:
@@ -175,50 +160,40 @@ def python_check(version: str, allowed: str) -> Check:
 def packages_check(packages: Sequence[Wanted], *, checkout: bool) -> Check:
     """Judge whether every package that is always asked for is there in a version that will do."""
     always = [each for each in packages if not each.extra]
-    faults = [each for each in always if each.fault]
-    if not faults:
-        listed = [f"{each.name} {each.installed}" for each in always if each.name in _DECIDING]
-        detail = f"all {len(always)} that are asked for; {', '.join(listed)}"
-        return Check(INSTALLATION, "packages", "ok", detail, necessary=True)
-    remedy = "uv sync" if checkout else _install([each.requirement for each in faults])
-    detail = "; ".join(each.fault for each in faults)
-    return Check(INSTALLATION, "packages", _mark(faults), detail, remedy, necessary=True)
+    listed = ", ".join(f"{each.name} {each.installed}" for each in always if each.name in _DECIDING)
+    fine = f"all {len(always)} that are asked for; {listed}"
+    command = "uv sync" if checkout else ""
+    return _installed_check(INSTALLATION, "packages", always, fine, command)
 
 
 def extra_checks(extras: Sequence[str], packages: Sequence[Wanted], *, checkout: bool) -> Iterator[Check]:
     """Judge which extras are installed."""
     for extra in extras:
         parts = [each for each in packages if each.extra == extra]
-        faults = [each for each in parts if each.fault]
-        purpose = PURPOSES.get(extra, "optional")
-        if not faults:
-            listed = ", ".join(f"{each.name} {each.installed}" for each in parts)
-            yield Check(EXTRAS, extra, "ok", f"{purpose}: {listed}")
-            continue
-        needed = [each.requirement for each in faults]
-        remedy = f"uv sync --extra {extra}" if checkout else _install(needed)
-        yield Check(
-            EXTRAS, extra, _mark(faults), f"{purpose}: {'; '.join(each.fault for each in faults)}", remedy
-        )
+        fine = ", ".join(f"{each.name} {each.installed}" for each in parts)
+        command = f"uv sync --extra {extra}" if checkout else ""
+        yield _installed_check(EXTRAS, extra, parts, fine, command, f"{PURPOSES.get(extra, 'optional')}: ")
 
 
-def about_srs_twin() -> tuple[Mapping[str, str], list[str], list[str]]:
-    """Return what the installation says of srs_twin: fields, requirements, names of extras.
-
-    Raises:
-        PackageNotFoundError: it runs from files that nobody installed.
-    """
-    about = metadata.metadata(DISTRIBUTION)
-    fields = {"Version": about["Version"], "Requires-Python": about["Requires-Python"]}
-    return fields, metadata.requires(DISTRIBUTION) or [], about.get_all("Provides-Extra") or []
-
-
-def _mark(faults: Sequence[Wanted]) -> Status:
-    return "missing" if any(each.installed is None for each in faults) else "broken"
+def _installed_check(
+    topic: str, name: str, packages: Sequence[Wanted], fine: str, command: str, before: str = ""
+) -> Check:
+    """Judge packages; `command` installs what is missing, or else pip."""
+    faults = [each for each in packages if each.fault]
+    if not faults:
+        return Check(topic, name, "ok", before + fine, necessary=topic == INSTALLATION)
+    status: Status = "missing" if any(each.installed is None for each in faults) else "broken"
+    remedy = command or shlex.join(["pip", "install", *(each.requirement for each in faults)])
+    detail = before + "; ".join(each.fault for each in faults)
+    return Check(topic, name, status, detail, remedy, topic == INSTALLATION)
 
 
-def _install(requirements: Sequence[str]) -> str:
-    return shlex.join(["pip", "install", *requirements])
+def about_srs_twin() -> Message:
+    """Return what the installation says of srs_twin; empty where it runs from files that nobody installed."""
+    try:
+        return metadata.metadata(DISTRIBUTION)  # type: ignore[return-value]
+    except metadata.PackageNotFoundError:
+        return Message()
 
 
 def _extra_of(marker: str) -> str:
@@ -240,34 +215,30 @@ _GROUP = Path("/sys/fs/cgroup")
 _MEMINFO = Path("/proc/meminfo")
 
 
-@dataclass(frozen=True)
-class Machine:
-    """What there is.
+def processor_share(group: Path = _GROUP) -> float | None:
+    """Return how many processors this process is given the time of; None where no container limits it.
 
-    Attributes:
-        processors: how many this process may use.
-        share: how many it is given the time of, where a container limits that.
-        memory: free, bytes; None where the system does not say.
+    Args:
+        group: folder of the control group (version 2) that this process sees as its own.
     """
+    quota, _, period = _words(group / "cpu.max").partition(" ")
+    return int(quota) / int(period) if quota.isdigit() and period.isdigit() else None
 
-    processors: int
-    share: float | None
-    memory: int | None
 
-    @staticmethod
-    def here(group: Path = _GROUP, meminfo: Path = _MEMINFO) -> Machine:
-        """Ask the system.
+def free_memory(group: Path = _GROUP, meminfo: Path = _MEMINFO) -> int | None:
+    """Return the memory that new programs can have without swapping, bytes; None where nobody says.
 
-        Args:
-            group: folder of the control group (version 2) that this process sees as its own.
-            meminfo: the kernel's table of memory.
-        """
-        quota, _, period = _words(group / "cpu.max").partition(" ")
-        share = int(quota) / int(period) if quota.isdigit() and period.isdigit() else None
-        limit, used = (_words(group / name) for name in ("memory.max", "memory.current"))
-        within = int(limit) - int(used) if limit.isdigit() and used.isdigit() else None
-        free = [each for each in (_available(meminfo), within) if each is not None]
-        return Machine(processors(), share, min(free, default=None))
+    Args:
+        group: as in `processor_share`.
+        meminfo: the kernel's table of memory.
+    """
+    limit, used = (_words(group / name) for name in ("memory.max", "memory.current"))
+    free = [
+        1024 * int(kilobytes) for kilobytes in re.findall(r"^MemAvailable:\s*(\d+)", _words(meminfo), re.M)
+    ]
+    if limit.isdigit() and used.isdigit():
+        free.append(int(limit) - int(used))
+    return min(free, default=None)
 
 
 def _words(path: Path) -> str:
@@ -277,36 +248,30 @@ def _words(path: Path) -> str:
         return ""
 
 
-def _available(meminfo: Path) -> int | None:
-    """Return the memory that new programs can have without swapping, bytes."""
-    for line in _words(meminfo).splitlines():
-        if line.startswith("MemAvailable:"):
-            return int(line.split()[1]) * 1024
-    return None
-
-
-def processors_check(machine: Machine) -> Check:
+def processors_check(usable: int, share: float | None) -> Check:
     """Judge the processors; one is enough."""
-    detail = f"{machine.processors} usable"
-    if machine.share is not None and machine.share < machine.processors:
-        detail += f", with the time of {machine.share:.3g}"
-        if math.ceil(machine.share) < machine.processors:
-            remedy = f"more workers than that only wait: give --jobs {math.ceil(machine.share)}"
+    detail = f"{usable} usable"
+    if share is not None and share < usable:
+        detail += f", with the time of {share:.3g}"
+        if math.ceil(share) < usable:
+            remedy = f"more workers than that only wait: give --jobs {math.ceil(share)}"
             return Check(MACHINE, "processors", "missing", detail, remedy)
     return Check(MACHINE, "processors", "ok", detail)
 
 
-def memory_check(machine: Machine) -> Check:
-    """Judge the free memory."""
-    if machine.memory is None:
+def memory_check(free: int | None) -> Check:
+    """Judge the free memory, bytes."""
+    if free is None:
         return Check(MACHINE, "memory", "ok", "this system does not say how much is free")
-    detail = f"{_size(machine.memory)} free"
-    if machine.memory >= LEAST_MEMORY_BYTES:
-        return Check(MACHINE, "memory", "ok", detail)
-    remedy = (
-        f"below {_size(LEAST_MEMORY_BYTES)} runs may be ended by the system: close programs, or give --jobs 1"
-    )
-    return Check(MACHINE, "memory", "missing", detail, remedy)
+    least = _size(LEAST_MEMORY_BYTES)
+    remedy = f"below {least} runs may be ended by the system: close programs, or give --jobs 1"
+    return _room_check("memory", free, LEAST_MEMORY_BYTES, remedy)
+
+
+def _room_check(name: str, free: int, least: int, remedy: str) -> Check:
+    if free >= least:
+        return Check(MACHINE, name, "ok", f"{_size(free)} free")
+    return Check(MACHINE, name, "missing", f"{_size(free)} free", remedy)
 
 
 def output_check(folder: Path) -> Check:
@@ -328,12 +293,9 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
     """
     present = next(each for each in (folder.absolute(), *folder.absolute().parents) if os.path.isdir(each))
     free = shutil.disk_usage(present).free if free is None else free
-    if free >= LEAST_DISK_BYTES:
-        return Check(MACHINE, "disk", "ok", f"{_size(free)} free")
-    remedy = (
-        f"below {_size(LEAST_DISK_BYTES)} a sweep may not fit: make room, or give another disk with --out"
-    )
-    return Check(MACHINE, "disk", "missing", f"{_size(free)} free", remedy)
+    least = _size(LEAST_DISK_BYTES)
+    remedy = f"below {least} a sweep may not fit: make room, or give another disk with --out"
+    return _room_check("disk", free, LEAST_DISK_BYTES, remedy)
 
 
 def _size(count: int) -> str:

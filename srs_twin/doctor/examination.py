@@ -11,9 +11,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from srs_twin import __version__
 from srs_twin.doctor import checks, probes
@@ -21,6 +19,7 @@ from srs_twin.doctor.checks import Answer, Check, ended
 from srs_twin.doctor.probes import LIBRARIES, PROBES
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root
+from srs_twin.parallel import processors
 from srs_twin.viewing.rerun.viewer import rerun_executable
 
 SIMULATION, VIEWERS = "simulation", "Rerun's viewer"
@@ -98,32 +97,27 @@ def examine(folder: Path, *, budget_s: float = BUDGET_S) -> list[Check]:
     Raises:
         InputError: there is no room for temporary files.
     """
-    about: Mapping[str, str]
-    try:
-        about, requirements, extras = checks.about_srs_twin()
-    except metadata.PackageNotFoundError:
-        about, requirements, extras = {}, [], []
+    about = checks.about_srs_twin()
     checkout = (data_root() / "pyproject.toml").is_file()
-    wanted = checks.wanted(requirements)
-    here = checks.Machine.here()
+    wanted = checks.wanted(about.get_all("Requires-Dist") or [])
     tried = _tried(checks.modules(wanted), budget_s)
     return [
-        _installation(about, checkout=checkout),
+        _installation(bool(about), checkout=checkout),
         *([checks.python_check(platform.python_version(), about["Requires-Python"])] if about else []),
         checks.packages_check(wanted, checkout=checkout),
         *(check for check in tried if check.topic in (checks.INSTALLATION, SIMULATION)),
         checks.output_check(folder),
         checks.disk_check(folder),
-        checks.processors_check(here),
-        checks.memory_check(here),
+        checks.processors_check(processors(), checks.processor_share()),
+        checks.memory_check(checks.free_memory()),
         *(check for check in tried if check.topic in (RENDERING, VIEWERS)),
-        *checks.extra_checks(extras, wanted, checkout=checkout),
+        *checks.extra_checks(about.get_all("Provides-Extra") or [], wanted, checkout=checkout),
     ]
 
 
-def _installation(about: Mapping[str, str], *, checkout: bool) -> Check:
+def _installation(known: bool, *, checkout: bool) -> Check:
     where = f"{__version__}, {'checkout' if checkout else 'wheel'} in {data_root()}"
-    if about:
+    if known:
         return Check(checks.INSTALLATION, "srs_twin", "ok", where, necessary=True)
     remedy = "uv sync" if checkout else "pip install the wheel again"
     detail = f"{where}; it is not installed, so that nobody knows which packages it asks for"
@@ -226,24 +220,14 @@ def _answers(lines: Sequence[str], code: int, names: Sequence[str]) -> dict[str,
     found: dict[str, Answer] = {}
     importing, other = "Python", ""
     for line in lines:
-        said = _object(line)
-        if "importing" in said:
-            importing = said["importing"]
-        elif "name" in said:
-            name = said.pop("name")
+        noise, _, text = line.partition(probes.MARK)
+        other = noise.strip() or other
+        said = json.loads(text) if text else {}
+        importing = said.pop("importing", importing)
+        if name := said.pop("name", ""):
             found[name] = Answer(**said)
-        elif line.strip():
-            other = line.strip()
     if "imports" not in found:
         how = ended(code)
         found["imports"] = Answer(how.status, f"{importing}: {other if code > 0 and other else how.detail}")
     untried = Answer("undecided", f"not tried: {found['imports'].detail}", "mend `imports` first")
     return {name: found.get(name, untried) for name in ("imports", *names)}
-
-
-def _object(line: str) -> dict[str, Any]:
-    try:
-        value = json.loads(line)
-    except ValueError:
-        return {}
-    return value if isinstance(value, dict) else {}

@@ -1,7 +1,7 @@
 """Probes: what the children of `examination.ask` try.
 
-A probe returns what it found, or raises: `Fault` where it knows the remedy, anything else where it does not
-work. Each runs in a process of its own, forked from the one that imported the modules.
+A probe returns what it found, an `Answer` where something is wrong with it, or raises where it does not work.
+Each runs in a process of its own, forked from the one that imported the modules.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from srs_twin.doctor.checks import Answer, Fault, ended
+from srs_twin.doctor.checks import Answer, ended
 
 _SERVING_S = _PATIENCE_S = 40
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -32,11 +32,13 @@ LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 NEEDLESS = Answer(
     "undecided", "not tried: egl draws, and one is enough", "`MUJOCO_GL=osmesa srs-twin doctor` tries it"
 )
+MARK = "srs-twin doctor: "
+"""How a line begins that is an answer: libraries print other things."""
 _NO = 3
 """Exit code of a probe that has said itself what does not work."""
 
 
-def imports(modules: Sequence[str]) -> str:
+def imports(modules: Sequence[str]) -> str | Answer:
     """Import modules one after the other, and say so before each: it may be the last thing that is said."""
     faults = []
     for module in modules:
@@ -46,11 +48,11 @@ def imports(modules: Sequence[str]) -> str:
         except Exception as error:  # a child's outermost edge: whatever a package raises is the finding
             faults.append(f"{module}: {_in_words(error)}")
     if faults:
-        raise Fault("broken", "; ".join(faults))
+        return Answer("broken", "; ".join(faults))
     return "every package imports"
 
 
-def data() -> str:
+def data() -> str | Answer:
     """Load every robot that comes with the package; look for its model, and for scenarios."""
     from srs_twin.errors import SrsError
     from srs_twin.io.files import data_root, shipped_names
@@ -66,13 +68,13 @@ def data() -> str:
             bad.append(f"robot {name}: {str(error).splitlines()[0]}")
     found = f"{len(robots)} robots, {len(scenarios)} scenarios, {len(scenes)} models in {data_root()}"
     if not (robots and scenarios):
-        raise Fault("missing", found)
+        return Answer("missing", found)
     if bad:
-        raise Fault("broken", f"{found}; {'; '.join(bad)}")
+        return Answer("broken", f"{found}; {'; '.join(bad)}")
     return found
 
 
-def models() -> str:
+def models() -> str | Answer:
     """Compile every shipped model and move each under random control."""
     from srs_twin.io.files import shipped_names
     from srs_twin.mjcf.check import examine_model
@@ -81,9 +83,11 @@ def models() -> str:
     reports = {name: examine_model(scene, _PATIENCE_S, _SIMULATED_S) for name, scene in scenes.items()}
     bad = [f"{name}: {fault}" for name, report in reports.items() for fault in report["faults"]]
     if bad:
-        raise Fault("broken", "; ".join(bad), "`srs-twin models check` says more; else install srs-twin anew")
+        return Answer(
+            "broken", "; ".join(bad), "`srs-twin models check` says more; else install srs-twin anew"
+        )
     if not scenes:
-        raise Fault("missing", "there is no model to try")
+        return Answer("missing", "there is no model to try")
     return f"compiles {', '.join(scenes)}, and simulates {_SIMULATED_S:g} s of each without a warning"
 
 
@@ -94,14 +98,14 @@ def _scene(robot: str) -> Path:
     return data_root() / "models" / robot / "scene.xml"
 
 
-def kernels() -> str:
+def kernels() -> str | Answer:
     """Run a kernel compiled, and as Python; numba takes it from a folder, or compiles it."""
     from srs_twin.pneumatics.flow import flow
 
     kernel: Any = flow
     arguments = (2e5, 1.5e5, 0.3)
     if not all(map(math.isclose, kernel(*arguments), kernel.py_func(*arguments))):
-        raise Fault("broken", "numba's machine code computes other numbers than Python")
+        return Answer("broken", "numba's machine code computes other numbers than Python")
     kept = kernel._cache.cache_path
     if kept is None:
         remedy = "export NUMBA_CACHE_DIR=/tmp/numba (any folder you may write) keeps it"
@@ -109,27 +113,27 @@ def kernels() -> str:
     return f"numba's machine code works, and is kept in {kept}"
 
 
-def drawing(opengl: str) -> str:
+def drawing(opengl: str) -> str | Answer:
     """Draw a box off screen, with the OpenGL that MUJOCO_GL would name so."""
     from srs_twin.viewing.mujoco.opengl import PACKAGES, draw_box
 
     if opengl in LIBRARIES and ctypes.util.find_library(LIBRARIES[opengl]) is None:
         remedy = f"apt-get install {PACKAGES[opengl]} (Debian, Ubuntu)"
-        raise Fault("missing", "its library is not installed", remedy)
+        return Answer("missing", "its library is not installed", remedy)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
             draw_box(opengl)
-        except Exception as error:
+        except Exception:
             if not heard:
                 raise
             # GLFW warns of what is wrong, as "(65550) b'X11: …'"; the error that follows names a consequence.
             words = re.sub(r"^\(\d+\) b(['\"])(.*)\1$", r"\2", str(heard[0].message))
-            raise Fault("broken", words) from error
+            return Answer("broken", words)
     return "draws"
 
 
-def without_a_screen() -> str:
+def without_a_screen() -> str | Answer:
     """Let Rerun's viewer draw its own window without a screen."""
     picture = Path("window.png").resolve()
     window = ("--headless", "--window-size", "32x24", "--hide-welcome-screen")
@@ -143,10 +147,10 @@ def without_a_screen() -> str:
         return "drew its window into a picture"
     panics = re.findall(r"panicked at '?(.*?)'?$", done.stdout + done.stderr, re.M)
     words = (*panics, f"ended with exit code {done.returncode}")[0]
-    raise Fault("missing", f"cannot draw ({words})")
+    return Answer("missing", f"cannot draw ({words})")
 
 
-def in_a_browser() -> str:
+def in_a_browser() -> str | Answer:
     """Let Rerun serve its viewer for browsers, and fetch the page and the head of the program."""
     from srs_twin.viewing.rerun.viewer import HOST, free_port
 
@@ -158,7 +162,7 @@ def in_a_browser() -> str:
     server = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         if not _served(server, f"http://{HOST}:{port}/"):
-            raise Fault("broken", f"its page was not served on {HOST}")
+            return Answer("broken", f"its page was not served on {HOST}")
     finally:
         # `rerun` is a script that starts the real program, and ends it when it is interrupted.
         server.send_signal(signal.SIGINT)
@@ -192,7 +196,7 @@ def _served(server: subprocess.Popen[bytes], address: str) -> bool:
     return False
 
 
-PROBES: dict[str, Callable[[], str]] = {
+PROBES: dict[str, Callable[[], str | Answer]] = {
     "shipped data": data,
     "kernels": kernels,
     "MuJoCo": models,
@@ -227,19 +231,18 @@ def main(modules: Sequence[str], names: Sequence[str], budget_s: float) -> None:
             _say(name=name, **vars(ended(code)))
 
 
-def _answer(name: str, probe: Callable[[], str], budget_s: float) -> bool:
+def _answer(name: str, probe: Callable[[], str | Answer], budget_s: float) -> bool:
     """Say what comes of a probe; True if it works."""
     # Its default action ends the process, also where it hangs in a library and Python would not hear it.
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, budget_s)
     try:
-        _say(name=name, status="ok", detail=probe())
-        return True
-    except Fault as fault:
-        _say(name=name, status=fault.status, detail=str(fault), remedy=fault.remedy)
+        found = probe()
+        answer = found if isinstance(found, Answer) else Answer("ok", found)
     except Exception as error:  # a child's outermost edge: what the error says is the finding
-        _say(name=name, status="broken", detail=_in_words(error))
-    return False
+        answer = Answer("broken", _in_words(error))
+    _say(name=name, **vars(answer))
+    return answer.status == "ok"
 
 
 def _in_words(error: Exception) -> str:
@@ -248,4 +251,4 @@ def _in_words(error: Exception) -> str:
 
 def _say(**words: str) -> None:
     # In one write: several processes share the file.
-    os.write(1, (json.dumps(words) + "\n").encode())
+    os.write(1, (MARK + json.dumps(words) + "\n").encode())
