@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager, nullcontext, suppress
@@ -77,12 +78,12 @@ class Workers:
                 may end in any way.
             progress: called on the calling thread with how many tasks are done.
         """
-        results: list[Returned] = []
+        progress = progress or (lambda done: None)
         if self._pool is None:
+            results = []
             for k in range(count):
                 results.append(task(k, lambda: False))
-                if progress is not None:
-                    progress(k + 1)
+                progress(k + 1)
             return results
         end = count  # results from this number on are not wanted
         futures = [self._pool.submit(task, k, lambda k=k: k >= end) for k in range(count)]  # type: ignore[misc]
@@ -94,7 +95,7 @@ class Workers:
                     end = min(end, futures.index(future) + 1)
                     for later in futures[end:]:
                         later.cancel()
-                elif progress is not None:
+                else:
                     progress(done)
         finally:
             end = 0
@@ -233,60 +234,57 @@ def each(
             f"worker processes cannot be given this: {error}. They import functions and classes by name, "
             "but not the program that is run: define them in a module and import that"
         ) from error
-    return _run(program, _Exchange(packed), count, attempts)
+    return _run(program, packed, count, attempts)
 
 
-class _Exchange:
-    """What workers' threads and the thread that waits for results share.
-
-    Attributes:
-        packed: pickled arguments.
-        waiting: numbers of tasks that no worker has; None ends a worker's thread.
-        events: what workers came to: how a task ended, an error of `prepare`, or None for a death.
-    """
-
-    def __init__(self, packed: Sequence[bytes]) -> None:
-        self.packed = packed
-        self.waiting: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-        self.events: queue.SimpleQueue[tuple[_Worker, Done[Any] | Exception | None]] = queue.SimpleQueue()
-        for number in range(len(packed)):
-            self.waiting.put(number)
-
-
-def _run(program: bytes, exchange: _Exchange, count: int, attempts: int) -> Generator[Done[Any], None, None]:
-    left = len(exchange.packed)
+def _run(
+    program: bytes, packed: Sequence[bytes], count: int, attempts: int
+) -> Generator[Done[Any], None, None]:
+    left = len(packed)
+    waiting, finished = deque(range(left)), deque[Done[Any]]()
     deaths, stillborn, last_stillborn = [0] * left, 0, 0.0
-    workers: set[_Worker] = set()
+    workers: list[_Worker] = []
     try:
         while left:
-            while len(workers) < min(count, left):
-                workers.add(_Worker(program, exchange))
-            worker, event = exchange.events.get()
-            if isinstance(event, Exception):
-                raise event
-            if event is None:
-                workers.remove(worker)
-                code, number = worker.end(time.monotonic() + GRACE_S), worker.number
-                if number is not None:
-                    deaths[number] += 1
-                    if deaths[number] == attempts:
-                        event = Done(number, None, WorkerDiedError(code, attempts))
-                    else:
-                        exchange.waiting.put(number)
-                elif (
-                    not worker.ready and worker.begun > last_stillborn
-                ):  # not one of several that died as one
-                    stillborn, last_stillborn = stillborn + 1, time.monotonic()
-                    if stillborn == attempts:
-                        raise WorkerDiedError(code, attempts)
-            if worker.ready:
-                stillborn = 0
-            if event is not None:
+            while len(workers) < min(count, left - len(finished)):
+                workers.append(_Worker(program))
+            for worker in workers:
+                if waiting and worker.ready and worker.number is None:
+                    with suppress(OSError):  # it died before the task
+                        worker.pipe.send_bytes(packed[waiting[0]])
+                        worker.number = waiting.popleft()
+            if finished:  # every worker has a task meanwhile
                 left -= 1
-                yield event
+                yield finished.popleft()
+                continue
+            heard = wait_for([each for worker in workers for each in (worker.pipe, worker.process.sentinel)])
+            for worker in [each for each in workers if each.pipe in heard or each.process.sentinel in heard]:
+                number = worker.number
+                try:
+                    result, error = worker.answer()
+                except (EOFError, OSError):  # killed in the middle of an answer, too
+                    workers.remove(worker)
+                    code = worker.end(time.monotonic() + GRACE_S)
+                    if worker.ready:
+                        stillborn = 0
+                    elif worker.begun > last_stillborn:  # not one of several that died as one
+                        stillborn, last_stillborn = stillborn + 1, time.monotonic()
+                        if stillborn == attempts:
+                            raise WorkerDiedError(code, attempts) from None
+                    if number is not None:
+                        deaths[number] += 1
+                        if deaths[number] < attempts:
+                            waiting.append(number)
+                        else:
+                            finished.append(Done(number, None, WorkerDiedError(code, attempts)))
+                    continue
+                if number is not None:
+                    finished.append(Done(number, result, error))
+                elif error is not None:
+                    raise error
+                worker.ready, worker.number, stillborn = True, None, 0
     finally:
         for worker in workers:
-            exchange.waiting.put(None)
             worker.process.terminate()
         latest = time.monotonic() + GRACE_S
         for worker in workers:
@@ -294,48 +292,32 @@ def _run(program: bytes, exchange: _Exchange, count: int, attempts: int) -> Gene
 
 
 class _Worker:
-    """A worker process, and the thread of this one that hands it tasks until it dies.
+    """A worker process.
 
     Attributes:
         begun: when it was started, on the monotonic clock, s.
         ready: whether it has answered that it can begin.
         number: of the task that it is at, or None.
+        pipe: for pickled arguments and answers.
     """
 
-    def __init__(self, program: bytes, exchange: _Exchange) -> None:
+    def __init__(self, program: bytes) -> None:
         self.begun = time.monotonic()
         self.ready = False
         self.number: int | None = None
-        self._pipe, theirs = Pipe()
+        self.pipe, theirs = Pipe()
         self.process = _start(_work, (theirs, program))
         theirs.close()
-        threading.Thread(target=self._attend, args=(exchange,), daemon=True).start()
 
-    def _attend(self, exchange: _Exchange) -> None:
-        with self._pipe as pipe:
-            try:
-                _, error = self._answer()
-                if error is not None:
-                    exchange.events.put((self, error))
-                self.ready = error is None
-                while self.ready and (number := exchange.waiting.get()) is not None:
-                    try:
-                        pipe.send_bytes(exchange.packed[number])
-                    except OSError:  # it died before the task
-                        exchange.waiting.put(number)
-                        raise
-                    self.number = number
-                    result, error = self._answer()
-                    self.number = None
-                    exchange.events.put((self, Done(number, result, error)))
-            except (EOFError, OSError):  # killed in the middle of an answer, too
-                exchange.events.put((self, None))
+    def answer(self) -> tuple[Any, Exception | None]:
+        """Return result and error, one of them None.
 
-    def _answer(self) -> tuple[Any, Exception | None]:
-        wait_for([self._pipe, self.process.sentinel])  # the latter where its server has died
-        if not self._pipe.poll():
+        Raises:
+            EOFError, OSError: it has died.
+        """
+        if not self.pipe.poll():  # where its server has died the pipe has no end
             raise EOFError
-        answer: tuple[Any, Exception | None] = pickle.loads(self._pipe.recv_bytes())
+        answer: tuple[Any, Exception | None] = pickle.loads(self.pipe.recv_bytes())
         return answer
 
     def end(self, latest: float) -> int:
@@ -345,6 +327,7 @@ class _Worker:
         self.process.join()
         code = self.process.exitcode
         self.process.close()
+        self.pipe.close()
         return code or 0
 
 
