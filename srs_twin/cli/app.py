@@ -24,6 +24,7 @@ from srs_twin.cli import (
     sweep,
     view,
 )
+from srs_twin.cli.options import option
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -39,9 +40,7 @@ app.command("compare")(run.compare)
 app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
 app.command("sweep")(sweep.sweep)
-app.command("reproduce", short_help="Judge every claim of the dissertation for each plant.")(
-    reproduce.reproduce
-)
+app.command("reproduce")(reproduce.reproduce)
 app.command("view")(view.view)
 app.command("play")(play.play)
 app.command("render")(render.render)
@@ -65,11 +64,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    debug: Annotated[
-        bool, typer.Option("--debug", help=f"Show the traceback of an error (also {DEBUG}=1).")
-    ] = False,
+    debug: Annotated[bool, option("--debug", f"Show the traceback of an error (also {DEBUG}=1).")] = False,
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, option("--version", "Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Soft robotic snake: the same valve commands drive an analytical model and a MuJoCo twin."""

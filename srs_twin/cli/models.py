@@ -47,30 +47,22 @@ def check(
     """
     from srs_twin.io.files import printable, shipped_names, shown
     from srs_twin.mjcf.check import check_mjcf
+    from srs_twin.mjcf.export import stale_files
+    from srs_twin.robot.spec import load_robot
 
     bad = 0
     for model in models or shipped_names("robot"):
         path, robot = _find(model)
         report = check_mjcf(path)
-        faults = [*report.faults, *_stale(robot, path.parent)]
+        faults = list(report.faults)
+        if robot is not None:
+            remedy = f"is not current; `srs-twin models export {robot}` writes it anew"
+            faults += [f"{name} {remedy}" for name in stale_files(load_robot(robot), path.parent)]
         bad += bool(faults)
         for line in faults or [_praise(report, current=robot is not None)]:
             typer.echo(f"{shown(path)}: {printable(line)}", err=bool(faults))
     if bad:
         raise typer.Exit(InputError.exit_code)
-
-
-def _stale(robot: str | None, folder: Path) -> list[str]:
-    """Return a fault for each file of a shipped robot that is not what an export would write."""
-    if robot is None:
-        return []
-    from srs_twin.mjcf.export import stale_files
-    from srs_twin.robot.spec import load_robot
-
-    return [
-        f"{name} is not current; `srs-twin models export {robot}` writes it anew"
-        for name in stale_files(load_robot(robot), folder)
-    ]
 
 
 def _praise(report: ModelReport, *, current: bool) -> str:

@@ -7,7 +7,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Any, Self
 
 from srs_twin.cli import say
@@ -35,9 +34,7 @@ class Display(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._drawn is not None:
             self._drawn.stop()
 
@@ -84,11 +81,15 @@ class Display(ABC):
 
 
 class Counting(Display):
-    """Counts runs."""
+    """Counts runs.
+
+    Attributes:
+        total: how many there are.
+    """
 
     def __init__(self, title: str, total: int, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
-        self._total = total
+        self.total = total
         self._done = self._failed = 0
         self._first = 0.0  # s, when the first run was done: workers take a while to start
 
@@ -120,11 +121,11 @@ class Counting(Display):
         return f"{failed}, {self._rate():.3g}/s"
 
     def _line(self) -> str:
-        left = (self._total - self._done) / self._rate()
-        return f"{self.title}: {self._done} of {self._total}{self._pace()}, {left:.0f} s left"
+        left = (self.total - self._done) / self._rate()
+        return f"{self.title}: {self._done} of {self.total}{self._pace()}, {left:.0f} s left"
 
     def _bar(self) -> tuple[str, float, str]:
-        return self.title, self._done / self._total, f"{self._done}/{self._total}{self._pace()}"
+        return self.title, self._done / self.total, f"{self._done}/{self.total}{self._pace()}"
 
 
 class ScenarioProgress(Display):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,7 +37,10 @@ def reproduce(
     ] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Reproduce the dissertation: run what its claims need, judge every row, compare with the baseline."""
+    """Judge every claim of the dissertation for each plant.
+
+    Runs what the claims need, judges every row, and compares what comes out with the baseline.
+    """
     from srs_twin.parallel import start_server
 
     # First of all: it loads what workers need while this process loads what it needs itself.
@@ -73,12 +75,10 @@ def _judged(
 ) -> tuple[Judged, ...]:
     from srs_twin.reproduction import judge
 
-    counting: Counting
-    with ExitStack() as stack:
+    with Counting("runs", 0, quiet=quiet) as counting:
 
         def planned(count: int) -> None:
-            nonlocal counting
-            counting = stack.enter_context(Counting("runs", count, quiet=quiet))
+            counting.total += count
 
         def progress(row: Row) -> None:
             counting(failed=row.exit_code != 0)
