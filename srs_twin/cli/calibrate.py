@@ -156,9 +156,7 @@ def locomotion(
     pressure: PressureOption = None,
     find: FindOption = _LOCOMOTION,
     plant: Annotated[str, option("--plant NAME", "Stands for the robot: analytical or twin.")] = "analytical",
-    model: Annotated[
-        str | None, option("--model NAME", "Of the analytical plant. [default: complete]")
-    ] = None,
+    model: Annotated[str | None, option("--model NAME", "Analytical model. [default: complete]")] = None,
     law: FloorOption = None,
     against: Annotated[str, option("--against WHAT", "What is compared: averages, shapes or both.")] = "both",
     starts: Annotated[
@@ -266,21 +264,15 @@ def _needless(given: object, option: str, why: str) -> None:
 @app.command()
 def footprint(
     robot: RobotArgument,
-    controller: Annotated[
-        str, option("--controller NAME", "gait (open loop) or ilc (iterative learning).")
-    ] = "gait",
-    frequency: Annotated[
-        float | None, option("--frequency HZ", "Of the gait. [default: 2; ilc: 1.5]")
-    ] = None,
+    controller: Annotated[str, option("--controller NAME", "gait (open loop) or ilc (learning).")] = "gait",
+    frequency: Annotated[float | None, option("--frequency HZ", "Of the gait. [default: 2, ilc 1.5]")] = None,
     pressure: PressureOption = None,
     target: Annotated[float, option("--target RAD", "Bend that ilc aims at.")] = 0.7,
     plant: Annotated[str, option("--plant NAME", "twin or analytical.")] = "twin",
     offsets: Annotated[
         str | None, option("--offsets LIST", "As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]")
     ] = None,
-    transients: Annotated[
-        bool, option("--transients/--no-transients", "Measure changes of offset as well.")
-    ] = True,
+    transients: Annotated[bool, option("--transients/--no-transients", "Measure changes of offset.")] = True,
     periods: Annotated[int, option("--periods N", "Gait periods measured of each run.")] = 6,
     phases: Annotated[int, option("--phases N", "Runs an offset, each begun at another phase.")] = 4,
     threads: Annotated[int | None, at_once("--threads -j N")] = None,

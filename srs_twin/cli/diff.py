@@ -22,12 +22,8 @@ _SHOWN = 40
 def diff(
     a: Annotated[str, argument("A", "Reference: a folder of results, or one file.")],
     b: Annotated[str, argument("B", "Results that are held against it.")],
-    rel: Annotated[
-        float | None, option("--rel NUMBER", "Relative tolerance of a number. [default: 1e-6]")
-    ] = None,
-    abs_: Annotated[
-        float | None, option("--abs NUMBER", "Absolute tolerance of a number. [default: 1e-9]")
-    ] = None,
+    rel: Annotated[float | None, option("--rel NUMBER", "Relative tolerance. [default: 1e-6]")] = None,
+    abs_: Annotated[float | None, option("--abs NUMBER", "Absolute tolerance. [default: 1e-9]")] = None,
     tolerances: Annotated[
         str | None, option("--tolerances FILE", "Tolerances by metric, a YAML file (docs/ci.md).")
     ] = None,

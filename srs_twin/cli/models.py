@@ -37,9 +37,7 @@ def export(
 
 @app.command()
 def check(
-    models: Annotated[
-        list[str] | None, argument("FILE|NAME", "MJCF files or robots; default all shipped.")
-    ] = None,
+    models: Annotated[list[str] | None, argument("FILE|NAME", "MJCF files or robots; default all.")] = None,
 ) -> None:
     """Compile models and give each a second of random control.
 

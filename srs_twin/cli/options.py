@@ -42,9 +42,7 @@ JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace another file.")]
 
 FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables that the fit is made from.")]
-RobotOption = Annotated[
-    str, option("--robot -r ROBOT", "Where the search starts: a shipped robot or a file.")
-]
+RobotOption = Annotated[str, option("--robot -r ROBOT", "Where the search starts: shipped, or a file.")]
 _VALIDATE = "Held against the fit, which does not see it; repeatable."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 _LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]"
@@ -66,9 +64,7 @@ class ReadingOptions:
     up: Annotated[str, option("--up AXIS", "Axis of the files that points up.")] = "auto"
     layout: Annotated[str, option("--layout NAME", "Markers: auto, single, head or pair.")] = "auto"
     head: Annotated[str | None, option("--head MARKER", "At the head. [default: where it crawls to]")] = None
-    longest_gap: Annotated[
-        float | None, option("--longest-gap S", "Longest gap that is filled. [default: 0.2]")
-    ] = None
+    longest_gap: Annotated[float | None, option("--longest-gap S", "Longest filled. [default: 0.2]")] = None
 
     def given(self) -> dict[str, Any]:
         """Return what was given, by the names of `RecordingReader`."""
@@ -83,9 +79,7 @@ class FitOptions:
     name: Annotated[str | None, option("--name NAME", "Of the fit and its file. [default: ROBOT_WHAT]")] = (
         None
     )
-    out: Annotated[
-        str | None, option("--out FILE.yaml", f"Where the fit goes. [default: {FITS}/NAME.yaml]")
-    ] = None
+    out: Annotated[str | None, option("--out FILE.yaml", f"Its file. [default: {FITS}/NAME.yaml]")] = None
     overwrite: Annotated[bool, option("--overwrite", "Replace the fit of another command.")] = False
     quiet: QuietOption = False
 

@@ -27,18 +27,14 @@ _SMALLEST, _LARGEST = 64, 4096  # pixels
 def render(
     runs: Annotated[list[str], argument("RUN", "Run folders, or names in runs/.")],
     video: Annotated[
-        str | None, option("--video FILE.mp4", "Make a video; of several runs, a folder for them.")
+        str | None, option("--video FILE.mp4", "A video; of several runs, their folder.")
     ] = None,
-    image: Annotated[str | None, option("--image t=2.5", "Make a picture of that moment, s.")] = None,
-    strobe: Annotated[
-        bool, option("--strobe", "Make one picture from above, the snake at several moments.")
-    ] = False,
+    image: Annotated[str | None, option("--image t=2.5", "A picture of that moment, s.")] = None,
+    strobe: Annotated[bool, option("--strobe", "A picture from above of several moments.")] = False,
     out: Annotated[str | None, option("--out FILE.png", _OUT)] = None,
     size: Annotated[str, option("--size WxH", "Pixels; of --strobe the width counts.")] = "1280x720",
     fps: Annotated[int, option("--fps N", "Pictures a second of a video.", min=1, max=120)] = 30,
-    speed: Annotated[
-        float, option("--speed X", "Of a video: 0.25 is slow motion.", min=0.001, max=1000)
-    ] = 1.0,
+    speed: Annotated[float, option("--speed X", "Of a video; 0.25: slow motion.", min=0.001, max=1000)] = 1.0,
     quiet: QuietOption = False,
 ) -> None:
     """Draw finished runs with MuJoCo, no screen needed."""

@@ -39,17 +39,13 @@ def replay(
     valves: Annotated[
         str | None, option("--valves LOG", "Valves or pressures. [default: NAME.valves.csv beside it]")
     ] = None,
-    fit: Annotated[
-        list[str] | None, option("--fit FIT", "What a fit of this robot found; repeatable.")
-    ] = None,
+    fit: Annotated[list[str] | None, option("--fit FIT", "A fit of this robot; repeatable.")] = None,
     expect: Annotated[
         str | None, option("--expect FILE.yaml", "Expectations, as a scenario has them: `expect: …`.")
     ] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
-    bench: Annotated[
-        bool, option("--bench", "It hung in the air, held at its head; also of one module.")
-    ] = False,
+    bench: Annotated[bool, option("--bench", "It hung in air, held at its head; also one module.")] = False,
     pressure: PressureOption = None,
     plants: Annotated[str, option("--plants LIST", "analytical, twin or both.")] = "analytical,twin",
     model: Annotated[str, option("--model NAME", "Of the analytical plant.")] = "complete",

@@ -26,9 +26,7 @@ def compare(
     check: CheckOption = False,
     strict: StrictOption = False,
     quiet: QuietOption = False,
-    explain: Annotated[
-        bool, option("--explain", "Say why the plants differ: the share of each assumption.")
-    ] = False,
+    explain: Annotated[bool, option("--explain", "Say why they differ: each assumption's share.")] = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference."""
     cases, fails, both = cases_of([scenario]), failing(check=check, strict=strict), ("analytical", "twin")

@@ -28,9 +28,7 @@ _MOST_BESIDE = 30  # rows of published values; more are for the report
 
 def sweep(
     given: Annotated[str, argument("SWEEP", "A shipped sweep or a file.")],
-    out: Annotated[
-        str | None, option("--out DIR", "Folder of the results. [default: runs/sweeps/SWEEP]")
-    ] = None,
+    out: Annotated[str | None, option("--out DIR", "Folder of results. [default: runs/sweeps/SWEEP]")] = None,
     engine: Annotated[str, option("--engine NAME", "Who runs the points: local or ray.")] = "local",
     workers: Annotated[int | None, at_once("--workers N")] = None,
     address: Annotated[

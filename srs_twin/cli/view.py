@@ -19,12 +19,8 @@ def view(
     runs: Annotated[
         list[str], argument("RUN", "Run folders, recordings, or names in runs/; several stand side by side.")
     ],
-    web: Annotated[
-        bool, option("--web", "Serve the viewer for a browser on this machine, until Ctrl-C.")
-    ] = False,
-    port: Annotated[
-        int | None, option("--port N", "Of the page. [default: a free one]", min=1, max=65535)
-    ] = None,
+    web: Annotated[bool, option("--web", "Serve it for a browser on this machine, until Ctrl-C.")] = False,
+    port: Annotated[int | None, option("--port N", "Of the page. [default: free]", min=1, max=65535)] = None,
 ) -> None:
     """Open the recordings of runs."""
     recordings = [find_recording(run) for run in runs]
