@@ -64,7 +64,9 @@ class ReadingOptions:
     up: Annotated[str, option("--up AXIS", "Axis of the files that points up.")] = "auto"
     layout: Annotated[str, option("--layout NAME", "Markers: auto, single, head or pair.")] = "auto"
     head: Annotated[str | None, option("--head MARKER", "At the head. [default: where it crawls to]")] = None
-    longest_gap: Annotated[float | None, option("--longest-gap S", "Longest filled. [default: 0.2]")] = None
+    longest_gap: Annotated[
+        float | None, option("--longest-gap S", "Longest gap that is filled. [default: 0.2]")
+    ] = None
 
     def given(self) -> dict[str, Any]:
         """Return what was given, by the names of `RecordingReader`."""
