@@ -14,10 +14,11 @@ from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
-from srs_twin.identification.unknowns import known, unit_of, unknowns, with_values
+from srs_twin.identification.unknowns import known, unknowns, with_values
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.files import atomic_write
 from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 
 _PA_PER_KPA = 1e3
@@ -54,21 +55,20 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
     kept = {name: fit.held[name] for name in held} | moved
     spec = with_values(file.spec() if over is None else over, kept | values)
     block: dict[str, Any] = {"base": fit.robot}
-    for each in taken:
-        section, key = each.name.split(".", 1)
-        origin = _origin(fit, [other for other in taken if _record_key(other) == _record_key(each)])
-        for where, record in _records(spec, section, key).items():
-            block.setdefault(section, {})[where] = record | origin
-    if any(name.startswith("modules.gain") for name in values) and held and "actuator.bend_rad" not in values:
-        # Gains are multiples of what was held.
-        source = {"status": "calibrated", "source": f"held in fit {fit.name}: gains are multiples of it"}
-        records = _records(spec, "actuator", "bend_rad")
-        block.setdefault("actuator", {}).update({where: each | source for where, each in records.items()})
-    for name in moved:
+
+    def put(name: str, status: str, source: str, *, over: bool = True) -> None:
         section, key = name.split(".", 1)
-        source = {"status": "estimated", "source": f"held in fit {fit.name}: its values refer to it"}
         for where, record in _records(spec, section, key).items():
-            block.setdefault(section, {}).setdefault(where, record | source)
+            if over or where not in block.get(section, {}):
+                block.setdefault(section, {})[where] = record | {"status": status, "source": source}
+
+    for each in taken:
+        alike = [other for other in taken if _record_key(other.name) == _record_key(each.name)]
+        put(each.name, "calibrated", _source(fit, alike))
+    if any(name.startswith("modules.gain") for name in values) and held and "actuator.bend_rad" not in values:
+        put("actuator.bend_rad", "calibrated", f"held in fit {fit.name}: gains are multiples of it")
+    for name in moved:
+        put(name, "estimated", f"held in fit {fit.name}: its values refer to it", over=False)
     spread = file.modules
     for key in block.get("modules", {}) if spread else ():
         if getattr(spread, _SPREADS[key]) is not None:
@@ -105,7 +105,7 @@ def _taken(fit: FitFile, weak: bool) -> list[ParameterEntry]:
 def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any]]:
     """Return the records of a robot file that a parameter decides, by key."""
     if section == "modules":
-        name = re.sub(r"(_plus|_minus)?_\d+$", "", key)
+        name = _record_key(key)
         values = spec.modules.array(name.removesuffix("_rad")).tolist()
         return {name: {"value": values, "unit": "rad" if name.endswith("_rad") else "1"}}
     if section == "mass":
@@ -121,20 +121,19 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
             "bend_rad": {"value": spec.actuator.gain * nominal, "unit": "rad"},
             "at_pressure_kpa": {"value": nominal / _PA_PER_KPA, "unit": "kPa"},
         }
-    attribute = re.sub(r"(_m|_s|_rad|_nm_per_rad)$", "", key)
-    value = getattr(getattr(spec, section), attribute)
-    return {key: {"value": value, "unit": unit_of(f"{section}.{key}")}}
+    attribute, unit = split_unit(key)
+    return {key: {"value": getattr(getattr(spec, section), attribute), "unit": unit}}
 
 
-def _record_key(each: ParameterEntry) -> str:
+def _record_key(name: str) -> str:
     """Return the record of a robot file that a parameter stands in."""
-    return re.sub(r"(_plus|_minus)?_\d+$", "", each.name)
+    return re.sub(r"(_plus|_minus)?_\d+$", "", name)
 
 
-def _origin(fit: FitFile, entries: list[ParameterEntry]) -> dict[str, str]:
+def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
     words = "; ".join(f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries)
     source = f"fit {fit.name} ({fit.method}), 95 %: {words}"
-    return {"status": "calibrated", "source": source if len(source) <= 1000 else source[:997] + "..."}
+    return source if len(source) <= 1000 else source[:997] + "..."
 
 
 def overrides_of(
@@ -157,8 +156,13 @@ def overrides_of(
     block: dict[str, Any] = {}
     spec = load_robot_file(loaded[0].robot).spec()
     for path, fit in zip(fits, loaded, strict=True):
-        _same_robot(str(path), fit, base or loaded[0].robot)
-        block = _merged(block, robot_override(fit, weak=weak, over=spec))
+        if fit.robot != (wanted := base or loaded[0].robot):
+            raise InputError(
+                f"{path}: a fit of robot {fit.robot}, where {wanted} is wanted; fits are put over the robot "
+                "that they started from"
+            )
+        for key, value in robot_override(fit, weak=weak, over=spec).items():
+            block[key] = block.get(key, {}) | value if isinstance(value, Mapping) else value
         spec = fitted(fit, spec, weak=weak)
     return block
 
@@ -192,21 +196,3 @@ def write_robot(robot: RobotFile, path: str | os.PathLike[str]) -> None:
     """
     with atomic_write(path) as part:
         part.write_text(dump_yaml(robot.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-
-
-def _same_robot(path: str, fit: FitFile, base: str) -> None:
-    if fit.robot != base:
-        raise InputError(
-            f"{path}: a fit of robot {fit.robot}, where {base} is wanted; fits are put over the robot that "
-            "they started from"
-        )
-
-
-def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """Return blocks put together, section by section; records of the other replace those of the one."""
-    merged = dict(one)
-    for key, value in other.items():
-        section = merged.get(key)
-        both = isinstance(value, Mapping) and isinstance(section, Mapping)
-        merged[key] = {**section, **value} if both else value  # type: ignore[dict-item]
-    return merged

@@ -120,7 +120,7 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
 
 def known(name: str) -> bool:
     """Say whether a name is of a robot's number."""
-    return _split(name) is not None
+    return _key(name)[0] in _FIELDS
 
 
 def unit_of(name: str) -> str:
@@ -134,7 +134,7 @@ def unit_of(name: str) -> str:
 
 def names_of_fields() -> list[str]:
     """Return the names of all numbers that a fit may look for, N standing for a connector or segment."""
-    return [f"{name}_N" if field.numbered else name for name, field in _FIELDS.items()]
+    return list(_FIELDS)
 
 
 def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
@@ -142,16 +142,12 @@ def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
     return tuple(f"{name}_{j}" for name in names for j in range(1, spec.segments + 1))
 
 
-def _split(name: str) -> tuple[str, int] | None:
-    """Return the key in `_FIELDS` and the number from 0, None where there is no such name."""
-    if name in _FIELDS and not _FIELDS[name].numbered:
-        return name, 0
-    match = re.fullmatch(r"(.+)_([1-9]\d?)", name, flags=re.ASCII)
+def _key(name: str) -> tuple[str, int]:
+    """Return a name with N in place of its number, and the number from 0; 0 where it has none."""
+    match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is None:
-        return None
-    key = match[1] if match[1] != "mass.connectors_kg" else "mass.connectors_kg_each"
-    field = _FIELDS.get(key)
-    return (key, int(match[2]) - 1) if field and field.numbered else None
+        return "" if name.endswith("_N") else name, 0  # N itself is no number
+    return f"{match[1]}N", int(match[2]) - 1
 
 
 def _field(name: str) -> tuple[_Field, int]:
@@ -160,10 +156,10 @@ def _field(name: str) -> tuple[_Field, int]:
     Raises:
         UnknownNameError: no such number.
     """
-    parts = _split(name)
-    if parts is None:
+    key, k = _key(name)
+    if key not in _FIELDS:
         raise UnknownNameError("parameter", name, names_of_fields(), "docs/identification.md")
-    return _FIELDS[parts[0]], parts[1]
+    return _FIELDS[key], k
 
 
 def _field_of(spec: RobotSpec, name: str) -> tuple[_Field, int]:
@@ -248,9 +244,7 @@ _FIELDS: dict[str, _Field] = {
     "geometry.half_track_m": _of("geometry", "half_track", "m", 1e-3, 0.2),
     "geometry.width_m": _of("geometry", "width", "m", 1e-3, 0.5),
     "mass.connectors_kg": _Field("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
-    "mass.connectors_kg_each": _Field(
-        "kg", 1e-3, 50.0, _mass, _put_mass, numbered="connector", least=_lightest
-    ),
+    "mass.connectors_kg_N": _Field("kg", 1e-3, 50.0, _mass, _put_mass, numbered="connector", least=_lightest),
     "friction.mu_t": _of("friction", "mu_t", "1", 1e-3, 5.0),
     "friction.mu_n": _of("friction", "mu_n", "1", 1e-3, 5.0),
     "bending.stiffness_nm_per_rad": _of("bending", "stiffness", "N*m/rad", 1e-3, 1e3),
@@ -262,12 +256,12 @@ _FIELDS: dict[str, _Field] = {
         "rad", 2e-3, 6.2, lambda spec, k: spec.actuator.gain * spec.supply.nominal, _put_bend
     ),
     "actuator.bend_limit_rad": _of("actuator", "bend_limit", "rad", 0.1, 6.3),
-    "modules.gain_plus": _module("gain", 0, "1", 0.11, 9.0),
-    "modules.gain_minus": _module("gain", 1, "1", 0.11, 9.0),
-    "modules.tau_fill_plus": _module("tau_fill", 0, "1", 0.11, 9.0),
-    "modules.tau_fill_minus": _module("tau_fill", 1, "1", 0.11, 9.0),
-    "modules.tau_vent_plus": _module("tau_vent", 0, "1", 0.11, 9.0),
-    "modules.tau_vent_minus": _module("tau_vent", 1, "1", 0.11, 9.0),
-    "modules.bias_rad": _module("bias", None, "rad", -0.99, 0.99, scale=0.3),
+    "modules.gain_plus_N": _module("gain", 0, "1", 0.11, 9.0),
+    "modules.gain_minus_N": _module("gain", 1, "1", 0.11, 9.0),
+    "modules.tau_fill_plus_N": _module("tau_fill", 0, "1", 0.11, 9.0),
+    "modules.tau_fill_minus_N": _module("tau_fill", 1, "1", 0.11, 9.0),
+    "modules.tau_vent_plus_N": _module("tau_vent", 0, "1", 0.11, 9.0),
+    "modules.tau_vent_minus_N": _module("tau_vent", 1, "1", 0.11, 9.0),
+    "modules.bias_rad_N": _module("bias", None, "rad", -0.99, 0.99, scale=0.3),
     "modules.sensor_bias_rad": _Field("rad", -0.99, 0.99, _mean_sensor_bias, _put_sensor_bias, scale=0.3),
 }
