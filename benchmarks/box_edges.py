@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.fit_file import DataSet, fingerprint, keep_apart
+from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
 from srs_twin.identification.least_squares import least_squares
 from srs_twin.identification.unknowns import unknowns
 from srs_twin.robot.spec import RobotSpec
@@ -64,13 +63,7 @@ def fit_width(runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence
     Raises:
         InputError: no run, or one to validate with that is also fitted.
     """
-    if not runs:
-        raise InputError("box edges are wanted; none was given")
-    keep_apart(
-        [*(each.data_set("fit") for each in runs), *(each.data_set("validation") for each in validation)]
-    )
-    roles: list[tuple[BoxEdges, Role]] = [(each, "fit") for each in runs]
-    roles += [(each, "validation") for each in validation]
+    roles = with_roles("box edges", runs, validation)
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         change = values[WIDTH] - spec.geometry.width

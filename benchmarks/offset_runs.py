@@ -20,7 +20,7 @@ from published_tables import PublishedRun
 
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, identifiability
-from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart
+from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
 from srs_twin.identification.footprint import Drive, steady_path
 from srs_twin.identification.least_squares import SearchOptions, least_squares
 from srs_twin.identification.paths import SteadyPath
@@ -127,14 +127,12 @@ def fit_offsets(
     Raises:
         InputError: no run, too few for so many unknowns, or one to validate with that is also fitted.
     """
-    if not runs:
-        raise InputError("runs at offsets are wanted; none was given")
+    with_roles("runs at offsets", runs, validation)
     scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
     fitted, kept = (
         _Rows(tuple(runs), drive, "fit", scales, threads),
         _Rows(tuple(validation), drive, "validation", scales, threads),
     )
-    keep_apart(data_sets(runs, validation))
     wanted = unknowns(drive.spec, names, starts=starting)
     # Validated where the search ended, also in what these data do not tell: never with what it began from.
     validating = kept.residuals if validation else None

@@ -76,7 +76,7 @@ def test_a_fit_becomes_the_robot_of_a_scenario():
 def test_every_parameter_reaches_the_robot(name):
     """Through the file and the override: the number, its unit, its status and its source."""
     spec = load_robot("gen2")
-    name = name.replace("_each", "").replace("_N", "_2")
+    name = name.replace("_N", "_2")
     start = unknowns(replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name])[0]
     value = start.start * 1.1 if start.scale is None else start.start + 0.01
     found = Parameter(name, unit_of(name), "identified", value, 0.001, value - 0.002, value + 0.002)
@@ -149,5 +149,5 @@ def test_the_format_keeps_data_apart(tmp_path: Path):
     path.write_text(write_fit(fit, tmp_path / "y.yaml").read_text().replace("b" * 64, "a" * 64))
     with pytest.raises(InputFileError, match=r"x.yaml:\d+:\d+: data: b.csv: the same data as a.csv"):
         load_fit(path)
-    halves = [replace(each, start=k, end=k + 1.0) for k, each in enumerate(same)]
+    halves = [replace(each, from_s=k, to_s=k + 1.0) for k, each in enumerate(same)]
     assert len(fit_file(fit.estimate(), **ABOUT, data=halves).data) == 2

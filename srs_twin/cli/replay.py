@@ -137,13 +137,9 @@ def _expectations(path: str) -> list[Any]:
     Raises:
         InputFileError: everything that is wrong with it.
     """
-    from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import existing
-    from srs_twin.io.validation import validate
+    from srs_twin.io.validation import load_model
     from srs_twin.scenario.expectation import ExpectationsFile
 
-    document = load_yaml(existing(Path(path)))
-    file = validate(ExpectationsFile, document, document.data)
-    document.finish()
-    assert file is not None, "expectations without a problem were checked"
+    file = load_model(ExpectationsFile, existing(Path(path)))
     return [each.model_dump(mode="json", exclude_none=True) for each in file.expect]

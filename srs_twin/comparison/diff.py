@@ -19,9 +19,8 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import existing, shown
-from srs_twin.io.validation import Strict, validate
+from srs_twin.io.validation import Strict, load_model
 
 REL, ABS = 1e-6, 1e-9
 """What two processor targets may differ by; docs/sweeps.md has what they were measured to."""
@@ -67,11 +66,7 @@ def load_tolerances(path: str | os.PathLike[str]) -> Tolerances:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    document = load_yaml(existing(Path(path)))
-    file = validate(Tolerances, document, document.data)
-    document.finish()
-    assert file is not None, "no problem was reported"
-    return file
+    return load_model(Tolerances, existing(Path(path)))
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart
+from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
@@ -122,24 +122,17 @@ def fit_actuator(
     Raises:
         InputError: no response, responses of another robot, or one to validate with that is also fitted.
     """
-    if not responses:
-        raise InputError("responses are wanted; none was given")
-    keep_apart(data_sets(responses, validation))
-    everything: list[tuple[Response, Role]] = [(each, "fit") for each in responses]
-    everything += [(each, "validation") for each in validation]
+    everything = with_roles("responses", responses, validation)
     for each, _ in everything:
-        if each.bend.shape[1] != spec.segments:
-            raise InputError(
-                f"{each.name}: {each.bend.shape[1]} bends; {spec.name} has {spec.segments} segments"
-            )
+        if (bends := each.bend.shape[1]) != spec.segments:
+            raise InputError(f"{each.name}: {bends} bends; {spec.name} has {spec.segments} segments")
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
         found: list[Residual] = []
         for k, (response, role) in enumerate(everything):
             # What validates has no say in anything, its clock neither.
-            clock = values.get(f"clock_{k}", 0.0)
-            found += _compared(response, robot, clock, role)
+            found += _compared(response, robot, values.get(f"clock_{k}", 0.0), role)
         return found
 
     clocks = [
@@ -250,13 +243,11 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
         values[:, each.number - 1, names.index(each.name)] = column
     pressure, bend = values[..., :2], values[..., 2]
     if not (np.abs(pressure) <= _MOST_PRESSURE).all():
-        raise table.file.error(
-            f"pressures from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa are wanted, in every row"
-        )
+        allowed = f"from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa"
+        raise table.file.error(f"pressures {allowed} are wanted, in every row")
     if not np.isfinite(bend).any() or (np.abs(bend) > _MOST_BEND).any():
-        raise table.file.error(
-            f"bends up to {_MOST_BEND:.3g} rad are wanted; is the unit right (bend_1_deg)?"
-        )
+        wanted = f"bends up to {_MOST_BEND:.3g} rad are wanted"
+        raise table.file.error(f"{wanted}; is the unit right (bend_1_deg)?")
     return StaticTable(table.file.name, table.file.sha256, pressure, bend)
 
 
@@ -280,27 +271,17 @@ def fit_static(
     Raises:
         InputError: no table, or one to validate with that is also fitted.
     """
-    if not tables:
-        raise InputError("static tables are wanted; none was given")
-    keep_apart(data_sets(tables, validation))
+    everything = with_roles("static tables", tables, validation)
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
-        robot = with_values(spec, values)
-        roles: tuple[tuple[Role, Sequence[StaticTable]], ...] = (("fit", tables), ("validation", validation))
-        return [
-            each
-            for role, given in roles
-            for table in given
-            for each in _static_bends_compared(table, robot, role)
-        ]
+        robot, found = with_values(spec, values), []
+        for table, role in everything:
+            off = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
+            found += _bend_residuals(table.name, off, role)
+        return found
 
     wanted = [*per_segment(spec, *_OWN), _LIMIT] if names is None else list(names)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
     starts = {_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if math.isinf(spec.actuator.bend_limit) else {}
     looked_for = unknowns(spec, wanted, starts=starts)
     return least_squares(residuals, looked_for, held=_held(spec, looked_for), watch=watch)
-
-
-def _static_bends_compared(table: StaticTable, spec: RobotSpec, role: Role) -> list[Residual]:
-    off = table.bend - spec.modules.array("bias") - air_bend(spec, table.pressure)
-    return _bend_residuals(table.name, off, role)

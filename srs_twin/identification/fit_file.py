@@ -11,10 +11,10 @@ import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -22,9 +22,9 @@ from pydantic import Field
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
 from srs_twin.identification.unknowns import unit_of
-from srs_twin.io.documents import Loc, dump_yaml, load_yaml
+from srs_twin.io.documents import Loc, dump_yaml
 from srs_twin.io.files import atomic_write, existing
-from srs_twin.io.validation import Strict, validate
+from srs_twin.io.validation import Strict, load_model
 from srs_twin.robot.sourced import between
 from srs_twin.trajectory import Trajectory
 
@@ -38,24 +38,24 @@ class DataSet:
         sha256: of the file, or of the numbers where there is none, hexadecimal.
         role: "fit", or "validation": looked at when the fit is done.
         samples: how many.
-        start: where the part that was used begins, s; None: all of it was.
-        end: where it ends, s.
+        from_s: where the part that was used begins, s; None: all of it was.
+        to_s: where it ends, s.
     """
 
     name: str
     sha256: str
     role: Role
     samples: int
-    start: float | None = None
-    end: float | None = None
+    from_s: float | None = None
+    to_s: float | None = None
 
     def overlaps(self, other: DataSet) -> bool:
         """Say whether both hold the same samples."""
         if self.sha256 != other.sha256:
             return False
-        if self.start is None or self.end is None or other.start is None or other.end is None:
+        if self.from_s is None or self.to_s is None or other.from_s is None or other.to_s is None:
             return True
-        return self.start < other.end and other.start < self.end
+        return self.from_s < other.to_s and other.from_s < self.to_s
 
 
 class Data(Protocol):
@@ -65,10 +65,33 @@ class Data(Protocol):
         """Return what a fit says of these data."""
 
 
+Measured = TypeVar("Measured", bound=Data)
+
+
+def with_roles(
+    what: str, fitted: Iterable[Measured], validation: Iterable[Measured]
+) -> list[tuple[Measured, Role]]:
+    """Return all data of a fit with their roles.
+
+    Args:
+        what: what the data are called, in the plural.
+        fitted: what the fit is made from.
+        validation: what it is held against.
+
+    Raises:
+        InputError: nothing to fit, or data of both roles with samples in common.
+    """
+    found: list[tuple[Measured, Role]] = [(each, "fit") for each in fitted]
+    if not found:
+        raise InputError(f"{what} are wanted; none was given")
+    found += [(each, "validation") for each in validation]
+    keep_apart(each.data_set(role) for each, role in found)
+    return found
+
+
 def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSet]:
-    """Return all data of a fit with their roles."""
-    fits = [each.data_set("fit") for each in fitted]
-    return [*fits, *(each.data_set("validation") for each in validation)]
+    """Return what a fit says of all its data."""
+    return [each.data_set(role) for each, role in with_roles("data", fitted, validation)]
 
 
 def keep_apart(sets: Iterable[DataSet]) -> None:
@@ -131,7 +154,7 @@ class DataEntry(Strict):
 
     def data_set(self) -> DataSet:
         """Return the entry as the fits have it."""
-        return DataSet(self.name, self.sha256, self.role, self.samples, self.from_s, self.to_s)
+        return DataSet(**self.model_dump(exclude={"measured", "predicted"}))
 
 
 class ParameterEntry(Strict):
@@ -216,7 +239,7 @@ class FitFile(Strict):
             if missing and data.predicted is not None:
                 yield ("data", k, "predicted"), f"predicted without a number for {', '.join(missing)}"
         for k, each in enumerate(self.parameters):
-            yield from (((("parameters", k, *loc)), said) for loc, said in _doubts(each))
+            yield from ((("parameters", k, *loc), said) for loc, said in _doubts(each))
         for name, count in Counter(each.name for each in self.parameters).items():
             if count > 1:
                 yield ("parameters",), f"{name} stands here {count} times"
@@ -273,16 +296,7 @@ def _data_entry(data: DataSet, averages: tuple[Mapping[str, float] | None, ...])
         None if each is None else {name: float(f"{value:.6g}") for name, value in each.items()}
         for each in averages
     )
-    return DataEntry(
-        name=data.name,
-        sha256=data.sha256,
-        role=data.role,
-        samples=data.samples,
-        from_s=data.start,
-        to_s=data.end,
-        measured=measured,
-        predicted=predicted,
-    )
+    return DataEntry(**asdict(data), measured=measured, predicted=predicted)
 
 
 def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
@@ -305,13 +319,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitFile:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    document = load_yaml(existing(Path(path)))
-    file = validate(FitFile, document, document.data)
-    for loc, message in file.contradictions() if file else ():
-        document.report(loc, message)
-    document.finish()
-    assert file is not None, "a fit without a problem was checked"
-    return file
+    return load_model(FitFile, existing(Path(path)))
 
 
 def _apart(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:

@@ -29,7 +29,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.friction import LAWS
 from srs_twin.identification.estimate import IDENTIFIED, KNOWN, Estimate, Parameter, Residual, Role, Verdict
-from srs_twin.identification.fit_file import DataSet, data_sets, fingerprint, keep_apart, trajectory_hash
+from srs_twin.identification.fit_file import DataSet, fingerprint, trajectory_hash, with_roles
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, unknowns
 from srs_twin.plants.analytical.floor import slide, spin_share
@@ -117,7 +117,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> Estimate:
     Raises:
         InputError: pulls to validate with that are also fitted.
     """
-    keep_apart(data_sets([pulls], validation))
+    everything = with_roles("pulls", [pulls], validation)
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(way) for way in _WAYS]
     means = np.array([each.mean() if len(each) else np.nan for each in values])
@@ -135,17 +135,13 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> Estimate:
     scatter = [max(float(each.std(ddof=1)), 1e-12) if len(each) else math.nan for each in values]
     residuals = tuple(
         Residual(f"{data.name} {way}", "1", data.coefficients(way) - means[k], scatter[k], role)
-        for data, role in _with_roles(pulls, validation)
+        for data, role in everything
         for k, way in enumerate(_WAYS)
         if len(values[k]) and len(data.coefficients(way))
     )
     samples = sum(len(each) for each in values)
     held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
     return Estimate(tuple(found), correlation, residuals, (), samples, float(samples), 1.0, held)
-
-
-def _with_roles(pulls: Pulls, validation: Sequence[Pulls]) -> list[tuple[Pulls, Role]]:
-    return [(pulls, "fit"), *((each, "validation") for each in validation)]
 
 
 def _parameter(k: int, values: np.ndarray, mean: float, own: float, error: float) -> Parameter:
@@ -328,9 +324,7 @@ def fit_coasting(
     """
     if law not in LAWS or law == "viscous":
         raise InputError(f"friction law '{law}' is unknown here; allowed: axis, wheel, ellipse")
-    if not runs:
-        raise InputError("coasting runs are wanted; none was given")
-    keep_apart(data_sets(runs, validation))
+    with_roles("coasting runs", runs, validation)
     share = spin_share(spec) if wheel_inertia else 0.0
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:

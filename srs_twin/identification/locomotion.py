@@ -20,7 +20,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.fit_file import DataSet, data_sets, keep_apart, trajectory_hash
+from srs_twin.identification.fit_file import DataSet, trajectory_hash, with_roles
 from srs_twin.identification.least_squares import SearchOptions, Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
@@ -156,21 +156,18 @@ def fit_locomotion(
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
-    if not runs:
-        raise InputError("gait runs are wanted; none was given")
     model = model or PlantModel()
-    keep_apart(data_sets(runs, validation))
-    fitted, kept = (
-        [(run, signals(run.trajectory, None, against, run.name)) for run in given]
-        for given in (runs, validation)
-    )
+    everything = [
+        (run, signals(run.trajectory, None, against, run.name), role)
+        for run, role in with_roles("gait runs", runs, validation)
+    ]
 
-    def residuals(
-        measured: Sequence[tuple[GaitRun, dict[str, np.ndarray]]], role: Role, values: Mapping[str, float]
-    ) -> list[Residual]:
+    def residuals(wanted: Role, values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
         found: list[Residual] = []
-        for run, seen in measured:
+        for run, seen, role in everything:
+            if role != wanted:
+                continue
             try:
                 predicted = signals(model.follow(run, robot), run.trajectory, against, run.name)
                 off = {name: seen[name] - predicted[name] for name in seen}
@@ -180,12 +177,12 @@ def fit_locomotion(
         return found
 
     return least_squares(
-        partial(residuals, fitted, "fit"),
+        partial(residuals, "fit"),
         unknowns(spec, names),
         options=model.search_options(against),
         starts=starts,
         watch=watch,
-        validation=partial(residuals, kept, "validation"),
+        validation=partial(residuals, "validation"),
     )
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from srs_twin.errors import did_you_mean, some
-from srs_twin.io.documents import Document, Loc, child, has_child
+from srs_twin.io.documents import Document, Loc, child, has_child, load_yaml
 
 Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
@@ -19,9 +20,32 @@ _NO_SUCH_KIND = ("union_tag_invalid", "union_tag_not_found")
 
 
 class Strict(BaseModel):
-    """Base of all models of files: no conversions, no unknown keys, finite numbers only."""
+    """Base of all models of files: no conversions, no unknown keys, finite numbers only.
+
+    A model whose parts may contradict each other has `contradictions()`: path and message of each.
+    """
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+def load_model(model: type[Model], path: Path) -> Model:
+    """Load and check a YAML file.
+
+    Args:
+        model: a subclass of `Strict`.
+        path: of the file.
+
+    Raises:
+        InputError: not readable.
+        InputFileError: everything that is wrong with it.
+    """
+    document = load_yaml(path)
+    file = validate(model, document, document.data)
+    for loc, message in file.contradictions() if file and hasattr(file, "contradictions") else ():
+        document.report(loc, message)
+    document.finish()
+    assert file is not None, "a file without a problem was checked"
+    return file
 
 
 def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc = ()) -> Model | None:

@@ -17,9 +17,9 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.io.documents import Document, Loc, load_yaml
+from srs_twin.io.documents import Document, Loc
 from srs_twin.io.files import find
-from srs_twin.io.validation import Strict, validate
+from srs_twin.io.validation import Strict, load_model, validate
 from srs_twin.robot.sourced import Record, Records, between, number, restated
 from srs_twin.robot.spec import (
     WHEEL_SHARE,
@@ -332,11 +332,7 @@ def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    document = load_yaml(find("robot", name_or_path))
-    file = check_robot(document, document.data)
-    document.finish()
-    assert file is not None, "a robot without a problem was checked"
-    return file
+    return load_model(RobotFile, find("robot", name_or_path))
 
 
 def check_robot(document: Document, data: Any, *, prefix: Loc = ()) -> RobotFile | None:
