@@ -1,13 +1,10 @@
-"""Files and folders: where the shipped data lie, how paths are shown, how results are written whole.
-
-Files: where the shipped data lie, how a name or path becomes text, how results are written whole.
+"""Files: where the shipped data lie, how a name or path becomes text, how results are written whole.
 
 Folders of results: can they be written, and how a set of files takes the place of an earlier one.
 """
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import os
 import re
@@ -72,18 +69,13 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     given, names = os.fspath(name_or_path), shipped_names(kind)
     if isinstance(name_or_path, os.PathLike) or "/" in given or os.sep in given or given.endswith(_SUFFIXES):
         return existing(Path(given), names=names)
-    if given not in names:
-        _refuse_path(kind, given)
-        raise UnknownNameError(kind, given, names, str(shipped_folder(kind)))
-    return shipped_folder(kind) / f"{given}.yaml"
-
-
-def _refuse_path(kind: str, given: str) -> None:
-    """Refuse what is no name but is there."""
+    if given in names:
+        return shipped_folder(kind) / f"{given}.yaml"
     if os.path.isfile(given):
         raise InputError(f"{given}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
     if os.path.isdir(given):
         existing(Path(given))
+    raise UnknownNameError(kind, given, names, str(shipped_folder(kind)))
 
 
 def results_name(path: Path) -> str:
@@ -141,11 +133,20 @@ def read_text(path: Path) -> str:
         raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
     if len(raw) > MAX_BYTES:
         raise InputError(f"{shown(path)}: larger than {MAX_BYTES // 1024} kB; no file of ours is")
+    return decoded(raw, shown(path))
+
+
+def decoded(raw: bytes, name: str) -> str:
+    """Return the text of a UTF-8 file, without a byte order mark; its name is for the message.
+
+    Raises:
+        InputError: it is not UTF-8.
+    """
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         byte = f"byte {error.start + 1} is 0x{raw[error.start]:02x}"
-        raise InputError(f"{shown(path)}: not UTF-8 text ({byte}); save it as UTF-8") from error
+        raise InputError(f"{name}: not UTF-8 text ({byte}); save it as UTF-8") from error
 
 
 def missing_folders(folder: Path) -> list[Path]:
@@ -229,14 +230,9 @@ def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iter
     except OSError as error:
         # A name too long, a folder that may not be entered.
         raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
-    hint = _sibling(path, suffix) or did_you_mean(str(path), names) or remedy
-    raise InputError(f"{shown(path)}: no such file{hint}")
-
-
-def _sibling(path: Path, suffix: str) -> str:
-    """Return a did-you-mean over the files of this kind in the same folder."""
     siblings = [str(path.with_name(p.name)) for p in path.parent.glob(f"*{suffix}")] if path.name else []
-    return did_you_mean(str(path), siblings)
+    hint = did_you_mean(str(path), siblings) or did_you_mean(str(path), names) or remedy
+    raise InputError(f"{shown(path)}: no such file{hint}")
 
 
 _FRESH = ".part-"
@@ -278,7 +274,7 @@ def _refuse_folders(folder: Path, products: Sequence[str]) -> None:
             raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
 
 
-@contextlib.contextmanager
+@contextmanager
 def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Give an empty folder for a run's files; they take the places of an earlier run's at the block's end.
 
@@ -309,11 +305,11 @@ def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         ) from error
 
 
-@contextlib.contextmanager
+@contextmanager
 def _fresh(folder: Path) -> Iterator[Path]:
     """Give a folder of this run's own; remove those of runs that were killed: nobody locks them any more."""
     for left in folder.glob(f"{_FRESH}*"):
-        with contextlib.suppress(OSError), _locked(left):
+        with suppress(OSError), _locked(left):
             shutil.rmtree(left)
     fresh = Path(tempfile.mkdtemp(prefix=_FRESH, dir=folder))
     try:
@@ -323,7 +319,7 @@ def _fresh(folder: Path) -> Iterator[Path]:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-@contextlib.contextmanager
+@contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Hold a folder's lock, which ends with the process; raise BlockingIOError where another one holds it."""
     handle = os.open(folder, os.O_RDONLY)

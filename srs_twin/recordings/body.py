@@ -35,7 +35,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -98,7 +97,7 @@ class CapturedMarkers:
         """Where markers were not seen, shape (frames, markers)."""
         return self.columns < 0
 
-    @cached_property
+    @property
     def main_columns(self) -> list[int]:
         """The column that each marker was in on most frames."""
         return [int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T]
@@ -156,7 +155,7 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
     spacing = check_spacing(position, geometry.pitch, spec.name)
     notes = []
     if layout == "pair":
-        first, second = (np.stack([markers.points[:, group[k]] for group in groups], axis=1) for k in (0, 1))
+        first, second = (markers.points[:, [group[k] for group in groups]] for k in (0, 1))
         theta, turned = headings_from_pairs(first, second)
         if turned:
             notes.append(
@@ -215,7 +214,8 @@ def _head_first(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> 
     if head is not None:
         if head not in table.labels:
             raise UnknownNameError("marker", head, table.labels)
-        front, rear = ([table.labels[markers.main_columns[k]] for k in groups[end]] for end in (0, -1))
+        main = markers.main_columns
+        front, rear = ([table.labels[main[k]] for k in groups[end]] for end in (0, -1))
         if head not in front + rear:
             raise InputError(f"marker '{head}' is at neither end of the body")
         return groups if head in front else groups[::-1], f"marker '{head}'"
@@ -309,7 +309,12 @@ def headings_from_positions(
     distance = np.linalg.norm(np.diff(position, axis=1), axis=-1)
     swing = (-1.0) ** np.arange(alpha.shape[1] + 1)
     sign = swing[:-1]
-    theta = _least_bent(alpha, swing)
+    # Of the headings that the chords allow those that bend least.
+    theta = np.zeros((len(alpha), len(swing)))
+    theta[:, 0] = alpha[:, 0]
+    for j in range(alpha.shape[1]):
+        theta[:, j + 1] = 2 * alpha[:, j] - theta[:, j]
+    theta = theta - swing * ((theta[:, :-1] - theta[:, 1:]) * sign).mean(axis=1, keepdims=True) / 2
     bend = theta[:, :-1] - theta[:, 1:]
     aim, weight, prior = np.zeros(len(bend)), 0.0, PRIOR**-2
     if head is not None:
@@ -338,60 +343,40 @@ def headings_from_positions(
     return np.asarray(theta + swing * epsilon[:, None])
 
 
-def _least_bent(alpha: np.ndarray, swing: np.ndarray) -> np.ndarray:
-    """Return the headings that bend least among those that the chords allow, (frames, N), rad."""
-    theta = np.zeros((alpha.shape[0], alpha.shape[1] + 1))
-    theta[:, 0] = alpha[:, 0]
-    for j in range(alpha.shape[1]):
-        theta[:, j + 1] = 2 * alpha[:, j] - theta[:, j]
-    epsilon = -((theta[:, :-1] - theta[:, 1:]) * swing[:-1]).mean(axis=1) / 2
-    return np.asarray(theta + swing * epsilon[:, None])
+def _laid(
+    state: np.ndarray, geometry: Geometry, longer: np.ndarray, connector: np.ndarray, arm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the markers of a chain of chords, how they move with its state, connectors and their headings.
 
-
-@dataclass(frozen=True)
-class _Chain:
-    """The robot as a chain of chords that carries markers.
-
-    Attributes:
+    Args:
+        state: x, y, θ_1 and bends, shape (frames, 2 + N).
         geometry: of the robot.
         longer: what its segments are longer than that, shape (segments,), m.
         connector: on which connector each marker is, from 0, shape (markers,).
         arm: from a connector to its marker in the connector's frame, shape (markers,), m.
+
+    Returns:
+        Shapes (frames, markers), (frames, markers, 2 + N), (frames, N) and (frames, N).
     """
-
-    geometry: Geometry
-    longer: np.ndarray
-    connector: np.ndarray
-    arm: np.ndarray
-
-    def lay(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return markers and how they move with the state, and connectors with their headings.
-
-        Args:
-            state: x, y, θ_1 and bends, shape (frames, 2 + N).
-
-        Returns:
-            Shapes (frames, markers), (frames, markers, 2 + N), (frames, N) and (frames, N).
-        """
-        bend, connector = state[:, 3:], self.connector
-        length, slope, _ = chords(bend, self.geometry.segment_length, self.geometry.rigid_gap)
-        length = length + self.longer
-        zero = np.zeros((len(state), 1))
-        headings = state[:, 2:3] - np.concatenate([zero, np.cumsum(bend, axis=1)], axis=1)
-        along = np.exp(1j * (headings[:, :-1] - bend / 2))
-        first = state[:, :1] + 1j * state[:, 1:2]
-        nodes = first - np.concatenate([zero, np.cumsum(length * along, axis=1)], axis=1)
-        marks = nodes[:, connector] + self.arm * np.exp(1j * headings[:, connector])
-        lever = np.zeros((*marks.shape, state.shape[1]), dtype=complex)
-        lever[..., 0], lever[..., 1] = 1, 1j
-        lever[..., 2] = 1j * (marks - first)
-        for k in range(bend.shape[1]):
-            # What lies behind segment k turns about its rear end, which moves with the chord.
-            behind = connector > k
-            end = (-slope[:, k] + 0.5j * length[:, k]) * along[:, k]
-            turned = end[:, None] - 1j * (marks - nodes[:, k + 1 : k + 2])
-            lever[:, behind, 3 + k] = turned[:, behind]
-        return marks, lever, nodes, headings
+    bend = state[:, 3:]
+    length, slope, _ = chords(bend, geometry.segment_length, geometry.rigid_gap)
+    length = length + longer
+    zero = np.zeros((len(state), 1))
+    headings = state[:, 2:3] - np.concatenate([zero, np.cumsum(bend, axis=1)], axis=1)
+    along = np.exp(1j * (headings[:, :-1] - bend / 2))
+    first = state[:, :1] + 1j * state[:, 1:2]
+    nodes = first - np.concatenate([zero, np.cumsum(length * along, axis=1)], axis=1)
+    marks = nodes[:, connector] + arm * np.exp(1j * headings[:, connector])
+    lever = np.zeros((*marks.shape, state.shape[1]), dtype=complex)
+    lever[..., 0], lever[..., 1] = 1, 1j
+    lever[..., 2] = 1j * (marks - first)
+    for k in range(bend.shape[1]):
+        # What lies behind segment k turns about its rear end, which moves with the chord.
+        behind = connector > k
+        end = (-slope[:, k] + 0.5j * length[:, k]) * along[:, k]
+        turned = end[:, None] - 1j * (marks - nodes[:, k + 1 : k + 2])
+        lever[:, behind, 3 + k] = turned[:, behind]
+    return marks, lever, nodes, headings
 
 
 def _completed(
@@ -422,7 +407,7 @@ def _completed(
     place, mark = position @ [1, 1j], markers.points[:, chosen] @ [1, 1j]
     local = (mark - place[:, connector]) * np.exp(-1j * theta[:, connector])
     arm = np.median(local[~torn].real, axis=0) + 1j * np.median(local[~torn].imag, axis=0)
-    chain = _Chain(geometry, longer, connector, arm)
+    chain = geometry, longer, connector, arm
     # Headings by interpolated markers may be any: two of a pair come close to each other.
     turns = CubicSpline(markers.time[~torn], theta[~torn])(markers.time[torn])
     aim = turns[:, :-1] - turns[:, 1:]
@@ -430,14 +415,14 @@ def _completed(
     state = np.concatenate([place[torn, :1].real, place[torn, :1].imag, turns[:, :1], aim], axis=1)
     bends = np.arange(3, state.shape[1])
     for _ in range(_COMPLETION_STEPS):
-        seat, lever, _, _ = chain.lay(state)
+        seat, lever, _, _ = _laid(state, *chain)
         # Normal equations of each frame: real and imaginary part of every marker.
         normal = np.einsum("fmu,fm,fmv->fuv", lever.conj(), weight, lever).real
         right = np.einsum("fmu,fm,fm->fu", lever.conj(), weight, mark[torn] - seat).real
         normal[:, bends, bends] += BENDS**-2
         right[:, 3:] += (aim - state[:, 3:]) * BENDS**-2
         state = state + np.clip(np.linalg.solve(normal, right[..., None])[..., 0], -0.3, 0.3)
-    _, _, nodes, headings = chain.lay(state)
+    _, _, nodes, headings = _laid(state, *chain)
     hidden = np.stack([missing[torn][:, connector == k].any(axis=1) for k in range(theta.shape[1])], axis=1)
     # Places that were measured stay; so do headings, where each connector has its own.
     stays = ~hidden & (np.bincount(connector).min() > 1)

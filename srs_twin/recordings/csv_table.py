@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import existing, shown
+from srs_twin.io.files import decoded, existing, shown
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -82,13 +82,13 @@ class RecordedFile:
         found = self.raw[:MAX_HEADER_BYTES].split(b"\n", lines)
         if len(found) <= lines and len(self.raw) > MAX_HEADER_BYTES:
             raise self.error(f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB", len(found))
-        return [self._cells(k, line) for k, line in enumerate(found[:lines], start=1)]
-
-    def _cells(self, number: int, line: bytes) -> list[str]:
-        try:
-            return next(csv.reader([line.decode("utf-8", "replace").rstrip("\r")], strict=True), [])
-        except csv.Error as error:
-            raise self.error(f"no line of a CSV file ({error})", number) from error
+        rows = []
+        for number, line in enumerate(found[:lines], start=1):
+            try:
+                rows.append(next(csv.reader([line.decode("utf-8", "replace").rstrip("\r")], strict=True), []))
+            except csv.Error as error:
+                raise self.error(f"no line of a CSV file ({error})", number) from error
+        return rows
 
     def rows(self, header_lines: int, columns: Sequence[int], width: int) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
@@ -174,18 +174,12 @@ class RecordedFile:
             cells = line.decode("utf-8", "replace").rstrip("\r").split(",")
             for column in columns:
                 text = cells[column].strip('"') if column < len(cells) else ""
-                if text not in BLANK and not _is_number(text):
+                try:
+                    float(text if text not in BLANK else "nan")
+                except ValueError:
                     what = f"'{text[:60]}' is no number; a number or nothing is wanted"
                     return self.error(what, number, column + 1)
         return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def read_file(path: str | os.PathLike[str]) -> RecordedFile:
@@ -197,8 +191,7 @@ def read_file(path: str | os.PathLike[str]) -> RecordedFile:
     place = existing(Path(path), suffix=".csv")
     name = shown(place)
     try:
-        megabytes = place.stat().st_size / (1 << 20)
-        if megabytes > MAX_BYTES >> 20:
+        if (megabytes := place.stat().st_size / (1 << 20)) > MAX_BYTES >> 20:
             limit = f"at most {MAX_BYTES >> 20} MB are read (export a shorter take)"
             raise InputError(f"{name}: {megabytes:.0f} MB; {limit}")
         file = RecordedFile(name, place.read_bytes())
@@ -210,12 +203,8 @@ def read_file(path: str | os.PathLike[str]) -> RecordedFile:
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(f"not text (byte {zero + 1} is 0x00); a CSV file is wanted")
-    try:
-        if not file.data.isascii():
-            file.data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        byte = f"byte {error.start + 1} is 0x{file.data[error.start]:02x}"
-        raise file.error(f"not UTF-8 text ({byte}); save it as UTF-8") from error
+    if not file.data.isascii():
+        decoded(file.data, name)
     return file
 
 
@@ -323,9 +312,8 @@ class CsvTable:
             InputError: as `read`, or a row without a time.
         """
         values, notes = self.read([clock, *columns])
-        missing = np.flatnonzero(np.isnan(values[:, 0]))
-        if missing.size:
-            raise self.error(clock, "a row without a time", int(missing[0]))
+        if (missing := np.isnan(values[:, 0])).any():
+            raise self.error(clock, "a row without a time", int(missing.argmax()))
         return values[:, 0], values[:, 1:], notes
 
     def unused_columns(self) -> list[str]:

@@ -63,28 +63,23 @@ def on_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
     Raises:
         InputError: an axis that a plane does not have, or no way to tell.
     """
-    if points.shape[-1] == 2:
-        return _flat(points, up)
     notes: list[str] = []
-    if up == "auto":
+    flat = points.shape[-1] == 2
+    if flat:
+        if up not in ("auto", "z", "-z"):
+            raise InputError(f"a file with x and y alone has up z or -z (y runs down), not {up}")
+        up, points = (
+            up.replace("auto", "z"),
+            np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1),
+        )
+    elif up == "auto":
         up, points, notes = _found(points, usual)
     turned = np.stack([sign * points[..., axis] for axis, sign in MAPS[up]], axis=-1)
-    (a, sign_a), (b, sign_b), _ = MAPS[up]
     if up != "z":
-        notes.append(f"axes turned: floor x is {_axis(a, sign_a)}, floor y is {_axis(b, sign_b)} of the file")
+        x, y, _ = (("−" if sign < 0 else "") + "XYZ"[axis] for axis, sign in MAPS[up])
+        seen = f"axes turned: floor x is {x}, floor y is {y} of the file"
+        notes.append("y reversed, as up -z asks" if flat else seen)
     return FloorPlane(up, turned[..., :2], turned[..., 2], tuple(notes))
-
-
-def _axis(number: int, sign: int) -> str:
-    return ("−" if sign < 0 else "") + "XYZ"[number]
-
-
-def _flat(points: np.ndarray, up: str) -> FloorPlane:
-    if up not in ("auto", "z", "-z"):
-        raise InputError(f"a file with x and y alone has up z or -z (y runs down), not {up}")
-    notes = ("y reversed, as up -z asks",) if up == "-z" else ()
-    plane = points * [1.0, -1.0] if up == "-z" else points
-    return FloorPlane("-z" if up == "-z" else "z", plane, np.zeros(points.shape[:-1]), notes)
 
 
 def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:

@@ -93,7 +93,7 @@ def _on_grid(time: np.ndarray, rows: np.ndarray, period: float, notes: list[str]
     return FrameGrid(np.interp(np.arange(count), places, time), full_rows, period, tuple(notes))
 
 
-def taken(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
+def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
     """Return a value for every frame, NaN where it was missing."""
     picked = values[frames.rows]
     picked[frames.rows < 0] = np.nan

@@ -13,7 +13,6 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -34,22 +33,7 @@ _SAMPLED = 2000  # frames that distances are taken from
 _NEAR_SAMPLED = 300
 
 
-@dataclass(frozen=True)
-class RobotMarkers:
-    """Tracks that are the robot's markers.
-
-    Attributes:
-        layout: one of `LAYOUTS`, not "auto".
-        tracks: their numbers.
-        left_out: samples of other tracks.
-    """
-
-    layout: str
-    tracks: np.ndarray
-    left_out: int
-
-
-def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str) -> RobotMarkers:
+def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str) -> tuple[str, np.ndarray]:
     """Choose the robot's markers.
 
     Args:
@@ -58,13 +42,20 @@ def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str
         pitch: length of a straight segment, m.
         layout: one of `LAYOUTS`; "auto" takes the one that has as many markers as are there.
 
+    Returns:
+        The layout, and which tracks the robot's markers are.
+
     Raises:
         InputError: too few or too many markers.
     """
     seen = ~np.isnan(points[..., 0])
     share = seen.mean(axis=0)
     solid = np.flatnonzero(share >= _SOLID)
-    solid = solid[_near_others(points[:, solid], _APART * pitch)] if len(solid) > connectors else solid
+    if len(solid) > connectors:
+        # Only those that have another one near on most frames they are seen on.
+        near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
+        there = seen[:: len(points) // _NEAR_SAMPLED + 1, solid]
+        solid = solid[near.sum(axis=0) > 0.5 * there.sum(axis=0)]
     layouts = {"single": connectors, "head": connectors + 1, "pair": 2 * connectors}
     if layout == "auto":
         # At once: a marker that was lost for long may have become two tracks.
@@ -78,15 +69,7 @@ def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str
             f"{len(solid)} markers that could be the robot's; {connectors} connectors carry {listed}. "
             f"Seen on these shares of the frames: {shares}. Give layout, or export without the others"
         )
-    tracks = np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
-    return RobotMarkers(layout, tracks, int(seen.sum() - seen[:, tracks].sum()))
-
-
-def _near_others(points: np.ndarray, limit: float) -> np.ndarray:
-    """Say which tracks have another one near, on most frames."""
-    near = (distances(points, _NEAR_SAMPLED) < limit).any(axis=2)
-    there = ~np.isnan(points[:: len(points) // _NEAR_SAMPLED + 1, :, 0])
-    return np.asarray(near.sum(axis=0) > 0.5 * there.sum(axis=0))
+    return layout, np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
 
 
 def some_frames(points: np.ndarray) -> np.ndarray:

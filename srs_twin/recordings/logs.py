@@ -32,7 +32,7 @@ from srs_twin.recordings.csv_table import (
     read_file,
     read_table,
 )
-from srs_twin.recordings.gaps import LEAST_FRAMES, filled, in_order, longest_whole, taken, time_order
+from srs_twin.recordings.gaps import LEAST_FRAMES, at_frames, filled, in_order, longest_whole, time_order
 from srs_twin.recordings.recording import Recording, naming
 from srs_twin.recordings.summary import LogSummary
 from srs_twin.recordings.trajectories import measured, moving_slope, numbered, pose_columns
@@ -92,7 +92,7 @@ def read_bends(
     with naming(table.file.name):
         frames = in_order(time)
     # Gaps are those of tracks in a plane; bends lie on its first axis.
-    bend = taken(bend, frames)
+    bend = at_frames(bend, frames)
     tracks = np.stack([bend, np.where(np.isnan(bend), np.nan, 0.0)], axis=-1)
     kept = longest_whole(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:

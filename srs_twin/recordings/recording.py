@@ -16,13 +16,12 @@ from srs_twin.recordings.floor import UPS, FloorPlane, on_floor
 from srs_twin.recordings.gaps import (
     LEAST_FRAMES,
     WAYS,
-    FrameGrid,
+    at_frames,
     filled,
     in_order,
     longest_whole,
     outliers,
     runs,
-    taken,
 )
 from srs_twin.recordings.layout import LAYOUTS, check_scale, robot_markers
 from srs_twin.recordings.motion_files import read_markers
@@ -126,32 +125,39 @@ def _recording(
     geometry = spec.geometry
     frames = in_order(table.time)
     floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
+    seen = int((~np.isnan(at_frames(floor.plane, frames)[..., 0])).sum())
     plane, high = _without_high(floor)
-    slots, columns = _slots(table, taken(plane, frames))
+    slots, columns = _slots(table, at_frames(plane, frames))
     gap_frames = max(1, round(longest_gap_s / frames.period))
     check_scale(slots, geometry.pitch, spec.segments, spec.name)
-    tracks = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
-    chosen = robot_markers(tracks.points, geometry.connectors, geometry.pitch, layout)
-    points = tracks.points[:, chosen.tracks]
+    tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
+    layout, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout)
+    left_out = np.delete(tracks, chosen, axis=1)
+    points = tracks[:, chosen]
     jumps = outliers(points, _JUMP * geometry.pitch)
     points[jumps] = np.nan
     kept = longest_whole(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
-        raise InputError(_torn(frames, points, longest_gap_s))
+        together = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
+        raise InputError(
+            f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps up "
+            f"to {longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers "
+            f"seen on {together:.0f} % of them); give longest_gap_s"
+        )
     time = frames.time[kept]
-    origin = np.where(np.isnan(points[kept][..., 0]), -1, tracks.columns[kept][:, chosen.tracks])
-    markers = CapturedMarkers(table, chosen.layout, time, filled(time, points[kept], fill), origin)
+    origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
+    markers = CapturedMarkers(table, layout, time, filled(time, points[kept], fill), origin)
     body = tracked_body(markers, spec, head)
     gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
     counts = MarkerCounts(
         header_frames=table.header_frames,
         frames_missing=int((frames.rows < 0).sum()),
         columns=len(table.labels),
-        layout=chosen.layout,
+        layout=layout,
         head=body.head,
         up=floor.up,
-        samples_seen=int((~np.isnan(taken(floor.plane, frames)[..., 0])).sum()),
-        samples_other=high + chosen.left_out + tracks.dropped,
+        samples_seen=seen,
+        samples_other=high + int((~np.isnan(left_out[..., 0])).sum()) + dropped,
         samples_rejected=int(jumps.sum()),
         longest_filled_s=float(max(gaps, default=0.0)),
         moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in origin.T),
@@ -190,12 +196,3 @@ def _slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarra
     if count > MOST:
         raise InputError(f"{count} markers; at most {MOST} are followed")
     return plane, np.broadcast_to(np.arange(count), (len(plane), count))
-
-
-def _torn(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> str:
-    together = (~np.isnan(points[..., 0])).all(axis=1).mean()
-    return (
-        f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps up to "
-        f"{longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers seen on "
-        f"{100 * together:.0f} % of them); give longest_gap_s"
-    )

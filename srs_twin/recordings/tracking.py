@@ -254,22 +254,9 @@ def _sure(points: np.ndarray, slot: int, seen: np.ndarray, gate: float, longest:
     return np.asarray((away < gate) & (2 * away < nearest) & (step <= longest))
 
 
-@dataclass(frozen=True)
-class Tracks:
-    """Markers over time.
-
-    Attributes:
-        points: NaN where not seen, shape (frames, tracks, 2), m.
-        columns: from which column of the file each sample came, −1 where not seen, shape (frames, tracks).
-        dropped: samples that belong to no track.
-    """
-
-    points: np.ndarray
-    columns: np.ndarray
-    dropped: int
-
-
-def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
+def follow(
+    points: np.ndarray, columns: np.ndarray, longest: int, reach: float
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Follow markers through frames.
 
     Args:
@@ -279,7 +266,9 @@ def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) 
         reach: how far from where it is expected a marker may appear, m.
 
     Returns:
-        As many tracks as were needed.
+        As many tracks as were needed, NaN where a marker was not seen, shape (frames, tracks, 2), m; from
+        which column of the file each sample came, −1 where it was not seen, shape (frames, tracks); how many
+        samples belong to no track.
 
     Raises:
         InputError: markers jump too often to be followed.
@@ -304,10 +293,10 @@ def follow(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) 
             raise InputError(f"{_JUMPING} (over {MOST} tracks); is the unit of length or of time another?")
     dropped = sum(len(each.frames) for each in short if not known.fits(each, gate))
     if not known.tracks:
-        return Tracks(np.full((len(points), 1, 2), np.nan), np.full((len(points), 1), -1), dropped)
+        return np.full((len(points), 1, 2), np.nan), np.full((len(points), 1), -1), dropped
     tracks, slots = np.stack(known.tracks, axis=1), np.stack(known.slots, axis=1)
     origin = np.take_along_axis(columns, np.maximum(slots, 0), axis=1)
-    return Tracks(tracks, np.where(slots < 0, -1, origin), dropped)
+    return tracks, np.where(slots < 0, -1, origin), dropped
 
 
 class _KnownTracks:
@@ -325,15 +314,14 @@ class _KnownTracks:
 
         start = pieces[0].start
         free = [k for k, end in enumerate(self._ends) if end < start]
-        targets: list[int | None] = [None] * len(pieces)
+        targets: dict[int, int] = {}
         if free:
             begins = np.stack([self._points[start, each.slot] for each in pieces])
             distance = np.stack([self._distance(k, start, begins) for k in free], axis=1)
-            for row, column in zip(*linear_sum_assignment(distance), strict=True):
-                if distance[row, column] < _NEVER:
-                    targets[row] = free[column]
-        for piece, target in zip(pieces, targets, strict=True):
-            self._write(piece, self._new() if target is None else target)
+            pairs = zip(*linear_sum_assignment(distance), strict=True)
+            targets = {row: free[column] for row, column in pairs if distance[row, column] < _NEVER}
+        for row, piece in enumerate(pieces):
+            self._write(piece, targets[row] if row in targets else self._new())
 
     def fits(self, piece: Tracklet, gate: float) -> bool:
         """Put a short tracklet into the hole of a track that runs through it; say whether there is one."""
