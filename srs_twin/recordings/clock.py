@@ -25,7 +25,6 @@ from srs_twin.recordings.logs import SIDES, ValveLog
 from srs_twin.recordings.recording import Recording, naming
 from srs_twin.recordings.trajectories import numbered
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.trajectory import Trajectory
 
 LEAST_OVERLAP = 0.5
 """Of the shorter recording: how much both must cover."""
@@ -93,11 +92,13 @@ def estimate_offset(
             f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give offset"
         )
     _refuse_ambiguous(loss, lags * step + zero, best)
-    curve, shift = _parabola(loss, best)
-    error = float("inf")
+    error, shift = float("inf"), 0.0
+    # The parabola through the least and its neighbours.
+    left, here, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
+    curve = float(left - 2 * here + right) if np.isfinite(left + right) else 0.0
     if curve > 0:
-        residual = _residual(bends, model, int(lags[best]))
-        independent = max(1.0, count[best] * bends.shape[1] * _independent(residual))
+        shift = float(np.clip((left - right) / (2 * curve), -0.5, 0.5))
+        independent = max(1.0, count[best] * bends.shape[1] * _independent(bends, model, int(lags[best])))
         error = float(step * np.sqrt(2 * loss[best] / independent / curve))
     return Offset(float(zero + (lags[best] + shift) * step), error, explained, True)
 
@@ -141,10 +142,9 @@ def _refuse_ambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
     # What noise and the grid may hide of the lowest is not told from it.
     limit = CLEAR * loss[best] + 1e-6
 
-    def barred(k: int) -> bool:
-        return bool(loss[min(k, best) : max(k, best) + 1].max() > limit)
-
-    rivals = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best and barred(int(k))]
+    others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
+    # Apart from it by a ridge.
+    rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
         nearest = sorted(offsets[[best, *rivals]], key=lambda each: abs(each - offsets[best]))[:5]
         listed = ", ".join(f"{each:.4g}" for each in sorted(nearest))
@@ -155,26 +155,15 @@ def _refuse_ambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
         )
 
 
-def _parabola(loss: np.ndarray, best: int) -> tuple[float, float]:
-    """Return second derivative and place of the minimum of the parabola through three samples, in steps."""
-    if best in (0, len(loss) - 1) or not np.isfinite(loss[best - 1 : best + 2]).all():
-        return 0.0, 0.0
-    left, here, right = loss[best - 1 : best + 2]
-    curve = float(left - 2 * here + right)
-    return curve, float(np.clip((left - right) / (2 * curve), -0.5, 0.5)) if curve > 0 else 0.0
+def _independent(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
+    """Return the share of samples that are independent of each other, from how a sample tells the next.
 
-
-def _residual(bends: np.ndarray, model: np.ndarray, lag: int) -> np.ndarray:
-    """Return what is left of bends at a lag (steps), shape (samples in common, segments)."""
+    Samples of what the model, by a lag in steps, leaves of the bends.
+    """
     first, last = max(0, lag), min(len(bends), lag + len(model))
     b, m = bends[first:last], model[first - lag : last - lag]
     b, m = b - b.mean(axis=0), m - m.mean(axis=0)
-    gain = (b * m).sum(axis=0) / np.maximum((m * m).sum(axis=0), 1e-30)
-    return np.asarray(b - gain * m)
-
-
-def _independent(residual: np.ndarray) -> float:
-    """Return the share of samples that are independent of each other, from how a sample tells the next."""
+    residual = b - (b * m).sum(axis=0) / np.maximum((m * m).sum(axis=0), 1e-30) * m
     power = float((residual**2).sum())
     if power == 0:
         return 1.0
@@ -229,15 +218,17 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     values = moved.at(columns["time"])
     for k, side in enumerate(SIDES):
         columns |= numbered(f"{log.kind}_{side}", values[..., k])
-    joined = Trajectory(
-        columns, trajectory.units, trajectory.events, _metadata(trajectory, log, found, covered)
-    )
+    start, end = (float(columns["time"][k]) for k in (0, -1))
+    about = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, found)}
+    joined = replace(trajectory, columns=columns, metadata=about)
+    how = f"± {1e3 * found.error:.2g} ms, estimated" if found.estimated else "as given"
+    notes = [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
+    if not covered.all():
+        notes.append(f"{int((~covered).sum())} frames that the log does not cover left out")
+    notes += [f"{log.source}: {each}" for each in log.corrections]
+    corrections = (*recording.summary.corrections, *notes)
     summary = replace(
-        recording.summary,
-        frames_kept=len(joined),
-        start=float(joined.time[0]),
-        end=float(joined.time[-1]),
-        corrections=(*recording.summary.corrections, *_notes(log, found, covered)),
+        recording.summary, frames_kept=len(joined), start=start, end=end, corrections=corrections
     )
     return Recording(joined, summary, moved)
 
@@ -265,8 +256,8 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     return log.time[0] + clock[known], trace.bend[known]
 
 
-def _metadata(trajectory: Trajectory, log: ValveLog, found: Offset, covered: np.ndarray) -> dict[str, object]:
-    about = {
+def _metadata(log: ValveLog, found: Offset) -> dict[str, object]:
+    return {
         "file": log.source.replace("\\", "/").rpartition("/")[2],
         "sha256": log.sha256,
         "kind": log.kind,
@@ -276,13 +267,3 @@ def _metadata(trajectory: Trajectory, log: ValveLog, found: Offset, covered: np.
         "bends_explained": found.explained,
         "corrections": list(log.corrections),
     }
-    time = trajectory.time[covered]
-    return {**trajectory.metadata, "duration_s": float(time[-1] - time[0]), "valve_log": about}
-
-
-def _notes(log: ValveLog, found: Offset, covered: np.ndarray) -> list[str]:
-    how = f"± {1e3 * found.error:.2g} ms, estimated" if found.estimated else "as given"
-    notes = [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
-    if not covered.all():
-        notes.append(f"{int((~covered).sum())} frames that the log does not cover left out")
-    return notes + [f"{log.source}: {each}" for each in log.corrections]

@@ -64,33 +64,34 @@ def in_order(time: np.ndarray) -> FrameGrid:
     rows, ordered = order[kept], ordered[kept]
     if len(rows) < LEAST_FRAMES:
         raise InputError(f"{len(rows)} frames; a recording has {LEAST_FRAMES} or more")
-    return _on_grid(ordered, rows, period, notes)
+    ordered, rows = _on_grid(ordered, rows, period, notes)
+    return FrameGrid(ordered, rows, period, tuple(notes))
 
 
-def _on_grid(time: np.ndarray, rows: np.ndarray, period: float, notes: list[str]) -> FrameGrid:
+def _on_grid(
+    time: np.ndarray, rows: np.ndarray, period: float, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and rows with the frames that a file skips; note what was done."""
     steps = np.diff(time)
     whole = np.rint(steps / period)
     if np.abs(steps - whole * period).max() > _GRID * period:
         if np.abs(steps / period - 1).max() > _GRID:
             notes.append("frames are not evenly spaced in time: left as they are")
-        return FrameGrid(time, rows, period, tuple(notes))
-    index = np.concatenate([[0.0], np.cumsum(whole)])
-    count = int(index[-1]) + 1
+        return time, rows
+    places = np.append(0, np.cumsum(whole)).astype(int)
+    count = int(places[-1]) + 1
     if count > _MOST_MISSING * len(rows):
         worst = int(np.argmax(steps))
         raise InputError(
             f"from {time[worst]:g} s to {time[worst + 1]:g} s nothing was recorded, and little elsewhere "
             f"({len(rows)} frames of {count}); cut the recording"
         )
-    if count == len(rows):
-        return FrameGrid(time, rows, period, tuple(notes))
-    notes.append(
-        f"{count - len(rows)} frames missing in the file: put in as frames in which nothing was seen"
-    )
-    places = index.astype(int)
-    full_rows = np.full(count, -1)
-    full_rows[places] = rows
-    return FrameGrid(np.interp(np.arange(count), places, time), full_rows, period, tuple(notes))
+    if missing := count - len(rows):
+        notes.append(f"{missing} frames missing in the file: put in as frames in which nothing was seen")
+        every = np.full(count, -1)
+        every[places] = rows
+        time, rows = np.interp(np.arange(count), places, time), every
+    return time, rows
 
 
 def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
@@ -115,7 +116,14 @@ def outliers(points: np.ndarray, least: float) -> np.ndarray:
     Returns:
         Shape (frames, tracks).
     """
-    jump = np.nan_to_num(_jumps(points))
+    # How far from the cubic through two neighbours on each side; where one of the four was not seen, half of
+    # how far from the middle between two.
+    jump = np.full(points.shape[:2], np.nan)
+    jump[1:-1] = np.linalg.norm(points[1:-1] - (points[2:] + points[:-2]) / 2, axis=-1) / 2
+    cubic = (4 * (points[3:-1] + points[1:-3]) - points[4:] - points[:-4]) / 6
+    fine = np.linalg.norm(points[2:-2] - cubic, axis=-1)
+    jump[2:-2] = np.where(np.isnan(fine), jump[2:-2], fine)
+    jump = np.nan_to_num(jump)
     usual = np.array([np.median(each[each > 0]) if (each > 0).any() else 0.0 for each in jump.T])
     limit = np.maximum(least, _TIMES * _NORMAL * usual)
     # To its neighbours, whose own neighbour it is, an outlier gives two thirds and a sixth of its jump.
@@ -124,19 +132,6 @@ def outliers(points: np.ndarray, least: float) -> np.ndarray:
         np.maximum(peak[shift:], jump[:-shift], out=peak[shift:])
         np.maximum(peak[:-shift], jump[shift:], out=peak[:-shift])
     return np.asarray((jump > limit) & (jump >= peak))
-
-
-def _jumps(points: np.ndarray) -> np.ndarray:
-    """Return how far samples lie from the cubic through two neighbours on each side, (frames, tracks), m.
-
-    Where one of the four was not seen, half of how far they lie from the middle between two.
-    """
-    jump = np.full(points.shape[:2], np.nan)
-    jump[1:-1] = np.linalg.norm(points[1:-1] - (points[2:] + points[:-2]) / 2, axis=-1) / 2
-    cubic = (4 * (points[3:-1] + points[1:-3]) - points[4:] - points[:-4]) / 6
-    fine = np.linalg.norm(points[2:-2] - cubic, axis=-1)
-    jump[2:-2] = np.where(np.isnan(fine), jump[2:-2], fine)
-    return jump
 
 
 def runs(missing: np.ndarray) -> np.ndarray:

@@ -37,7 +37,6 @@ from srs_twin.recordings.recording import Recording, naming
 from srs_twin.recordings.summary import LogSummary
 from srs_twin.recordings.trajectories import measured, moving_slope, numbered, pose_columns
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.trajectory import Trajectory
 
 SIDES = ("plus", "minus")
 
@@ -204,7 +203,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec) -> ValveLog:
     if np.abs(time).max() > _LATEST:
         raise table.file.error(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
     if kind == "valve" and not (values == -1).any() and (values == 0).any():
-        values = np.where(values == 0, -1.0, values)
+        values[values == 0] = -1.0
         notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
     if kind == "pressure" and not any(each.unit for each in chosen):
         notes.append("pressures without a unit taken as Pa")
@@ -255,12 +254,8 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
             f"{np.degrees(turned):.2g}°; on a bench it is held (is the other end held? Give head)"
         )
     mass = spec.mass.array()
+    # Turned by −heading about the clamp, which then lies ahead on the x axis.
     ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
-    return replace(recording, trajectory=_clamped(trajectory, held, heading, ahead))
-
-
-def _clamped(trajectory: Trajectory, held: np.ndarray, heading: float, ahead: float) -> Trajectory:
-    """Return a motion turned by −heading about a point, which then lies ahead on the x axis."""
     back, origin = np.exp(-1j * heading), held @ [1, 1j]
     com = (trajectory.com @ [1, 1j] - origin) * back + ahead
     place = (trajectory.position @ [1, 1j] - origin) * back + ahead
@@ -269,4 +264,5 @@ def _clamped(trajectory: Trajectory, held: np.ndarray, heading: float, ahead: fl
     if "com_velocity_x" in columns:
         velocity = (columns["com_velocity_x"] + 1j * columns["com_velocity_y"]) * back
         columns |= {"com_velocity_x": velocity.real, "com_velocity_y": velocity.imag}
-    return replace(trajectory, columns=columns, metadata={**trajectory.metadata, "base": "clamped"})
+    about = {**trajectory.metadata, "base": "clamped"}
+    return replace(recording, trajectory=replace(trajectory, columns=columns, metadata=about))

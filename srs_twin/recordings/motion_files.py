@@ -85,7 +85,11 @@ def _motive(file: RecordedFile) -> MarkerTable:
         found = ", ".join(sorted({each.kind for each in header.positions})) or "none"
         wanted = f"types with positions: {found}; wanted: {', '.join(KINDS)}"
         raise file.error(f"no positions of markers in the header ({wanted})", header.lines)
-    unit = _length_unit(file, header)
+    given = header.about.get("Length Units", "").strip()
+    unit = MOTIVE_LENGTHS.get(given.capitalize())
+    if unit is None:
+        hint, allowed = did_you_mean(given, MOTIVE_LENGTHS), ", ".join(MOTIVE_LENGTHS)
+        raise file.error(f"Length Units '{given[:20]}' is not known{hint}; allowed: {allowed}", 1)
     markers = [each for each in header.positions if each.kind == kind]
     columns = [0, 1] + [each.column + axis for each in markers for axis in range(3)]
     values, notes = file.rows(header.lines, columns, header.width)
@@ -97,13 +101,11 @@ def _motive(file: RecordedFile) -> MarkerTable:
         notes.append(f"no columns of type {KINDS[0]}: positions of type {kind} taken")
     points, implausible = plausible(values[:, 2:].reshape(len(values), -1, 3) * LENGTHS[unit])
     time = _times(file, header, values[:, 0], values[:, 1])
-    labels = tuple(each.name for each in markers)
-    corrections, version = (*notes, *implausible), f"Motive CSV {header.version}"
+    labels, corrections = tuple(each.name for each in markers), (*notes, *implausible)
     announced = header.about.get("Total Exported Frames", "")
     frames = int(announced) if announced.isdecimal() and len(announced) < 10 else None
-    return MarkerTable(
-        file.name, file.sha256, version, time, points, labels, corrections, header_frames=frames
-    )
+    version = f"Motive CSV {header.version}"
+    return MarkerTable(file.name, file.sha256, version, time, points, labels, corrections, (), frames)
 
 
 def _header(file: RecordedFile) -> _Header:
@@ -120,11 +122,8 @@ def _header(file: RecordedFile) -> _Header:
     axes, width = [cell.strip() for cell in lines[last]], len(lines[last])
     if width < 2 or not axes[1].startswith("Time"):
         raise file.error("'Time (Seconds)' is wanted after 'Frame'", last + 1, 2)
-    rows = [
-        [cell.strip() for cell in (cells + [""] * width)[:width]]
-        for cells in lines[1:last]
-        if any(cell.strip() for cell in cells)
-    ]
+    stripped = [[cell.strip() for cell in (cells + [""] * width)[:width]] for cells in lines[1:last]]
+    rows = [cells for cells in stripped if any(cells)]
     if len(rows) < 2:
         raise file.error("the header is cut: rows Type, Name, ID and Position are wanted", last + 1)
     # Older writers do not name the rows; then their order counts.
@@ -140,25 +139,14 @@ def _header(file: RecordedFile) -> _Header:
     return _Header(version, about, last + 1, width, positions)
 
 
-def _length_unit(file: RecordedFile, header: _Header) -> str:
-    given = header.about.get("Length Units", "").strip()
-    unit = MOTIVE_LENGTHS.get(given.capitalize())
-    if unit is None:
-        hint = did_you_mean(given, MOTIVE_LENGTHS)
-        allowed = ", ".join(MOTIVE_LENGTHS)
-        raise file.error(f"Length Units '{given[:20]}' is not known{hint}; allowed: {allowed}", 1)
-    return unit
-
-
 def _times(file: RecordedFile, header: _Header, frame: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the times, from the frame's number where the rate is known: printed times are rounded.
 
     Raises:
         InputError: a row without a time.
     """
-    missing = np.flatnonzero(np.isnan(time))
-    if missing.size:
-        raise file.error("a row without a time", header.lines + 1 + int(missing[0]), 2)
+    if (missing := np.isnan(time)).any():
+        raise file.error("a row without a time", header.lines + 1 + int(missing.argmax()), 2)
     for key in ("Export Frame Rate", "Capture Frame Rate"):
         try:
             rate = float(header.about.get(key, ""))
