@@ -14,16 +14,20 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.io.parquet import read_table
 
-_UNITS = {
-    "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
-    "bend": "rad", "sensed": "rad", "pressure_plus": "Pa", "pressure_minus": "Pa", "valve_plus": "1",
-    "valve_minus": "1", "torque": "N·m", "work": "J", "air": "J", "qpos": "mixed",
-    "obstacle_force_x": "N", "obstacle_force_y": "N",
-    "offset_commanded": "1", "cross_track": "m", "heading_error": "rad", "node": "1", "estimate_x": "m",
-    "estimate_y": "m", "estimate_heading": "rad",
-    "target_plus": "rad", "target_minus": "rad", "amplitude_plus": "rad", "amplitude_minus": "rad",
-    "reference": "rad", "error": "rad", "sigma": "rad/s", "rate": "rad/s",
-}  # fmt: skip
+_NAMES = {
+    "s": "time",
+    "m": "com_x com_y x y cross_track estimate_x estimate_y",
+    "rad": "heading theta bend sensed heading_error estimate_heading reference error"
+    " target_plus target_minus amplitude_plus amplitude_minus",
+    "rad/s": "sigma rate",
+    "Pa": "pressure_plus pressure_minus",
+    "N": "obstacle_force_x obstacle_force_y",
+    "N·m": "torque",
+    "J": "work air",
+    "mixed": "qpos",
+}
+# Column without its number → unit; all others are pure numbers.
+_UNITS = {name: unit for unit, names in _NAMES.items() for name in names.split()}
 
 _OURS = "a trajectory written by srs-twin"
 
@@ -126,10 +130,10 @@ class Trajectory:
             [pa.array(np.ascontiguousarray(c, dtype=float)) for c in self.columns.values()],
             schema=pa.schema(fields, metadata=about),
         )
+        options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
         pq.write_table(
-            table, path, compression="zstd", use_dictionary=False, write_page_checksum=True,
-            column_encoding={n: "BYTE_STREAM_SPLIT" for n in self.columns},
-        )  # fmt: skip
+            table, path, **options, column_encoding=dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
+        )
 
     @classmethod
     def from_parquet(cls, path: Any) -> Trajectory:
@@ -169,8 +173,7 @@ def _numbers(name: str, column: Any) -> np.ndarray:
         raise TypeError(f"column {name} holds {column.type}, not float64")
     if column.null_count:
         raise TypeError(f"column {name} has {column.null_count} gaps")
-    values: np.ndarray = column.to_numpy()
-    return values
+    return np.asarray(column.to_numpy())
 
 
 def _event(given: Any) -> Event:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 from srs_twin.comparison.gait import GaitWindow
 from srs_twin.control.commands import Steered
@@ -71,15 +72,13 @@ class Drive:
         for name, value, unit in given:
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"{name} {value:g} {unit} is not allowed; it must be finite and above 0")
-        if self.spec.segments < 2:
-            raise InputError(
-                f"{self.spec.name} has one segment; it does not crawl, so that it has no footprint"
-            )
-        supply = self.spec.supply
+        spec, supply = self.spec, self.spec.supply
+        if spec.segments < 2:
+            raise InputError(f"{spec.name} has one segment; it does not crawl, so that it has no footprint")
         if self.supply_pa > supply.pulsed_limit:
             raise InputError(
                 f"pressure {self.supply_pa / 1000:g} kPa is above the {supply.pulsed_limit / 1000:g} kPa "
-                f"that {self.spec.name} may be given in pulses ({supply.limit_source})"
+                f"that {spec.name} may be given in pulses ({supply.limit_source})"
             )
         most = RECORD_HZ / _LEAST_SAMPLES
         if self.frequency > most:
@@ -121,7 +120,7 @@ class Drive:
         """Return what makes the plant; heavy imports wait until it does."""
         if callable(self.plant):
             return self.plant
-        return partial(_twin if self.plant == "twin" else _analytical, self)
+        return partial(_plant, self)
 
     def steady_job(self, maker: Callable[[], Plant], offset: float, phase: float, periods: int) -> Job:
         """Return a run under one offset that ends with so many periods to be measured."""
@@ -153,19 +152,16 @@ def ticks(time: float) -> float:
     return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
 
 
-def _twin(drive: Drive) -> Plant:
-    from srs_twin.plants.twin import TwinSnake
+def _plant(drive: Drive) -> Plant:
+    settings: dict[str, Any] = {"supply_pa": drive.supply_pa, "tick": TICK}
+    if drive.plant == "twin":
+        from srs_twin.plants.twin import TwinSnake
 
-    return TwinSnake(drive.spec, supply_pa=drive.supply_pa, tick=TICK)
-
-
-def _analytical(drive: Drive) -> Plant:
+        return TwinSnake(drive.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
     # Under the pulses of learning the model with given bends slips (docs/learning.md).
-    return AnalyticalSnake(
-        drive.spec, model="compliant", friction="wheel", supply_pa=drive.supply_pa, tick=TICK
-    )
+    return AnalyticalSnake(drive.spec, model="compliant", friction="wheel", **settings)
 
 
 @dataclass(frozen=True)

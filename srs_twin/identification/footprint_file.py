@@ -15,6 +15,7 @@ from srs_twin.planning.footprint import FootprintFile, Transient
 from srs_twin.robot.spec import RobotSpec
 
 _DIGITS = 4
+_SPREADS = {"curvature_per_m": "curvature", "speed_m_s": "speed", "left_m": "left", "right_m": "right"}
 
 
 def footprint_file(measured: Measured, name: str) -> FootprintFile:
@@ -39,10 +40,7 @@ def footprint_file(measured: Measured, name: str) -> FootprintFile:
         "behind_m": record(max(_column(paths, "behind")), "m", "as ahead_m"),
         "spread": {
             "source": f"half the range over {measured.repeats} phases of the gait at the start",
-            "curvature_per_m": _column(measured.spread, "curvature"),
-            "speed_m_s": _column(measured.spread, "speed"),
-            "left_m": _column(measured.spread, "left"),
-            "right_m": _column(measured.spread, "right"),
+            **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
         },
     }
     if measured.transients:
@@ -142,8 +140,7 @@ def rows(measured: Measured) -> list[Sequence[str]]:
     """Return the table that people read: offset, then speed, curvature and edges with their spread."""
     found: list[Sequence[str]] = []
     for offset, path, spread in zip(measured.offsets, measured.steady, measured.spread, strict=True):
-        pairs = [
-            (getattr(path, key), getattr(spread, key)) for key in ("speed", "curvature", "left", "right")
-        ]
-        found.append((f"{offset:g}", *(f"{value:.4f} ± {half:.4f}" for value, half in pairs)))
+        names = ("speed", "curvature", "left", "right")
+        cells = (f"{getattr(path, name):.4f} ± {getattr(spread, name):.4f}" for name in names)
+        found.append((f"{offset:g}", *cells))
     return found

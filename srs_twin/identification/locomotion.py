@@ -98,7 +98,7 @@ class PlantModel:
         data tell is judged over the few per cent that they leave open.
         """
         if self.plant == "twin":
-            guide = None if against == "averages" else _is_bend
+            guide = None if against == "averages" else lambda each: " bend_" in each.name
             return SearchOptions(3e-3, 3e-2, 3e-4, guide, telling=3e-2, enough=1e-2, most_runs=MOST_TWIN_RUNS)
         compliant = self.settings.get("model") == "compliant"
         return SearchOptions(*_STEPS["compliant" if compliant else "analytical"])
@@ -173,7 +173,9 @@ def fit_locomotion(
                 off = {name: seen[name] - predicted[name] for name in seen}
             except DivergedError:
                 off = {name: np.full_like(each, _DIVERGED) for name, each in seen.items()}
-            found += [_residual(run, name, each, role) for name, each in off.items()]
+            for name, each in off.items():
+                scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
+                found.append(Residual(f"{run.name} {name}", unit, each, scale, role))
         return found
 
     return least_squares(
@@ -232,12 +234,3 @@ def _shapes(trajectory: Trajectory, like: Trajectory, *, moved: bool) -> dict[st
         heading = heading + turn
     found = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
     return found | numbered("bend", at(trajectory, trajectory.stack("bend")))
-
-
-def _residual(run: GaitRun, name: str, values: np.ndarray, role: Role) -> Residual:
-    scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
-    return Residual(f"{run.name} {name}", unit, values, scale, role)
-
-
-def _is_bend(residual: Residual) -> bool:
-    return " bend_" in residual.name

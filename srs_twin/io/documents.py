@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
@@ -229,25 +229,25 @@ class _Reader:
     def _value(self, event: Any, loc: Loc) -> Any:
         """Return the value at a path, which begins with an event; note where it stands."""
         self._check(event)
-        if isinstance(event, events.ScalarEvent):
-            if event.implicit[0] and not event.value and loc in self.document.keys:
-                # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
-                self.last = self.document.keys[loc]
+        scalar = isinstance(event, events.ScalarEvent)
+        if scalar and event.implicit[0] and not event.value and loc in self.document.keys:
+            # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
+            self.last = self.document.keys[loc]
+        self.document.values[loc] = self.last
+        if scalar:
             # A value may have several lines; anything else that a terminal would obey is no text.
             text = self._text(event, keep="\n\t")
-            self.document.values[loc] = self.last
             return _plain(text) if event.implicit[0] else text
-        if not isinstance(event, events.AliasEvent) and len(loc) >= MAX_DEPTH:
+        if isinstance(event, events.AliasEvent):
+            return None
+        if len(loc) >= MAX_DEPTH:
             self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
-        self.document.values[loc] = self.last
         if isinstance(event, events.MappingStartEvent):
             return self._mapping(loc)
-        if isinstance(event, events.SequenceStartEvent):
-            values: list[Any] = []
-            while not isinstance(event := self._next(), events.CollectionEndEvent):
-                values.append(self._value(event, (*loc, len(values))))
-            return values
-        return None
+        values: list[Any] = []
+        while not isinstance(event := self._next(), events.CollectionEndEvent):
+            values.append(self._value(event, (*loc, len(values))))
+        return values
 
     def _mapping(self, loc: Loc) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -306,21 +306,19 @@ _Representer.add_representer(str, _text)
 
 
 class _CompactRepresenter(_Representer):
-    """Writes rows of numbers as rows."""
+    """Writes lists and dicts of numbers alone as rows."""
+
+    def represent_sequence(self, tag: Any, sequence: Any, flow_style: Any = None) -> Any:
+        """See ruamel."""
+        return super().represent_sequence(tag, sequence, _is_row(sequence))
+
+    def represent_mapping(self, tag: Any, mapping: Any, flow_style: Any = None) -> Any:
+        """See ruamel."""
+        return super().represent_mapping(tag, mapping, _is_row(mapping.values()))
 
 
-def _row(representer: SafeRepresenter, values: list[Any]) -> Any:
-    row = bool(values) and all(isinstance(value, int | float) for value in values)
-    return representer.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=row)
-
-
-def _entry(representer: SafeRepresenter, entry: dict[str, Any]) -> Any:
-    row = bool(entry) and all(isinstance(value, int | float) for value in entry.values())
-    return representer.represent_mapping("tag:yaml.org,2002:map", entry, flow_style=row)
-
-
-_CompactRepresenter.add_representer(list, _row)
-_CompactRepresenter.add_representer(dict, _entry)
+def _is_row(values: Collection[Any]) -> bool:
+    return bool(values) and all(isinstance(value, int | float) for value in values)
 
 
 def _plain(text: str) -> Any:

@@ -184,16 +184,6 @@ class Tracklet:
     slot: int
     frames: np.ndarray
 
-    @property
-    def start(self) -> int:
-        """First frame."""
-        return int(self.frames[0])
-
-    @property
-    def end(self) -> int:
-        """Last frame."""
-        return int(self.frames[-1])
-
 
 def distances(points: np.ndarray, frames: int) -> np.ndarray:
     """Return the distances of each two points on some frames evenly spread, (frames, points, points), m.
@@ -204,14 +194,6 @@ def distances(points: np.ndarray, frames: int) -> np.ndarray:
     apart = np.asarray(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
     apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
     return apart
-
-
-def closest(points: np.ndarray) -> float:
-    """Return how near two markers come, but for a few frames, m; infinite where there is one."""
-    apart = distances(points, _SAMPLED)
-    nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=(1, 2))
-    nearest = nearest[np.isfinite(nearest)]
-    return float(np.quantile(nearest, 0.05)) if nearest.size else np.inf
 
 
 def tracklets(points: np.ndarray, gate: float, longest: int) -> list[Tracklet]:
@@ -230,7 +212,7 @@ def tracklets(points: np.ndarray, gate: float, longest: int) -> list[Tracklet]:
         seen = np.flatnonzero(~np.isnan(points[:, slot, 0]))
         breaks = np.flatnonzero(~_sure(points, slot, seen, gate, longest)) + 1
         found += [Tracklet(slot, part) for part in np.split(seen, breaks) if part.size]
-    return sorted(found, key=lambda each: (each.start, each.slot))
+    return sorted(found, key=lambda each: (each.frames[0], each.slot))
 
 
 def _sure(points: np.ndarray, slot: int, seen: np.ndarray, gate: float, longest: int) -> np.ndarray:
@@ -273,8 +255,11 @@ def follow(
     Raises:
         InputError: markers jump too often to be followed.
     """
-    least = closest(points)
-    gate = min(GATE * least, reach)
+    apart = distances(points, _SAMPLED)
+    nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=(1, 2))
+    nearest = nearest[np.isfinite(nearest)]
+    # How near two markers come, but for a few frames.
+    gate = min(GATE * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
     pieces = tracklets(points, gate, longest)
     if len(pieces) > _TANGLED:
         points, columns = untangled(points, columns, gate)
@@ -287,7 +272,7 @@ def follow(
         # Few frames a second: markers go far from frame to frame, and pieces are short without being wrong.
         short = []
     joined = [each for each in pieces if not short or len(each.frames) >= _SHORT]
-    for _, group in groupby(joined, key=lambda each: each.start):
+    for _, group in groupby(joined, key=lambda each: each.frames[0]):
         known.join(list(group))
         if len(known.tracks) > MOST:
             raise InputError(f"{_JUMPING} (over {MOST} tracks); is the unit of length or of time another?")
@@ -312,7 +297,7 @@ class _KnownTracks:
         """Give tracklets that begin on the same frame to tracks that ended before it, or to new ones."""
         from scipy.optimize import linear_sum_assignment
 
-        start = pieces[0].start
+        start = int(pieces[0].frames[0])
         free = [k for k, end in enumerate(self._ends) if end < start]
         targets: dict[int, int] = {}
         if free:
@@ -321,15 +306,21 @@ class _KnownTracks:
             pairs = zip(*linear_sum_assignment(distance), strict=True)
             targets = {row: free[column] for row, column in pairs if distance[row, column] < _NEVER}
         for row, piece in enumerate(pieces):
-            self._write(piece, targets[row] if row in targets else self._new())
+            if row not in targets:
+                targets[row] = len(self._ends)
+                self.tracks.append(np.full((len(self._points), 2), np.nan))
+                self.slots.append(np.full(len(self._points), -1))
+                self._ends.append(-1)
+            self._write(piece, targets[row])
 
     def fits(self, piece: Tracklet, gate: float) -> bool:
         """Put a short tracklet into the hole of a track that runs through it; say whether there is one."""
-        first = max(0, piece.start - self._longest)
+        start, end = int(piece.frames[0]), int(piece.frames[-1])
+        first = max(0, start - self._longest)
         for k, track in enumerate(self.tracks):
-            seen = np.flatnonzero(~np.isnan(track[first : piece.end + self._longest + 1, 0])) + first
-            place = int(np.searchsorted(seen, piece.start))
-            if place in (0, len(seen)) or seen[place] <= piece.end:
+            seen = np.flatnonzero(~np.isnan(track[first : end + self._longest + 1, 0])) + first
+            place = int(np.searchsorted(seen, start))
+            if place in (0, len(seen)) or seen[place] <= end:
                 continue
             before, after = seen[place - 1], seen[place]
             share = ((piece.frames - before) / (after - before))[:, None]
@@ -342,14 +333,7 @@ class _KnownTracks:
     def _write(self, piece: Tracklet, track: int) -> None:
         self.tracks[track][piece.frames] = self._points[piece.frames, piece.slot]
         self.slots[track][piece.frames] = piece.slot
-        self._ends[track] = max(self._ends[track], piece.end)
-
-    def _new(self) -> int:
-        frames = len(self._points)
-        self.tracks.append(np.full((frames, 2), np.nan))
-        self.slots.append(np.full(frames, -1))
-        self._ends.append(-1)
-        return len(self._ends) - 1
+        self._ends[track] = max(self._ends[track], int(piece.frames[-1]))
 
     def _distance(self, track: int, frame: int, begins: np.ndarray) -> np.ndarray:
         """Return how far from where a track's marker should be new tracklets begin, shape (tracklets,), m.

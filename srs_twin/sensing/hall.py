@@ -122,13 +122,10 @@ class Strip:
         if self.chamber not in PRESSED:
             raise UnknownNameError("chamber cross-section", self.chamber, PRESSED)
         for name in ("segment_length", "distance", "moment"):
-            value = getattr(self, name)
-            _check(name, value, value > 0, "above 0")
+            _check(name, getattr(self, name), getattr(self, name) > 0, "above 0")
         if self.distance > self.segment_length:
-            raise InputError(
-                f"distance {self.distance:g} m from magnet to element is not allowed; "
-                f"the segment is {self.segment_length:g} m long"
-            )
+            given = f"distance {self.distance:g} m from magnet to element is not allowed"
+            raise InputError(f"{given}; the segment is {self.segment_length:g} m long")
         for name in ("magnet_height", "element_height"):
             value = getattr(self, name)
             if not abs(value) < self.distance / math.pi:
@@ -290,9 +287,8 @@ class HallSensor:
         low, high = self.converter_range
         if self.bits is None:
             return _within(output, low, high)
-        step = self.step
-        code = _within(np.floor((output - low) / step), 0, 2**self.bits - 1)
-        read: np.ndarray = low + (code + 0.5) * step
+        code = _within(np.floor((output - low) / self.step), 0, 2**self.bits - 1)
+        read: np.ndarray = low + (code + 0.5) * self.step
         return read
 
 

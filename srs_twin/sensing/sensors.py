@@ -114,8 +114,7 @@ def _at(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
     radius = (_mixed(place) >> np.uint64(11)).astype(float) + 1  # 1 … 2⁵³, never 0
     turn = (_mixed(place + _GOLDEN) >> np.uint64(11)).astype(float)
-    normal: np.ndarray = np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * turn)
-    return normal
+    return np.asarray(np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * turn))
 
 
 def _mixed(word: np.ndarray) -> np.ndarray:
@@ -164,7 +163,19 @@ class CurvatureSensor(Sensor):
 
 
 @dataclass(frozen=True)
-class DriftedSensor(Sensor):
+class _AlteredSensor(Sensor):
+    """Sensors that say something else than they would: `sensor` is what they would say."""
+
+    sensor: Sensor
+
+    @property
+    def kind(self) -> str:  # type: ignore[override]
+        """Short name of what is altered."""
+        return self.sensor.kind
+
+
+@dataclass(frozen=True)
+class DriftedSensor(_AlteredSensor):
     """Sensors that have each drifted by themselves since their calibration.
 
     Attributes:
@@ -173,19 +184,12 @@ class DriftedSensor(Sensor):
         bias: what they say besides, shape (segments,), rad.
     """
 
-    sensor: Sensor
     gain: tuple[float, ...]
     bias: tuple[float, ...]
 
-    @property
-    def kind(self) -> str:  # type: ignore[override]
-        """Short name of what has drifted."""
-        return self.sensor.kind
-
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
-        drifted: np.ndarray = np.array(self.gain) * self.sensor.read(bend, time, seed) + np.array(self.bias)
-        return drifted
+        return np.asarray(np.array(self.gain) * self.sensor.read(bend, time, seed) + np.array(self.bias))
 
     def describe(self) -> dict[str, Any]:
         """See `Sensor.describe`."""
@@ -208,7 +212,7 @@ class DeadSensor:
 
 
 @dataclass(frozen=True)
-class FaultySensor(Sensor):
+class FaultySensor(_AlteredSensor):
     """Sensors some of which are dead from some time on.
 
     Attributes:
@@ -216,13 +220,7 @@ class FaultySensor(Sensor):
         dead: which, and since when.
     """
 
-    sensor: Sensor
     dead: tuple[DeadSensor, ...]
-
-    @property
-    def kind(self) -> str:  # type: ignore[override]
-        """Short name of what is faulty."""
-        return self.sensor.kind
 
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
@@ -236,9 +234,7 @@ class FaultySensor(Sensor):
 
     def describe(self) -> dict[str, Any]:
         """See `Sensor.describe`."""
-        return self.sensor.describe() | {"dead_sensors": [_plain(each) for each in self.dead]}
-
-
-def _plain(dead: DeadSensor) -> dict[str, Any]:
-    values = asdict(dead)
-    return values | {"reading": None if np.isnan(dead.reading) else dead.reading}
+        dead = [asdict(each) for each in self.dead]
+        for each in dead:
+            each["reading"] = None if np.isnan(each["reading"]) else each["reading"]
+        return self.sensor.describe() | {"dead_sensors": dead}
