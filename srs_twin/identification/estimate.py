@@ -86,7 +86,7 @@ def identifiability(
     """
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
     doubt = np.linalg.norm(error @ directions.T, axis=0)
-    is_blind = (singular <= _TRUSTED * doubt) | (singular <= _LEAST * singular[0])
+    is_blind = (singular <= _TRUSTED * doubt) | (singular <= _LEAST * singular.max(initial=0.0))
     seen, blind = directions[~is_blind], directions[is_blind]
     covariance = (seen.T * (noise / singular[~is_blind]) ** 2) @ seen
     # Uniform between the bounds: the variance of what nobody knows.
@@ -194,8 +194,7 @@ class Estimate:
 
     def rms(self, role: Role) -> float | None:
         """Return the root mean square of the weighted residuals of a role; None without any."""
-        squares = [(each.values / each.scale) ** 2 for each in self.residuals if each.role == role]
-        squares = [each for each in squares if len(each)]
+        squares = [(r.values / r.scale) ** 2 for r in self.residuals if r.role == role and len(r.values)]
         return float(np.sqrt(np.concatenate(squares).mean())) if squares else None
 
     def text(self) -> str:
@@ -225,18 +224,16 @@ def wanted_beyond(unknown: Unknown, z: float) -> str:
 
 
 def hidden_because(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability | None, place: int
+    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability, place: int
 ) -> str:
     """Return why a parameter inside its bounds has no number.
 
     Args:
         unknowns: of the search.
         inside: which of them do not end at a bound.
-        known: what the data tell of those; None: nothing.
+        known: what the data tell of those.
         place: of the parameter among them.
     """
-    if known is None:
-        return "nothing can be told"
     rows = [row for row in known.blind if abs(row[place]) > _PART]
     shares = [(inside[k], abs(row[k])) for row in rows for k in range(len(row)) if k != place]
     others = sorted({unknowns[i].name for i, share in shares if share > _PART})
@@ -248,7 +245,7 @@ def hidden_because(
 
 
 def cancels(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability | None
+    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability
 ) -> tuple[dict[str, float], ...]:
     """Return the directions in which the residuals do not change: name → share, the largest above 0.
 
@@ -257,8 +254,6 @@ def cancels(
         inside: likewise.
         known: likewise.
     """
-    if known is None:
-        return ()
     names = [unknowns[i].name for i in inside]
     rows = []
     for row in known.blind:

@@ -314,10 +314,8 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
     acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(doubt, axis=0)
     bound = acts & ((z - search.low < _AT_BOUND) | (search.high - z < _AT_BOUND))
     inside = np.flatnonzero(~bound)
-    known = None
-    if inside.size:
-        widths = (search.high - search.low)[inside]
-        known = identifiability(jacobian[:, inside], doubt[:, inside], noise, widths)
+    widths = (search.high - search.low)[inside]
+    known = identifiability(jacobian[:, inside], doubt[:, inside], noise, widths)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     reach = _rivals(best, ends, variance * samples / independent, stats.chi2.ppf(LEVEL, len(unknowns)))
     found, kept = [], []
@@ -328,9 +326,9 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
         why = ""
         if bound[i]:
             why = wanted_beyond(unknown, z[i])
-        elif known is None or known.hidden(place):
+        elif known.hidden(place):
             why = hidden_because(unknowns, inside, known, place)
-        if why or known is None:
+        if why:
             found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
         else:
             error = float(known.errors[place])
@@ -370,12 +368,12 @@ def _rivals(best: SearchEnd, ends: Sequence[SearchEnd], variance: float, limit: 
 
 
 def _correlation(
-    found: Sequence[Parameter], kept: Sequence[int], inside: np.ndarray, known: Identifiability | None
+    found: Sequence[Parameter], kept: Sequence[int], inside: np.ndarray, known: Identifiability
 ) -> np.ndarray:
     """Return the correlation of what has numbers, NaN elsewhere, shape (parameters, parameters)."""
     matrix = np.full((len(found), len(found)), np.nan)
     rows = [k for k, each in enumerate(found) if each.value is not None]
-    if known is not None and rows:
+    if rows:
         places = np.searchsorted(inside, [kept[k] for k in rows])
         # Without noise nothing has an error, and nothing a correlation.
         errors = np.maximum(known.errors[places], 1e-150)

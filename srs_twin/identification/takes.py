@@ -60,8 +60,8 @@ class RecordingReader:
             spec: the robot on it.
             frequency: of the gait where none was given, Hz.
         """
-        options = {"up": self.up, "layout": self.layout, "head": self.head}
-        return read_motion(path, spec, **options, **self._stretch(frequency))  # type: ignore[arg-type]
+        given: dict[str, Any] = {"up": self.up, "layout": self.layout, "head": self.head}
+        return read_motion(path, spec, **given, **self._stretch(frequency))
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
         """Read what was measured of the body: a captured motion, or a log of its bends; as `motion`."""
@@ -71,10 +71,8 @@ class RecordingReader:
 
     def _stretch(self, frequency: float | None) -> dict[str, Any]:
         given = self.gait_frequency_hz
-        return {
-            "longest_gap_s": self.longest_gap_s,
-            "gait_frequency_hz": frequency if given is None else given,
-        }
+        frequency = frequency if given is None else given
+        return {"longest_gap_s": self.longest_gap_s, "gait_frequency_hz": frequency}
 
     def joined(self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool) -> Recording:
         """Put what was measured and a log on one clock, which they share where both are columns of one file.

@@ -50,8 +50,7 @@ def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WI
         sums[here] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
     count, t, tt = sums[:, :1], sums[:, 1:2], sums[:, 2:3]
     y, ty = np.split(sums[:, 3:], 2, axis=1)
-    slope: np.ndarray = (ty - t * y / count) / (tt - t * t / count)
-    return slope.reshape(np.shape(values))
+    return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(np.shape(values))
 
 
 MEASURED = "measured"
@@ -128,14 +127,11 @@ def measured(
         "samples_filled": summary.samples_filled,
         "corrections": list(summary.corrections),
     }
-    about: dict[str, object] = {}
-    if summary.markers is None:
-        about["bends_only"] = True
-    else:
-        found = summary.markers
+    if (found := summary.markers) is not None:
         source |= {"layout": found.layout, "up": found.up, "samples_rejected": found.samples_rejected}
     geometry = spec.geometry
-    about |= {
+    about = {
+        **({"bends_only": True} if found is None else {}),
         "plant": MEASURED,
         "robot": spec.name,
         "record_hz": summary.rate_hz,
