@@ -429,7 +429,7 @@ def test_report_tells_results_and_expectations(report, parsed):
     assert rows["CoM speed"][1:] == ["m/s", "0.22", "0.2002", "-9.0 %", "0.214 (Table 10)"]
     assert rows["turning radius"][2] == "–"
     assert rows["bend amplitude"][2].startswith("1.2, 1.2")
-    assert rows["shape rms"][1] == "m" and float(rows["shape rms"][4]) > 0
+    assert rows["shape RMS"][1] == "m" and float(rows["shape RMS"][4]) > 0
     assert rows["met"][1:] == ["com_speed_m_s", "twin", "0.2", "0.214 within 15 %", "Table 10", ""]
     assert rows["missed"][1:] == ["com_speed_rel", "comparison", "-0.09", "above 0", "", ""]
     assert rows["known"][1:] == ["yaw_rate_abs", "comparison", "0.3", "below 0.2", "", "soft bends"]

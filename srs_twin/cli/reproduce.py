@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,8 +15,7 @@ from srs_twin.cli.options import JobsOption, QuietOption, option
 from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
-    from srs_twin.reproduction import Claim, Judged, Store
-    from srs_twin.reproduction.runs import Orders
+    from srs_twin.reproduction import Judged, Store
     from srs_twin.sweep.task import Row
 
 
@@ -47,18 +47,20 @@ def reproduce(
     start_server("srs_twin.sweep.warm")
     from srs_twin.errors import InputError
     from srs_twin.io.files import shown
-    from srs_twin.reproduction import load_claims, open_store
+    from srs_twin.reproduction import judge, load_claims, open_store
     from srs_twin.reproduction.claims import chosen
-    from srs_twin.reproduction.runs import HTML, JSON, JUNIT, Orders
+    from srs_twin.reproduction.runs import HTML, JSON, JUNIT
 
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; leave --only and --quick out")
     claims = chosen(load_claims(), tuple(only or ()), quick=quick)
-    orders, figures = Orders(), []
+    figures = []
     with interruptible("what was finished is kept, start again to go on"), open_store(out) as store:
-        rows = _judged(claims, store, orders, jobs, quiet=quiet)
+        with _counting("runs", quiet=quiet) as started:
+            rows = judge(claims, store, workers=jobs, started=started)
         if not no_figures:
-            figures = _figures(store, orders, jobs, every=not (only or quick), quiet=quiet)
+            with _counting("runs for figures", quiet=quiet) as started:
+                figures = _figures(store, jobs, started, every=not (only or quick))
         changes = _written(out, rows, figures, write_baseline=write_baseline)
     if not quiet:
         _show(rows)
@@ -70,34 +72,33 @@ def reproduce(
         raise typer.Exit(CHANGED)
 
 
-def _judged(
-    claims: Sequence[Claim], store: Store, orders: Orders, jobs: int | None, *, quiet: bool
-) -> tuple[Judged, ...]:
-    from srs_twin.reproduction import judge
-
-    with Counting("runs", 0, quiet=quiet) as counting:
-
-        def planned(count: int) -> None:
-            counting.total += count
+@contextmanager
+def _counting(title: str, *, quiet: bool) -> Iterator[Callable[[int], Callable[[Row], None]]]:
+    """Yield what takes the number of further runs and returns what counts each that is finished."""
+    with Counting(title, 0, quiet=quiet) as counting:
 
         def progress(row: Row) -> None:
             counting(failed=row.exit_code != 0)
             if row.exit_code:
                 say(f"a run failed: {row.reason}", quiet=quiet)
 
-        return judge(claims, store, orders, workers=jobs, progress=progress, planned=planned)
+        def started(count: int) -> Callable[[Row], None]:
+            counting.total += count
+            return progress
+
+        yield started
 
 
-def _figures(store: Store, orders: Orders, jobs: int | None, *, every: bool, quiet: bool) -> list[Any]:
+def _figures(
+    store: Store, workers: int | None, started: Callable[[int], Callable[[Row], None]], *, every: bool
+) -> list[Any]:
     """Return the figures whose runs are there; of a whole reproduction run what is theirs alone."""
-    from srs_twin.reproduction.figures import PICTURES, StoredRuns, drawn, wanted
+    from srs_twin.reproduction.figures import drawn, jobs, load_pictures
 
+    pictures = load_pictures()
     if every:
-        keys = dict.fromkeys(order.key for order in wanted(PICTURES, orders))
-        due = store.missing(orders.made[key] for key in keys)
-        with Counting("runs for figures", len(due), quiet=quiet) as counting:
-            store.run(due, workers=jobs, progress=lambda row: counting(failed=row.exit_code != 0))
-    return drawn(PICTURES, StoredRuns(store, orders))
+        store.run(jobs(pictures, store), workers=workers, started=started)
+    return list(drawn(pictures, store))
 
 
 def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_baseline: bool) -> list[str]:

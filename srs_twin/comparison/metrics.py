@@ -80,7 +80,7 @@ def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[floa
 MEASURED_UNITS = units_of("""
     measured_com_speed_rel measured_yaw_rate_abs measured_shape_rms_m measured_path_rms_m
     measured_bend_rms_rad measured_heading_rms_rad
-""")
+""") | {"measured_yaw_rate_abs": "rad/s"}
 """Metrics of a plant against what was measured of the robot: plant less measured, as in `compare`."""
 
 METRICS_LISTED = "`srs-twin schema`"
@@ -105,7 +105,7 @@ LIST_METRIC_UNITS = units_of("bend_amplitude_rad bend_bias_rad valve_switches") 
 COMPARISON_UNITS = units_of("""
     com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body path_rms_m
     bend_rms_rad bend_rms_rel heading_rms_rad
-""")
+""") | {"yaw_rate_abs": "rad/s"}
 """Metrics of `compare`, each one number; they stand here so that naming them needs nothing else."""
 
 _GAIT_METRICS = f"""

@@ -7,29 +7,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.robot.sourced import UNITS
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-_UNITS = {
-    "_m_s": "m/s",
-    "_rad_s": "rad/s",
-    "_rate_abs": "rad/s",
-    "_per_m": "1/m",
-    "_rad": "rad",
-    "_m": "m",
-    "_s": "s",
-    "_w": "W",
-    "_t": "T",
-}
+# How names of metrics end besides keys of files, and the unit that this means; longer ends first.
+_UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
+
+
+def split_unit(metric: str) -> tuple[str, str]:
+    """Return the name of a metric without its unit, and the unit; "1" where it names none."""
+    ending = next((each for each in _UNITS if metric.endswith(each)), "")
+    return metric.removesuffix(ending), _UNITS.get(ending, "1")
 
 
 def units_of(names: str) -> dict[str, str]:
-    """Return metric → unit of the metrics in a text; a name's ending tells its unit, "1" where none does."""
-    units = _UNITS.items()
-    return {name: next((unit for end, unit in units if name.endswith(end)), "1") for name in names.split()}
+    """Return metric → unit of the metrics in a text."""
+    return {name: split_unit(name)[1] for name in names.split()}
 
 
 def rms(values: np.ndarray) -> float:

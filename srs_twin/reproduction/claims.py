@@ -5,21 +5,35 @@ The file is read into strict models; a table's entry holds its numbers, which be
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from types import ModuleType
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+import srs_twin.reproduction.computations as computations
+import srs_twin.reproduction.traces as traces
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.documents import Document, Loc, load_yaml
 from srs_twin.io.files import data_root, shipped_names
-from srs_twin.io.validation import validate
-from srs_twin.reproduction.computations import COMPUTATIONS
-from srs_twin.reproduction.traces import TRACES
+from srs_twin.io.validation import Model, validate
 from srs_twin.scenario.fields import Section, quantity, section
+
+
+def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
+    """Return the public functions that a module defines, by name."""
+    found = inspect.getmembers(module, inspect.isfunction)
+    return {name: each for name, each in found if each.__module__ == module.__name__ and name[0] != "_"}
+
+
+COMPUTATIONS = _functions(computations)
+"""What a file names as `law`: each takes what is set, and returns ``<column>.<metric>`` → number."""
+TRACES = _functions(traces)
+"""What a file names as `trace.…`: each takes a trajectory, and returns a number or None."""
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 Set = Plain | Annotated[list[float], Field(min_length=1, max_length=100)]
@@ -35,24 +49,18 @@ Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
 _BOUND = 1e9
 
 
-class Measure(Section):
-    """A number that a run, the runs of a sweep or a computation give."""
+class Runs(Section):
+    """A scenario, points of a sweep or a computation that are run."""
 
     scenario: Name | None = section("Shipped scenario that is run.", None)
     sweep: Name | None = section("Shipped sweep whose points are run.", None)
     law: Name | None = section("Computation that takes the place of runs.", None)
-    metric: Name = section(
-        "Metric, `comparison.…`, `trace.…` (of the trajectory), or what a computation names."
-    )
     set: Changes = section("Fields of the scenario or arguments of the computation that are otherwise.", {})
     periods: float | None = quantity("Simulated time in periods", 3.0, 1000.0, None)
     where: Fields = section("Points of the sweep that count: varied field and its value.", {})
-    take: Take | None = section("What is taken of the values of a sweep's points.", None)
-    plant: Literal["analytical", "twin"] | None = section("Whose, whatever column is asked for.", None)
-    size: bool = section("Whether the sign is left out.", False)
 
     @model_validator(mode="after")
-    def _one_origin(self) -> Measure:
+    def _one_origin(self) -> Self:
         if sum(each is not None for each in (self.scenario, self.sweep, self.law)) != 1:
             raise ValueError("give exactly one of scenario, sweep and law")
         if self.where and self.sweep is None:
@@ -63,13 +71,37 @@ class Measure(Section):
 
     @property
     def kind(self) -> str:
-        """Where the number is from: "scenario", "sweep" or "law"."""
+        """What it is: "scenario", "sweep" or "law"."""
         return next(kind for kind in ("scenario", "sweep", "law") if getattr(self, kind) is not None)
 
     @property
     def name(self) -> str:
         """Name of the scenario, sweep or computation."""
         return str(getattr(self, self.kind))
+
+    def check_names(self, document: Document, loc: Loc) -> None:
+        """Report a scenario, a sweep or a computation that there is not."""
+        names = COMPUTATIONS if self.kind == "law" else shipped_names(self.kind)
+        if self.name not in names:
+            document.report((*loc, self.kind), str(UnknownNameError(self.kind, self.name, names)))
+
+
+class Measure(Runs):
+    """A number that a run, the runs of a sweep or a computation give."""
+
+    metric: Name = section(
+        "Metric, `comparison.…`, `trace.…` (of the trajectory), or what a computation names."
+    )
+    take: Take | None = section("What is taken of the values of a sweep's points.", None)
+    plant: Literal["analytical", "twin"] | None = section("Whose, whatever column is asked for.", None)
+    size: bool = section("Whether the sign is left out.", False)
+
+    def check_names(self, document: Document, loc: Loc) -> None:
+        """Report a trace that there is not, besides what is run."""
+        super().check_names(document, loc)
+        prefix, _, trace = self.metric.partition(".")
+        if prefix == "trace" and trace not in TRACES:
+            document.report((*loc, "metric"), str(UnknownNameError("trace", trace, TRACES)))
 
 
 class Cause(Section):
@@ -159,6 +191,11 @@ class Claim(Section):
         """What is measured."""
         return [self.measure] if self.measure else self.measures
 
+    def switched(self, cause: Cause) -> Claim:
+        """Return the claim of scenarios whose fields are as a cause sets them."""
+        changed = [each.model_copy(update={"set": {**each.set, **cause.set}}) for each in self.taken]
+        return self.model_copy(update={"measure": None, "measures": changed})
+
     @property
     def low(self) -> float:
         """Least value that is allowed; a tolerance widens a bound outward."""
@@ -206,21 +243,39 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
         InputError: not readable.
         InputFileError: everything that is wrong with it, one line each.
     """
-    document = load_yaml(path or claims_file())
-    given = document.data if isinstance(document.data, list) else []
-    if not given:
-        document.report((), "must be a list of claims")
-    files = [(i, validate(Claim, document, each, prefix=(i,))) for i, each in enumerate(given)]
+    document, claims = load_list(path or claims_file(), Claim, "claims")
     rows: list[Claim] = []
-    for i, file in files:
-        if file is not None:
-            _check_names(document, i, file)
-            rows += _rows(file)
+    for i, claim in claims:
+        places: list[Loc] = (
+            [(i, "measure")] if claim.measure else [(i, "measures", k) for k in range(len(claim.measures))]
+        )
+        for loc, measure in zip(places, claim.taken, strict=True):
+            measure.check_names(document, loc)
+        rows += _rows(claim)
     for name, count in Counter(row.id for row in rows).items():
         if count > 1:
             document.report((), f"the row {name} is there {count} times")
     document.finish()
     return tuple(rows)
+
+
+def load_list(path: Path, model: type[Model], what: str) -> tuple[Document, list[tuple[int, Model]]]:
+    """Read a list of sections; return the document with its problems, and index and section of what is right.
+
+    Args:
+        path: of the file.
+        model: of each section.
+        what: what it is a list of, in words.
+
+    Raises:
+        InputError: not readable.
+    """
+    document = load_yaml(path)
+    given = document.data if isinstance(document.data, list) else []
+    if not given:
+        document.report((), f"must be a list of {what}")
+    found = [(i, validate(model, document, each, prefix=(i,))) for i, each in enumerate(given)]
+    return document, [(i, each) for i, each in found if each is not None]
 
 
 def chosen(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> tuple[Claim, ...]:
@@ -247,21 +302,6 @@ def chosen(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> 
 
 def _named(claim: Claim, name: str) -> bool:
     return claim.id == name or claim.id.startswith(f"{name}.")
-
-
-def _check_names(document: Document, i: int, file: Claim) -> None:
-    """Report scenarios, sweeps, computations and traces that there are not."""
-    given: list[tuple[Loc, Measure]] = [((i, "measure"), file.measure)] if file.measure else []
-    given += [((i, "measures", k), each) for k, each in enumerate(file.measures)]
-    for loc, each in given:
-        known = {"scenario": shipped_names("scenario"), "sweep": shipped_names("sweep"), "law": COMPUTATIONS}
-        for kind, names in known.items():
-            name = getattr(each, kind)
-            if name is not None and name not in names:
-                document.report((*loc, kind), str(UnknownNameError(kind, name, names)))
-        prefix, _, trace = each.metric.partition(".")
-        if prefix == "trace" and trace not in TRACES:
-            document.report((*loc, "metric"), str(UnknownNameError("trace", trace, TRACES)))
 
 
 def _rows(claim: Claim) -> Iterator[Claim]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -229,19 +228,3 @@ def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
             y = start.y - r * (math.cos(theta) - math.cos(start.heading))
         worst = max(worst, math.hypot(end.x - x, end.y - y))
     return {"alone.error_m": worst}
-
-
-COMPUTATIONS: Mapping[str, Callable[..., Numbers]] = {
-    each.__name__: each
-    for each in (
-        spring_car,
-        tail_load,
-        change_of_offset,
-        planner_success,
-        bend_at,
-        turn_limit,
-        footprint_edges,
-        primitive_error,
-    )
-}
-"""What claims.yaml names as `law`."""

@@ -165,7 +165,7 @@ def write_html(
         subtitle=summary_line(rows),
         changes=changes,
         sections=sections,
-        figures=[picture(figure, f"{each.number}: {each.caption}") for each, figure in figures],
+        figures=[picture(figure, f"Fig. {each.figure}: {each.caption}") for each, figure in figures],
         versions=Table(["package", "version"], list(versions().items())),
     )
     with atomic_write(path) as part:

@@ -21,8 +21,7 @@ from srs_twin.errors import SrsError
 from srs_twin.io.files import atomic_write, open_folder, shipped_folder
 from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import digest_of, run_key, source_digests, versions
-from srs_twin.reproduction.claims import Measure, Setting, Value
-from srs_twin.reproduction.computations import COMPUTATIONS
+from srs_twin.reproduction.claims import COMPUTATIONS, Runs, Setting, Value
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep
 from srs_twin.sweep.points import Experiment, Point, Sweep
@@ -32,10 +31,11 @@ from srs_twin.trajectory import Trajectory
 
 Document = dict[str, Any]
 Alter = Callable[[Document], Document]
+Started = Callable[[int], Callable[[Row], None]]
 
 
 @dataclass(frozen=True)
-class Order:
+class Job:
     """Something that a worker runs.
 
     Attributes:
@@ -51,120 +51,34 @@ class Order:
     arguments: Mapping[str, Setting] = field(default_factory=dict)
 
     @property
-    def point(self) -> Point:
-        """The run as a point of a sweep that varies nothing."""
-        return Point(self.key, {})
+    def keeps(self) -> bool:
+        """Whether its trajectories are kept."""
+        return self.experiment is not None and self.experiment.trajectories
 
-
-class Orders:
-    """Makes the orders of measures; runs that several rows need are one order."""
-
-    def __init__(self, alter: Alter | None = None) -> None:
-        """Start without any.
-
-        Args:
-            alter: changes the plain data of every scenario that is run (tests put faults in with it).
-        """
-        self.made: dict[str, Order] = {}
-        self._alter = alter
-        self._experiments: dict[tuple[str, float | None], Experiment] = {}
-        self._sweeps: dict[str, Sweep] = {}
-        self._of: dict[str, tuple[str, ...]] = {}
-
-    def of(self, measure: Measure, changes: Mapping[str, Setting] | None = None) -> tuple[Order, ...]:
-        """Return what a measure needs to be run: one order, or one a point of its sweep.
-
-        Args:
-            measure: of a claim.
-            changes: fields of the scenario that are otherwise, besides the measure's own.
-
-        Raises:
-            InputError: the scenario or sweep cannot be used.
-        """
-        more = {**measure.set, **(changes or {})}
-        same = json.dumps([measure.kind, measure.name, more, measure.periods, dict(measure.where)])
-        if same not in self._of:
-            self._of[same] = tuple(order.key for order in self._made(measure, more))
-        return tuple(self.made[key] for key in self._of[same])
-
-    def sweep(self, name: str) -> Sweep:
-        """Return a sweep, loaded once.
-
-        Raises:
-            InputError: it cannot be used.
-        """
-        if name not in self._sweeps:
-            self._sweeps[name] = load_sweep(name)
-        return self._sweeps[name]
-
-    def points(self, measure: Measure) -> tuple[Point, ...]:
-        """Return the points of a measure's sweep that count, in the order of their orders."""
-        return tuple(each for each in self.sweep(measure.name).points if _counts(each.changes, measure.where))
-
-    def _made(self, measure: Measure, more: Mapping[str, Setting]) -> Iterator[Order]:
-        if measure.kind == "law":
-            yield self._kept(computation(measure.name, more))
-        elif measure.kind == "scenario":
-            yield self._run(self._experiment(measure.name, measure.periods), more, keep=True)
-        else:
-            experiment = self.sweep(measure.name).experiment
-            for point in self.points(measure):
-                yield self._run(experiment, {**point.changes, **more}, keep=False)
-
-    def _run(self, experiment: Experiment, more: Mapping[str, Setting], *, keep: bool) -> Order:
-        document: Document = experiment.document(more)  # type: ignore[arg-type]
-        if self._alter is not None:
-            document = self._alter(document)
-        plants = experiment.plants
-        whole = Experiment(document, plants, trajectories=keep)
-        return self._kept(Order(run_key(document, plants), whole))
-
-    def _kept(self, order: Order) -> Order:
-        """Return the order of this key that there is; it keeps trajectories if one of them is to."""
-        before = self.made.get(order.key)
-        keeps = order.experiment is not None and order.experiment.trajectories
-        if before is None or (keeps and before.experiment and not before.experiment.trajectories):
-            self.made[order.key] = order
-        return self.made[order.key]
-
-    def _experiment(self, name: str, periods: float | None) -> Experiment:
-        if (name, periods) not in self._experiments:
-            scenario = load_scenario(name)
-            found = Experiment(scenario.document, tuple(scenario.plants), periods)
-            self._experiments[name, periods] = found
-        return self._experiments[name, periods]
-
-
-def computation(name: str, arguments: Mapping[str, Setting]) -> Order:
-    """Return the order of a computation."""
-    key = digest_of(
-        law=name,
-        arguments=dict(arguments),
-        versions=versions(),
-        sources=source_digests("srs_twin.reproduction.computations"),
-        data=_data_digests(),
-    )
-    return Order(key, law=name, arguments=dict(arguments))
-
-
-def lasting(orders: Iterable[Order]) -> list[Order]:
-    """Return orders with those first that simulate the longest: nobody waits for one at the end."""
-
-    def seconds(order: Order) -> float:
-        if order.experiment is None:
+    @property
+    def steps(self) -> float:
+        """How many time steps it simulates: nobody shall wait for a long one at the end."""
+        if self.experiment is None:
             return math.inf
-        base = order.experiment.base
-        step = base["plants"].get("twin", {}).get("timestep_s", 0.001)
-        return float(base["duration_s"]) / step
-
-    return sorted(orders, key=seconds, reverse=True)
+        base = self.experiment.base
+        return float(base["duration_s"]) / base["plants"].get("twin", {}).get("timestep_s", 0.001)
 
 
 @cache
-def _data_digests() -> dict[str, str]:
-    """Return the shipped robots and footprints, which computations read by name → SHA-256, hex."""
-    files = [path for kind in ("robot", "footprint") for path in shipped_folder(kind).glob("*.yaml")]
-    return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
+def sweep_of(name: str) -> Sweep:
+    """Return a shipped sweep, loaded once."""
+    return load_sweep(name)
+
+
+@cache
+def _experiment(name: str, periods: float | None) -> Experiment:
+    scenario = load_scenario(name)
+    return Experiment(scenario.document, tuple(scenario.plants), periods)
+
+
+def points_of(runs: Runs) -> tuple[Point, ...]:
+    """Return the points of a sweep that count, in the order of their jobs."""
+    return tuple(each for each in sweep_of(runs.name).points if _counts(each.changes, runs.where))
 
 
 def _counts(place: Mapping[str, Value], where: Mapping[str, Value]) -> bool:
@@ -177,29 +91,40 @@ def _same(one: Value, other: Value) -> bool:
     return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
 
 
-Progress = Callable[[Row], None]
+@cache
+def _data_digests() -> dict[str, str]:
+    """Return the shipped robots and footprints, which computations read by name → SHA-256, hex."""
+    files = [path for kind in ("robot", "footprint") for path in shipped_folder(kind).glob("*.yaml")]
+    return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
+
 
 _TRAJECTORIES = "trajectories"
 HTML, JSON, JUNIT = "reproduce.html", "reproduce.json", "reproduce.xml"
 
 
-def open_store(folder: Path) -> Store:
-    """Lock a folder for what comes of orders and see what is there.
+def open_store(folder: Path, alter: Alter | None = None) -> Store:
+    """Lock a folder for what comes of runs and see what is there.
+
+    Args:
+        folder: where it is kept; made where it is missing.
+        alter: changes the plain data of every scenario that is run (tests put faults in with it).
 
     Raises:
         InputError: the folder cannot be written, is locked, or holds something else.
     """
     open_folder(folder, (HTML, JSON, JUNIT))
-    return Store(folder, RowStore(folder))
+    return Store(folder, alter)
 
 
 class Store:
-    """What came of orders; a context manager that unlocks its folder."""
+    """The jobs of runs, and what came of them; a context manager that unlocks its folder."""
 
-    def __init__(self, folder: Path, rows: RowStore) -> None:
-        self._folder, self._store = folder, rows
-        self._rows = {row.key: row for row in rows.rows() if row.status == DONE}
+    def __init__(self, folder: Path, alter: Alter | None) -> None:
+        self._folder, self._alter, self._store = folder, alter, RowStore(folder)
+        self._rows = {row.key: row for row in self._store.rows() if row.status == DONE}
         self._failures: dict[str, str] = {}
+        self._jobs: dict[str, Job] = {}
+        self._keys: dict[str, tuple[str, ...]] = {}
 
     def __enter__(self) -> Store:
         return self
@@ -209,39 +134,74 @@ class Store:
     ) -> None:
         self._store.close()
 
-    def missing(self, orders: Iterable[Order]) -> list[Order]:
-        """Return the orders that have not been run, or whose trajectories are not there."""
-        return [order for order in orders if not self._has(order)]
+    def jobs(self, runs: Runs) -> tuple[Job, ...]:
+        """Return one job, or one a point of the sweep; what several claims need is one job.
 
-    def run(
-        self, orders: Iterable[Order], *, workers: int | None = None, progress: Progress | None = None
-    ) -> None:
-        """Run orders and keep what comes of each as it finishes; what fails becomes a failed row.
+        Raises:
+            InputError: the scenario or sweep cannot be used.
+        """
+        same = json.dumps([runs.kind, runs.name, runs.set, runs.periods, runs.where])
+        if same not in self._keys:
+            made = list(self._made(runs))
+            for job in made:
+                # One that keeps its trajectories also serves those that need none.
+                if job.key not in self._jobs or job.keeps:
+                    self._jobs[job.key] = job
+            self._keys[same] = tuple(job.key for job in made)
+        return tuple(self._jobs[key] for key in self._keys[same])
+
+    def _made(self, runs: Runs) -> Iterator[Job]:
+        if runs.kind == "law":
+            key = digest_of(
+                law=runs.name,
+                arguments=runs.set,
+                versions=versions(),
+                sources=source_digests("srs_twin.reproduction.computations"),
+                data=_data_digests(),
+            )
+            yield Job(key, law=runs.name, arguments=runs.set)
+            return
+        sweeps = runs.kind == "sweep"
+        experiment = sweep_of(runs.name).experiment if sweeps else _experiment(runs.name, runs.periods)
+        for changes in [point.changes for point in points_of(runs)] if sweeps else [{}]:
+            document = experiment.document({**changes, **runs.set})  # type: ignore[dict-item]
+            if self._alter is not None:
+                document = self._alter(document)
+            plants = experiment.plants
+            whole = Experiment(document, plants, trajectories=not sweeps)
+            yield Job(run_key(document, plants), whole)
+
+    def run(self, jobs: Iterable[Job], *, workers: int | None = None, started: Started | None = None) -> None:
+        """Run what is missing and keep what comes of each as it finishes; what fails becomes a failed row.
 
         Args:
-            orders: what is missing.
+            jobs: of `jobs`.
             workers: how many processes; default one a processor.
-            progress: called with every row.
+            started: called with the number of jobs that are due, if there are any; returns what is called
+                with every row.
 
         Raises:
             InputError: a row cannot be kept.
         """
-        due = lasting(orders)
+        # What stands under a key may have been replaced by a job that also keeps its trajectories.
+        known = [self._jobs[key] for key in dict.fromkeys(job.key for job in jobs)]
+        due = sorted((job for job in known if not self._has(job)), key=lambda job: job.steps, reverse=True)
         if not due:
             return
+        told = started(len(due)) if started is not None else None
         start_server("srs_twin.sweep.warm")
         with closing(each(carry_out, due, workers=workers)) as finished:
             for done in finished:
                 self._keep(row := _row(due[done.number], done))
-                if progress is not None:
-                    progress(row)
+                if told is not None:
+                    told(row)
 
     def row(self, key: str) -> Row | None:
-        """Return what came of an order; None where it was not run, or failed."""
+        """Return what came of a job; None where it was not run, or failed."""
         return self._rows.get(key)
 
     def failure(self, key: str) -> str:
-        """Return why an order failed; empty where it did not."""
+        """Return why a job failed; empty where it did not."""
         return self._failures.get(key, "")
 
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
@@ -249,16 +209,13 @@ class Store:
         path = self._file(key, plant)
         return Trajectory.from_parquet(path) if path.is_file() else None
 
-    def _has(self, order: Order) -> bool:
-        if order.key not in self._rows:
-            return False
-        experiment = order.experiment
-        if experiment is None or not experiment.trajectories:
-            return True
-        return all(self._file(order.key, plant).is_file() for plant in experiment.plants)
+    def _has(self, job: Job) -> bool:
+        if job.key not in self._rows or job.experiment is None or not job.keeps:
+            return job.key in self._rows
+        return all(self._file(job.key, plant).is_file() for plant in job.experiment.plants)
 
     def _keep(self, row: Row) -> None:
-        # The row is what says that an order is done: its files come first.
+        # The row is what says that a job is done: its files come first.
         for plant, content in row.files.items():
             with atomic_write(self._file(row.key, plant)) as part:
                 part.write_bytes(content)
@@ -272,22 +229,22 @@ class Store:
         return self._folder / _TRAJECTORIES / f"{key}.{plant}.parquet"
 
 
-def carry_out(order: Order) -> Row:
-    """Run an order, here or in a worker; what it does wrong becomes a failed row."""
-    if order.experiment is not None:
-        return run_point(order.experiment, order.point)
-    assert order.law is not None, "an order is a run or a computation"
+def carry_out(job: Job) -> Row:
+    """Do a job, here or in a worker; what it does wrong becomes a failed row."""
+    if job.experiment is not None:
+        return run_point(job.experiment, Point(job.key, {}))
+    assert job.law is not None, "a job is a run or a computation"
     start = time.perf_counter()
     try:
-        values = COMPUTATIONS[order.law](**order.arguments)
+        values = COMPUTATIONS[job.law](**job.arguments)
     except SrsError as error:
         reason = " ".join(str(error).split())
-        return Row(order.key, FAILED, {}, time.perf_counter() - start, reason, error.exit_code)
-    return Row(order.key, DONE, values, time.perf_counter() - start)
+        return Row(job.key, FAILED, {}, time.perf_counter() - start, reason, error.exit_code)
+    return Row(job.key, DONE, values, time.perf_counter() - start)
 
 
-def _row(order: Order, done: Done[Row]) -> Row:
+def _row(job: Job, done: Done[Row]) -> Row:
     if done.result is not None:
         return done.result
     code = done.error.exit_code if isinstance(done.error, SrsError) else SrsError.exit_code
-    return Row(order.key, FAILED, reason=" ".join(str(done.error).split()), exit_code=code)
+    return Row(job.key, FAILED, reason=" ".join(str(done.error).split()), exit_code=code)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -13,8 +12,6 @@ from srs_twin.comparison.sampling import body_length
 from srs_twin.comparison.tracking import fit_sine
 from srs_twin.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
-
-Trace = Callable[[Trajectory], float | None]
 
 _MARKER_M = 0.01
 """Half the distance of the two markers of a connector."""
@@ -191,31 +188,3 @@ def saturated_after(run: Trajectory) -> float:
     begin = int(free_periods(run))
     over: np.ndarray = seen.amplitude[begin:] > 1.05 * seen.target[begin:]
     return float(over.any(axis=(1, 2)).sum())
-
-
-TRACES: Mapping[str, Trace] = {
-    each.__name__: each
-    for each in (
-        tail_drift,
-        speed_regularity,
-        third_harmonic,
-        sensor_error,
-        algorithm_1_error,
-        algorithm_2_error,
-        step_tau_1,
-        step_tau_2,
-        step_c0,
-        step_c1,
-        step_c2,
-        step_a,
-        step_b,
-        step_c,
-        learning_law_error,
-        free_periods,
-        target_left,
-        target_right,
-        smallest_amplitude,
-        saturated_after,
-    )
-}
-"""What claims.yaml names as `trace.…`."""

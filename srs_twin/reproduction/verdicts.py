@@ -4,25 +4,39 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAdapter
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, data_root, shown
 from srs_twin.provenance import versions
-from srs_twin.reproduction.claims import Cause, Claim, Measure, Setting
-from srs_twin.reproduction.runs import Order, Orders, Progress, Store
-from srs_twin.reproduction.traces import TRACES
+from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
+from srs_twin.reproduction.runs import Job, Started, Store
 
-MET, EXPLAINED, MISSED = "met", "explained", "missed"
-VERDICTS = (MET, EXPLAINED, MISSED)
+MET: Final = "met"
+EXPLAINED: Final = "explained"
+MISSED: Final = "missed"
 
 _NOTHING = 1e-12
 """Numbers below are none to divide by."""
+
+
+def _json(value: float, info: SerializationInfo) -> float | None:
+    if not math.isfinite(value):
+        return None
+    digits = (info.context or {}).get("digits")
+    return value if digits is None else float(f"{value:.{digits}g}")
+
+
+Number = Annotated[
+    float, BeforeValidator(lambda given: math.nan if given is None else given), PlainSerializer(_json)
+]
+"""A number that JSON has as null where it is none."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +51,10 @@ class Outcome:
         why: the cause, or why there is no value; empty where nothing is known.
     """
 
-    verdict: str
-    values: tuple[float, ...]
-    value: float
-    error: float
+    verdict: Literal["met", "explained", "missed"]
+    values: tuple[Number, ...]
+    value: Number
+    error: Number
     why: str = ""
 
 
@@ -57,60 +71,55 @@ class Judged:
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
 
 
-class Bench:
-    """Reads numbers out of the runs that are there, and holds them against rows."""
+def judged(store: Store, claim: Claim, column: str) -> Outcome:
+    """Return what came of a row in a column, from the runs that are there.
 
-    def __init__(self, store: Store, orders: Orders) -> None:
-        self._store, self._orders = store, orders
+    Args:
+        store: what was run.
+        claim: the row.
+        column: "analytical", "twin" or "alone".
+    """
+    values = tuple(_number(store, measure, column) for measure in claim.taken)
+    if any(math.isnan(value) for value in values):
+        return Outcome(MISSED, values, math.nan, math.nan, _reason(store, claim))
+    if claim.rule == "ordering":
+        met = all(a > b for a, b in zip(values, values[1:], strict=False))
+        return Outcome(MET if met else MISSED, values, math.nan, math.nan)
+    value = combined(claim.combine, values)
+    assert claim.value is not None, "checked by the file's model"
+    error = (value - claim.value) / abs(claim.value) if claim.value else math.nan
+    met = claim.low <= value <= claim.high
+    return Outcome(MET if met else MISSED, values, value, error)
 
-    def outcome(self, claim: Claim, column: str, changes: Mapping[str, Setting] | None = None) -> Outcome:
-        """Return what came of a row in a column.
 
-        Args:
-            claim: the row.
-            column: "analytical", "twin" or "alone".
-            changes: fields of the scenarios that are otherwise.
-        """
-        values = tuple(self._number(measure, column, changes) for measure in claim.taken)
-        if any(math.isnan(value) for value in values):
-            return Outcome(MISSED, values, math.nan, math.nan, self._reason(claim, changes))
-        if claim.rule == "ordering":
-            met = all(a > b for a, b in zip(values, values[1:], strict=False))
-            return Outcome(MET if met else MISSED, values, math.nan, math.nan)
-        value = combined(claim.combine, values)
-        assert claim.value is not None, "checked by the file's model"
-        error = (value - claim.value) / abs(claim.value) if claim.value else math.nan
-        met = claim.low <= value <= claim.high
-        return Outcome(MET if met else MISSED, values, value, error)
+def _number(store: Store, measure: Measure, column: str) -> float:
+    owner = measure.plant or column
+    values = np.array([_value(store, job, owner, measure.metric) for job in store.jobs(measure)])
+    if measure.size:
+        values = np.abs(values)
+    if not len(values) or (measure.take is None and len(values) > 1):
+        return math.nan
+    return float(taken(measure.take, values))
 
-    def _number(self, measure: Measure, column: str, changes: Mapping[str, Setting] | None) -> float:
-        owner = measure.plant or column
-        orders = self._orders.of(measure, changes)
-        values = np.array([self._of(order, owner, measure.metric) for order in orders])
-        if measure.size:
-            values = np.abs(values)
-        if not len(values) or (measure.take is None and len(values) > 1):
-            return math.nan
-        return float(taken(measure.take, values))
 
-    def _of(self, order: Order, owner: str, metric: str) -> float:
-        row = self._store.row(order.key)
-        if row is None:
-            return math.nan
-        kind, _, name = metric.partition(".")
-        if kind == "trace":
-            trajectory = self._store.trajectory(order.key, owner)
-            found = None if trajectory is None else TRACES[name](trajectory)
-        else:
-            found = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
-        return math.nan if found is None else float(found)
+def _value(store: Store, job: Job, owner: str, metric: str) -> float:
+    row = store.row(job.key)
+    if row is None:
+        return math.nan
+    kind, _, name = metric.partition(".")
+    if kind == "trace":
+        trajectory = store.trajectory(job.key, owner)
+        found = None if trajectory is None else TRACES[name](trajectory)
+    else:
+        found = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
+    return math.nan if found is None else float(found)
 
-    def _reason(self, claim: Claim, changes: Mapping[str, Setting] | None) -> str:
-        """Say why there is no number."""
-        orders = [order for measure in claim.taken for order in self._orders.of(measure, changes)]
-        failed = [self._store.failure(order.key) for order in orders]
-        said = next((reason for reason in failed if reason), "")
-        return f"no value: {said}" if said else "no value: there is no such number in the run"
+
+def _reason(store: Store, claim: Claim) -> str:
+    """Say why there is no number."""
+    failed = (store.failure(job.key) for measure in claim.taken for job in store.jobs(measure))
+    said = next(filter(None, failed), "there is no such number in the run")
+    return f"no value: {said}"
 
 
 def combined(how: str, values: tuple[float, ...]) -> float:
@@ -140,6 +149,10 @@ def taken(how: str | None, values: np.ndarray) -> float:
     if how == "spread":
         return float(np.ptp(values) / abs(values.mean())) if abs(values.mean()) > _NOTHING else math.nan
     return float(values.mean())
+
+
+_OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, Outcome]])
+"""Row → column → outcome."""
 
 
 @dataclass(frozen=True)
@@ -185,14 +198,10 @@ def load_baseline(path: Path | None = None) -> Baseline:
     place = path or baseline_file()
     try:
         given = json.loads(place.read_text("utf-8"))
-        outcomes = {
-            name: {column: _outcome(each) for column, each in columns.items()}
-            for name, columns in given["rows"].items()
-        }
-        return Baseline(outcomes, dict(given["versions"]))
+        return Baseline(_OUTCOMES.validate_python(given["rows"]), dict(given["versions"]))
     except OSError as error:
         raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{shown(place)}: not a baseline; --write-baseline writes one") from error
 
 
@@ -216,84 +225,35 @@ def outcomes_document(rows: Sequence[Judged], *, digits: int | None = None) -> d
         rows: judged.
         digits: significant ones that are kept; None: all.
     """
-
-    def number(value: float) -> float | None:
-        if not math.isfinite(value):
-            return None
-        return value if digits is None else float(f"{value:.{digits}g}")
-
-    return {
-        row.claim.id: {
-            column: {
-                "verdict": each.verdict,
-                "values": [number(value) for value in each.values],
-                "value": number(each.value),
-                "error": number(each.error),
-                "why": each.why,
-            }
-            for column, each in row.outcomes.items()
-        }
-        for row in rows
-    }
-
-
-def _outcome(given: Mapping[str, Any]) -> Outcome:
-    def number(value: float | None) -> float:
-        return math.nan if value is None else float(value)
-
-    verdict = given["verdict"] if given["verdict"] in VERDICTS else MISSED
-    values = tuple(map(number, given["values"]))
-    return Outcome(verdict, values, number(given["value"]), number(given["error"]), str(given["why"]))
-
-
-Planned = Callable[[int], None]
+    found = {row.claim.id: row.outcomes for row in rows}
+    return _OUTCOMES.dump_python(found, mode="json", context={"digits": digits})
 
 
 def judge(
-    claims: Sequence[Claim],
-    store: Store,
-    orders: Orders,
-    *,
-    workers: int | None = None,
-    progress: Progress | None = None,
-    planned: Planned | None = None,
+    claims: Sequence[Claim], store: Store, *, workers: int | None = None, started: Started | None = None
 ) -> tuple[Judged, ...]:
     """Run what rows need and is not there yet, and judge them; then run what may explain those missed.
 
     Args:
         claims: the rows.
         store: what was run before, and where new runs are kept.
-        orders: makes the orders, with whatever is altered in them.
         workers: how many processes; default one a processor.
-        progress: called with every run that is finished.
-        planned: called with the number of runs that are due, before each round.
+        started: called with the number of runs that are due, before each round; returns what is called with
+            every run that is finished.
 
     Raises:
         InputError: a scenario or sweep cannot be used, or results cannot be kept.
     """
 
-    def run(wanted: Sequence[Order]) -> None:
-        # What stands under a key may have been replaced by an order that also keeps its trajectories.
-        keys = dict.fromkeys(order.key for order in wanted)
-        due = store.missing(orders.made[key] for key in keys)
-        if planned is not None and due:
-            planned(len(due))
-        store.run(due, workers=workers, progress=progress)
+    def run(wanted: Iterable[Claim]) -> None:
+        jobs = [job for claim in wanted for measure in claim.taken for job in store.jobs(measure)]
+        store.run(jobs, workers=workers, started=started)
 
-    bench = Bench(store, orders)
-    run([order for claim in claims for measure in claim.taken for order in orders.of(measure)])
-    rows = [Judged(each, {name: bench.outcome(each, name) for name in each.columns}) for each in claims]
-    run(
-        [
-            order
-            for row in rows
-            for cause in _to_be_shown(row)
-            for measure in row.claim.taken
-            for order in orders.of(measure, cause.set)
-        ]
-    )
+    run(claims)
+    rows = [Judged(each, {name: judged(store, each, name) for name in each.columns}) for each in claims]
+    run(row.claim.switched(cause) for row in rows for cause in _to_be_shown(row))
     return tuple(
-        replace(row, outcomes={k: _explained(bench, row.claim, k, each) for k, each in row.outcomes.items()})
+        replace(row, outcomes={k: _explained(store, row.claim, k, each) for k, each in row.outcomes.items()})
         for row in rows
     )
 
@@ -304,7 +264,7 @@ def _to_be_shown(row: Judged) -> list[Cause]:
     return [cause for cause in row.claim.cause if cause.switch is not None and missed & set(cause.columns)]
 
 
-def _explained(bench: Bench, claim: Claim, column: str, outcome: Outcome) -> Outcome:
+def _explained(store: Store, claim: Claim, column: str, outcome: Outcome) -> Outcome:
     """Return a missed outcome with the first cause that is shown, or with what was thought to be one."""
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
@@ -314,7 +274,7 @@ def _explained(bench: Bench, claim: Claim, column: str, outcome: Outcome) -> Out
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
         if cause.switch is None:
             return replace(outcome, why=f"supposed: {cause.says}")
-        switched = bench.outcome(claim, column, cause.set)
+        switched = judged(store, claim.switched(cause), column)
         if switched.verdict == MET:
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.switch}: {cause.says}; met without it")
     tried = ", ".join(f"{cause.switch}" for cause in causes)

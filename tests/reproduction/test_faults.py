@@ -8,7 +8,6 @@ import pytest
 
 from srs_twin.reproduction import judge, load_claims, open_store
 from srs_twin.reproduction.claims import chosen
-from srs_twin.reproduction.runs import Orders
 
 ROWS = ("gen2-straight", "gen2-top-speed.middle", "gen3-symmetry.left", "act-step-gen4.tau1")
 
@@ -48,8 +47,8 @@ def verdicts(fault, names, folder):
         return document
 
     claims = chosen(load_claims(), tuple(names), quick=True)
-    with open_store(folder) as store:
-        found = judge(claims, store, Orders(altered), workers=1)
+    with open_store(folder, altered) as store:
+        found = judge(claims, store, workers=1)
     return {(row.claim.id, column): each.verdict for row in found for column, each in row.outcomes.items()}
 
 

@@ -15,7 +15,7 @@ from srs_twin.errors import InputError
 from srs_twin.reproduction import Judged, Outcome, judge
 from srs_twin.reproduction.claims import Cause, Claim, Measure
 from srs_twin.reproduction.report import count, summary_line
-from srs_twin.reproduction.runs import Order
+from srs_twin.reproduction.runs import Job
 from srs_twin.reproduction.verdicts import Baseline, combined, load_baseline, taken, write_baseline
 from srs_twin.sweep.task import DONE, Row
 
@@ -32,21 +32,16 @@ def claim(rule="near", value=1.0, names=("a",), **more):
 
 
 class Numbers:
-    """Store and orders in one: a run's values are looked up by the scenario's name and its changes."""
+    """A store: a run's values are looked up by the scenario's name and the fields that are set."""
 
     def __init__(self, values):
-        self._values, self.made, self.run_names = values, {}, []
+        self._values, self.run_names = values, []
 
-    def of(self, measure, changes=None):
-        key = " ".join([measure.name, *map(str, (changes or {}).items())])
-        self.made[key] = Order(key)
-        return (self.made[key],)
+    def jobs(self, runs):
+        return (Job(" ".join([runs.name, *map(str, runs.set.items())])),)
 
-    def missing(self, orders):
-        return list(orders)
-
-    def run(self, orders, **_):
-        self.run_names += [order.key for order in orders]
+    def run(self, jobs, **_):
+        self.run_names += dict.fromkeys(job.key for job in jobs)
 
     def row(self, key):
         found = self._values.get(key)
@@ -58,7 +53,7 @@ class Numbers:
 
 def judged(row, values):
     numbers = Numbers(values)
-    ((found),) = (judge([row], numbers, numbers),)
+    ((found),) = (judge([row], numbers),)
     return found[0].outcomes, numbers.run_names
 
 

@@ -23,6 +23,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.html.page import Picture, Table, colored, picture, render
+from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.plan_view import following_plot, plan_view
 from srs_twin.viewing.plots.runs import (
     bend_plot,
@@ -43,10 +44,6 @@ if TYPE_CHECKING:
     from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
 
 _NOTHING = 5e-6  # in m, m/s, rad and rad/s alike: below what any two of these runs mean
-
-# How the names of metrics end, longest first, and what is said instead.
-_ENDINGS = dict.fromkeys(("_rad_s", "_m_s", "_per_m", "_rad", "_m", "_s", "_w", "_t"), "")
-_ENDINGS |= {"_rel": ", relative", "_abs": ", size of difference", "_body": " over body length"}
 
 
 def write_report(
@@ -115,7 +112,7 @@ def _results(metrics: Mapping[str, Any]) -> Table:
     def add(name: str, unit: str, values: Sequence[Any], apart: str) -> None:
         value, source = stated.get(name, (None, None))
         said = f"{_text(value)} ({source})" if source else ""
-        rows.append([_words(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
+        rows.append([metric_title(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
 
     for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
         values = [measured.get(name) for measured in plants.values()]
@@ -224,15 +221,6 @@ def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
     for name, value in tree.items():
         found += _leaves(value, f"{above}{name}.") if isinstance(value, Mapping) else [(above + name, value)]
     return found
-
-
-def _words(name: str) -> str:
-    """Return 'CoM speed' for com_speed_m_s: the unit has a column of its own."""
-    for ending, words in _ENDINGS.items():
-        if name.endswith(ending):
-            name = name.removesuffix(ending) + words
-            break
-    return {"wall": "time to compute"}.get(name, name.replace("com_", "CoM ").replace("_", " "))
 
 
 def _text(value: Any) -> str:

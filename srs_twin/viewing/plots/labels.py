@@ -7,28 +7,11 @@ from functools import lru_cache
 from typing import Any
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.comparison.sampling import split_unit as split_metric
+from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import ScenarioFile
 
-# How keys end, longest first where one ends another, and the unit that this means.
-_UNITS = {
-    "_nm_per_rad": "N·m/rad",
-    "_l_per_min": "L/min",
-    "_per_s": "1/s",
-    "_per_m": "1/m",
-    "_rad_s": "rad/s",
-    "_m_s": "m/s",
-    "_kpa": "kPa",
-    "_hz": "Hz",
-    "_ml": "ml",
-    "_mm": "mm",
-    "_kg": "kg",
-    "_rad": "rad",
-    "_m": "m",
-    "_s": "s",
-    "_w": "W",
-    "_t": "T",
-}
-# How names of metrics of the comparison end, and what is said instead.
+# How names of metrics end, and what is said instead.
 _ENDINGS = {
     "_rel": ", relative difference",
     "_abs": ", size of difference",
@@ -41,7 +24,7 @@ _LONGEST = 36  # characters of a title from the schema; longer ones are sentence
 def field_label(path: str) -> str:
     """Return 'gait frequency (Hz)' for controller.frequency_hz; what nobody titled is called by its key."""
     parts = path.split(".")
-    name, unit = _stem(parts[-1])
+    name, unit = split_unit(parts[-1])
     title = _title(path).partition(" (")[0].partition(",")[0]
     if not 0 < len(title) <= _LONGEST or title.startswith(_SENTENCES):
         group = parts[-2] if len(parts) > 1 and parts[0] != "plants" else ""
@@ -56,30 +39,24 @@ def metric_label(metric: str) -> str:
     """Return 'CoM speed (m/s)' for com_speed_m_s, and 'bend amplitude 2 (rad)' for a list's second."""
     units = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
     stem, _, number = metric.rpartition("_")
-    place = f" {number}" if metric not in units and number.isdigit() and stem in units else ""
-    known = stem if place else metric
-    name, unit = _stem(known)
-    unit = units.get(known, unit)
+    if metric not in units and number.isdigit() and stem in units:
+        return _with_unit(f"{metric_title(stem)} {number}", units[stem])
+    return _with_unit(metric_title(metric), units.get(metric, split_metric(metric)[1]))
+
+
+def metric_title(metric: str) -> str:
+    """Return 'CoM speed' for com_speed_m_s."""
+    name, _ = split_metric(metric)
     for ending, words in _ENDINGS.items():
         if name.endswith(ending):
-            name = name.removesuffix(ending) + (words if known in COMPARISON_UNITS else ", relative")
-            break
-    title = {"wall": "time to compute", "plan": "time to plan"}.get(
-        name, _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
-    )
-    return _with_unit(title + place, "" if unit == "1" else unit)
+            words = ", relative" if ending == "_rel" and metric not in COMPARISON_UNITS else words
+            name = name.removesuffix(ending) + words
+    title = _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
+    return {"wall": "time to compute", "plan": "time to plan"}.get(title, title)
 
 
 def _with_unit(title: str, unit: str) -> str:
-    return f"{title} ({unit})" if unit else title
-
-
-def _stem(key: str) -> tuple[str, str]:
-    """Return a key without its unit, and the unit."""
-    for ending, unit in _UNITS.items():
-        if key.endswith(ending):
-            return key.removesuffix(ending), unit
-    return key, ""
+    return title if unit == "1" else f"{title} ({unit.replace('*', '·')})"
 
 
 def _spaced(name: str) -> str:
