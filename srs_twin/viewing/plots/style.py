@@ -30,19 +30,21 @@ PLUS_RGB, MINUS_RGB = rgb(PLUS_COLOR), rgb(MINUS_COLOR)
 
 @dataclass(frozen=True)
 class Style:
-    """How one plant looks in every picture (Okabe and Ito's palette, safe for the colour-blind).
+    """How one plant, or what is said of both, looks in every picture (Okabe and Ito's palette).
 
     Attributes:
         label: name in legends.
         color: as #rrggbb.
         dash: matplotlib line style; differs between plants so that grey print can be read.
         width: line width, points.
+        marker: of points.
     """
 
     label: str
     color: str
     dash: Literal["-", "--", "-.", ":"]
     width: float
+    marker: str = "o"
 
     @property
     def rgb(self) -> tuple[int, int, int]:
@@ -62,8 +64,10 @@ class Style:
 
 STYLES = {
     "twin": Style("twin (MuJoCo)", "#0072B2", "-", 1.7),
-    "analytical": Style("analytical", "#D55E00", "--", 1.3),
+    "analytical": Style("analytical", "#D55E00", "--", 1.3, "s"),
     "measured": Style("measured", "#222222", ":", 1.8),
+    "comparison": Style("twin − analytical", "#222222", "-.", 1.5, "D"),
+    "plan": Style("plan", "#222222", "-", 1.5),
 }
 REFERENCE = Style("reference", "#000000", "-", 0.9)
 """What the bends are to follow."""

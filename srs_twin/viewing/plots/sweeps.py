@@ -43,14 +43,23 @@ if TYPE_CHECKING:
 Columns = Mapping[str, Iterable[Any]]
 
 FORMATS = (".png", ".svg")
-_MARKERS = {"analytical": "s", "twin": "o", COMPARISON: "D", PLAN: "o"}
 _MOST_LINES = 12
-_LEGEND: dict[str, Any] = {"title_fontsize": 8, "fontsize": 8, "frameon": False}
-_NO_PLANT_COLOR = "#222222"
+_LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
+_ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "borderaxespad": 0.2}
+_SPACES: dict[str, Any] = {"handletextpad": 0.4, "columnspacing": 1.2, "handlelength": 2.8}
 _WIDTH, _HEIGHT, _TOP, _BOTTOM = 9.0, 4.2, 0.75, 0.5
 _KEY = 1.3  # right margin with a colour bar or a legend in it
+_MARK: dict[str, Any] = {
+    "linestyle": "none",
+    "markersize": 4.5,
+    "markeredgewidth": 1.1,
+    "markerfacecolor": "none",
+}
 # Colours of marks: neither a plant's nor one of the scales of values.
-_MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
+_MARKS: dict[str, Any] = {
+    "failed": {"marker": "x", "color": "#CC3311", "zorder": 4},
+    "no value": {"marker": "o", "color": "0.35", "zorder": 4},
+}
 
 
 def draw(
@@ -144,20 +153,8 @@ def legend_above(axes: Axes, handles: Sequence[Line2D] = ()) -> None:
     marked, _ = axes.get_legend_handles_labels()
     shown = [*handles, *(each for each in marked if isinstance(each, Line2D))]
     if shown:
-        axes.add_artist(
-            axes.legend(
-                handles=shown,
-                fontsize=8,
-                ncols=len(shown),
-                loc="lower right",
-                bbox_to_anchor=(1.0, 0.99),
-                frameon=False,
-                borderaxespad=0.2,
-                handletextpad=0.4,
-                columnspacing=1.2,
-                handlelength=2.8,
-            )
-        )
+        legend = axes.legend(handles=shown, ncols=len(shown), **_LEGEND, **_ABOVE, **_SPACES)
+        axes.add_artist(legend)
 
 
 def name_ticks(axis: Axis, values: Values) -> None:
@@ -180,22 +177,8 @@ def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, what: str, *, across: bo
         across: y is a share of the height instead.
     """
     if len(x):
-        marker, color = _MARKS[what]
         transform = axes.get_xaxis_transform() if across else axes.transData
-        axes.plot(
-            x,
-            y,
-            linestyle="none",
-            marker=marker,
-            color=color,
-            markersize=4.5,
-            markeredgewidth=1.1,
-            markerfacecolor="none",
-            transform=transform,
-            clip_on=not across,
-            label=what,
-            zorder=4,
-        )
+        axes.plot(x, y, **_MARK, **_MARKS[what], transform=transform, clip_on=not across, label=what)
 
 
 def say(axes: Axes, failed: np.ndarray) -> None:
@@ -268,39 +251,32 @@ class Points:
         return columns, rows, np.ma.masked_invalid(self.z.reshape(len(rows), len(columns)))
 
 
-def draw_contours(
-    figure: Figure,
-    panels: Sequence[Axes],
-    x: Values,
-    y: Values,
-    values: Sequence[Values],
-    failed: np.ndarray,
-) -> None:
-    """Draw one panel a plant, all with the same colours.
-
-    Args:
-        figure: gets the colour bar.
-        panels: one an entry of `values`.
-        x: field along x.
-        y: field along y.
-        values: metric of each plant.
-        failed: which runs failed, shape (rows,).
-    """
-    points = [Points.of(x.numbers, y.numbers, each.numbers, failed) for each in values]
-    levels, cmap = _scale([p.z for p in points])
-    for axes, each in zip(panels, points, strict=True):
-        if not each.known.any():
-            say(axes, failed)
-        else:
+def _contour(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
+    """Draw one panel a plant, all with the same colours."""
+    figure, panels = _panels(len(owners), key=True)
+    x, y = rows.values(plot.x, owners[0]), rows.values(str(plot.y), owners[0])
+    values = [rows.metric(plot.metric, owner) for owner in owners]
+    points = [Points.of(x.numbers, y.numbers, each.numbers, rows.failed) for each in values]
+    levels, cmap = _scale([each.z for each in points])
+    for axes, owner, each in zip(panels, owners, points, strict=True):
+        if each.known.any():
             _fill(axes, each, levels, cmap)
+        else:
+            say(axes, rows.failed)
         for what, which in (("failed", each.failed), ("no value", ~each.known & ~each.failed)):
             mark_rows(axes, each.x[which], each.y[which], what)
         for limits, ends in ((axes.set_xlim, span([x])), (axes.set_ylim, span([y]))):
             room = 0.03 * (ends[1] - ends[0])
             limits(ends[0] - room, ends[1] + room)
         legend_above(axes)
+        axes.set_title(style_of(owner).label, fontsize=9, loc="left")
+        axes.set_xlabel(x.label, fontsize=9)
+        name_ticks(axes.xaxis, x)
     if any(each.known.any() for each in points):
         color_bar(figure, BoundaryNorm(levels, 256), cmap, values[0], levels[::2].tolist())
+    finish(panels[0], y.label)
+    name_ticks(panels[0].yaxis, y)
+    return figure
 
 
 def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
@@ -353,20 +329,6 @@ def _scale(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
     return np.asarray(MaxNLocator(_LEVELS).tick_values(low, high)), "viridis"
 
 
-def _contour(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
-    figure, panels = _panels(len(owners), key=True)
-    x, y = rows.values(plot.x, owners[0]), rows.values(str(plot.y), owners[0])
-    values = [rows.metric(plot.metric, owner) for owner in owners]
-    draw_contours(figure, panels, x, y, values, rows.failed)
-    for axes, owner in zip(panels, owners, strict=True):
-        axes.set_title(_name(owner), fontsize=9, loc="left")
-        axes.set_xlabel(x.label, fontsize=9)
-        name_ticks(axes.xaxis, x)
-    finish(panels[0], y.label)
-    name_ticks(panels[0].yaxis, y)
-    return figure
-
-
 class _Shades:
     """Colours that tell the values of a column apart: by a legend where they are few, else by a bar.
 
@@ -393,14 +355,9 @@ class _Shades:
         handles = [
             Line2D([], [], color=self.colors[group], label=self.by.text(group)) for group in self.groups
         ]
-        axes.legend(
-            handles=handles,
-            title=textwrap.fill(self.by.label, 18),
-            loc="upper left",
-            bbox_to_anchor=(1.0, 1.0),
-            alignment="left",
-            **_LEGEND,
-        )
+        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "alignment": "left"}
+        title = textwrap.fill(self.by.label, 18)
+        axes.legend(handles=handles, title=title, title_fontsize=8, **_LEGEND, **beside)
 
 
 def _line(plot: Plot, rows: SweepTable, owners: list[str], published: Published | None) -> Figure:
@@ -465,12 +422,12 @@ def _scatter(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
         shade = given[i].numbers if given else np.zeros(len(values.numbers))
         there = np.isfinite(x.numbers) & np.isfinite(values.numbers) & np.isfinite(shade)
         order = np.flatnonzero(there)[np.lexsort((values.numbers[there], x.numbers[there], shade[there]))]
-        color: dict[str, Any] = {"color": _color(owner)}
+        color: dict[str, Any] = {"color": style_of(owner).color}
         if shades and shades.few:
             color = {"c": [shades.colors[each] for each in shade[order]]}
         elif shades:
             color = {"c": shade[order], "cmap": "viridis", "norm": shades.norm}
-        color |= {"s": 16, "marker": _MARKERS[owner], "alpha": 0.85, "linewidths": 0}
+        color |= {"s": 16, "marker": style_of(owner).marker, "alpha": 0.85, "linewidths": 0}
         axes.scatter(x.numbers[order], values.numbers[order], **color)
         drawn += len(order)
     x = rows.values(plot.x, owners[0])
@@ -502,18 +459,10 @@ def _finish_plane(axes: Axes, x: Values, values: Values, failed: np.ndarray, *, 
 def _sample(owner: str, *, line: bool = True, plain: bool = False) -> Line2D:
     """Return what the legend shows of an owner."""
     look = _look(owner) | ({} if line else {"linestyle": "none"}) | ({"color": "0.3"} if plain else {})
-    return Line2D([], [], **look, markersize=4, label=_name(owner))
+    return Line2D([], [], **look, markersize=4, label=style_of(owner).label)
 
 
 def _look(owner: str) -> dict[str, Any]:
     """Return colour, dash and marker of an owner's line."""
-    dash = "-" if owner == PLAN else style_of(owner).dash
-    return {"color": _color(owner), "linestyle": dash, "marker": _MARKERS[owner]}
-
-
-def _name(owner: str) -> str:
-    return "twin − analytical" if owner == COMPARISON else style_of(owner).label
-
-
-def _color(owner: str) -> str:
-    return _NO_PLANT_COLOR if owner in (COMPARISON, PLAN) else style_of(owner).color
+    style = style_of(owner)
+    return {"color": style.color, "linestyle": style.dash, "marker": style.marker}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,10 +60,14 @@ class Layout:
 
 def run_blueprint(layout: Layout) -> rrb.Blueprint:
     """Return the layout of one run: the scene, and beside it the plots that matter for such an experiment."""
-    rows = _ROWS[layout.kind](layout)
+    rows = _rows(layout)
     shares = [3] * (len(rows) - 1) + [2]
     if layout.events:
-        rows, shares = [*rows, _events()], [*shares, 2]
+        columns = rrb.TextLogColumns(
+            timeline_columns=[TIMELINE], text_log_columns=["loglevel", "entitypath", "body"]
+        )
+        rows.append(rrb.TextLogView(origin="events", name="Events", columns=columns))
+        shares.append(2)
     return _opened(
         rrb.Horizontal(scene_view(layout), rrb.Vertical(*rows, row_shares=shares), column_shares=[3, 2])
     )
@@ -95,23 +99,38 @@ def _opened(shown: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint:
     )
 
 
-def _modules(layout: Layout) -> range:
-    return range(1, layout.segments + 1)
-
-
-def _bends(layout: Layout) -> rrb.Grid | rrb.Tabs:
-    """Return the bends: up to four modules stand side by side, more of them in tabs."""
-    return _side_by_side(
-        [_gait_plot(layout, j, "bend", f"Bend of module {j} (rad)") for j in _modules(layout)]
-    )
-
-
-def _body(layout: Layout) -> rrb.Tabs:
-    views = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
+def _rows(layout: Layout) -> Rows:
+    """Return the plots that matter for a kind of experiment."""
+    axis = _last_periods(layout)
+    bends = _by_module(layout, "module/{}/bend", "Bend of module {} (rad)", legends=0, axis_x=axis)
+    pressures = "p+ minus p- of module {} (kPa)"
+    measured = _measured(layout)
+    body = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
     if layout.compared:
-        views.append(_plot("comparison", "Difference of the plants (mm)"))
-    views += _measured(layout)
-    return rrb.Tabs(*views)
+        body.append(_plot("comparison", "Difference of the plants (mm)"))
+    body += measured
+    if layout.kind == "bench":
+        both = [f"+ /module/{{}}/{signal}/**" for signal in ("bend", "sensed")]
+        return [
+            _by_module(layout, "/", "Bend of module {}, reference and readings (rad)", contents=both),
+            _by_module(layout, "module/{}/valve", "Valves of module {} (1: to the left)"),
+            _by_module(layout, "module/{}/pressure", pressures),
+            *([rrb.Tabs(*reversed(measured))] if measured else []),
+        ]
+    if layout.kind == "following":
+        return [
+            _plot("follow/cross_track", "Distance from the path, left positive (mm)"),
+            _plot("follow/offset", "Offset commanded"),
+            rrb.Tabs(*body, bends),
+        ]
+    if layout.kind == "learning":
+        return [
+            bends,
+            _by_module(layout, "module/{}/duty", "Duties of module {}", legends=1),
+            rrb.Tabs(*body),
+        ]
+    below = _by_module(layout, "module/{}/pressure", pressures, legends=0, axis_x=axis)
+    return [bends, below, rrb.Tabs(*body)]
 
 
 def _measured(layout: Layout) -> list[rrb.TimeSeriesView]:
@@ -121,57 +140,6 @@ def _measured(layout: Layout) -> list[rrb.TimeSeriesView]:
     if "bend" in layout.measured:
         views.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
     return views
-
-
-def _gait_rows(layout: Layout) -> Rows:
-    pressures = [
-        _gait_plot(layout, j, "pressure", f"p+ minus p- of module {j} (kPa)") for j in _modules(layout)
-    ]
-    return [_bends(layout), _side_by_side(pressures), _body(layout)]
-
-
-def _bench_rows(layout: Layout) -> Rows:
-    """Return bend, reading and reference of each module above its valves and pressures."""
-    rows: list[list[rrb.TimeSeriesView]] = [[], [], []]
-    for j in _modules(layout):
-        both = [f"module/{j}/{signal}/**" for signal in ("bend", "sensed")]
-        rows[0].append(
-            _plot(
-                "/", f"Bend of module {j}, reference and readings (rad)", contents=[f"+ /{e}" for e in both]
-            )
-        )
-        rows[1].append(_plot(f"module/{j}/valve", f"Valves of module {j} (1: to the left)"))
-        rows[2].append(_plot(f"module/{j}/pressure", f"p+ minus p- of module {j} (kPa)"))
-    shown: Rows = [_side_by_side(row) for row in rows]
-    return [*shown, rrb.Tabs(*reversed(_measured(layout)))] if layout.measured else shown
-
-
-def _learning_rows(layout: Layout) -> Rows:
-    duties = [_plot(f"module/{j}/duty", f"Duties of module {j}", legend=j == 1) for j in _modules(layout)]
-    return [_bends(layout), _side_by_side(duties), _body(layout)]
-
-
-def _following_rows(layout: Layout) -> Rows:
-    return [
-        _plot("follow/cross_track", "Distance from the path, left positive (mm)"),
-        _plot("follow/offset", "Offset commanded"),
-        rrb.Tabs(*_body(layout).contents, _bends(layout)),
-    ]
-
-
-_ROWS: Mapping[Kind, Callable[[Layout], Rows]] = {
-    "gait": _gait_rows,
-    "bench": _bench_rows,
-    "learning": _learning_rows,
-    "following": _following_rows,
-}
-
-
-def _events() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(
-        timeline_columns=[TIMELINE], text_log_columns=["loglevel", "entitypath", "body"]
-    )
-    return rrb.TextLogView(origin="events", name="Events", columns=columns)
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
@@ -197,17 +165,45 @@ def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
     )
 
 
-def _gait_plot(layout: Layout, module: int, signal: str, name: str) -> rrb.TimeSeriesView:
-    origin = f"module/{module}/{signal}"
+def _last_periods(layout: Layout) -> rrb.TimeAxis | None:
+    """Return a time axis of a few gait periods around the cursor; None without a gait."""
     if layout.period is None:
-        return _plot(origin, name, legend=False)
-    half = rr.TimeInt(seconds=_PERIODS_SHOWN / 2 * layout.period)
-    back = rr.TimeInt(seconds=-_PERIODS_SHOWN / 2 * layout.period)
-    shown = rrb.TimeRange(
-        start=rrb.TimeRangeBoundary.cursor_relative(back), end=rrb.TimeRangeBoundary.cursor_relative(half)
-    )
-    axis = rrb.TimeAxis(view_range=shown)
-    return _plot(origin, name, legend=False, axis_x=axis)
+        return None
+    half = _PERIODS_SHOWN / 2 * layout.period
+    ends = (rrb.TimeRangeBoundary.cursor_relative(rr.TimeInt(seconds=each)) for each in (-half, half))
+    return rrb.TimeAxis(view_range=rrb.TimeRange(*ends))
+
+
+def _by_module(
+    layout: Layout,
+    origin: str,
+    name: str,
+    *,
+    contents: Sequence[str] = ("$origin/**",),
+    legends: int | None = None,
+    axis_x: rrb.TimeAxis | None = None,
+) -> rrb.Grid | rrb.Tabs:
+    """Return a plot a module: up to four stand side by side, more of them in tabs.
+
+    Args:
+        layout: of the recording.
+        origin: entity, with {} for the module's number; so are `name` and `contents`.
+        name: of the view.
+        contents: what is plotted.
+        legends: how many have a legend; default all.
+        axis_x: default the whole run.
+    """
+    views = [
+        _plot(
+            origin.format(j),
+            name.format(j),
+            legend=legends is None or j <= legends,
+            axis_x=axis_x,
+            contents=[each.format(j) for each in contents],
+        )
+        for j in range(1, layout.segments + 1)
+    ]
+    return rrb.Tabs(*views) if len(views) > 4 else rrb.Grid(*views, grid_columns=min(2, len(views)))
 
 
 def _plot(
@@ -216,13 +212,7 @@ def _plot(
     *,
     legend: bool = True,
     axis_x: rrb.TimeAxis | None = None,
-    contents: Sequence[str] | str = "$origin/**",
+    contents: Sequence[str] = ("$origin/**",),
 ) -> rrb.TimeSeriesView:
     corner = rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=legend)
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=axis_x, contents=contents)
-
-
-def _side_by_side(views: Sequence[rrb.TimeSeriesView]) -> rrb.Grid | rrb.Tabs:
-    if len(views) > 4:
-        return rrb.Tabs(*views)
-    return rrb.Grid(*views, grid_columns=min(2, len(views)))
