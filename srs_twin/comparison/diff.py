@@ -12,7 +12,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -124,11 +124,7 @@ class Difference:
 
     def document(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        moved = [
-            {"where": each.where, "metric": each.metric, "a": each.a, "b": each.b, "rel": each.rel}
-            for each in self.moved
-        ]
-        return {"moved": moved, "same": self.same}
+        return {"moved": [asdict(each) | {"rel": each.rel} for each in self.moved], "same": self.same}
 
 
 def diff(a: Results, b: Results, tolerances: Tolerances | None = None) -> Difference:

@@ -177,28 +177,21 @@ def _plots(
     tracked = all(run.has("reference_1") for run in runs.values())
     learnt = all(map(is_learning, runs.values()))
     compared = comparison if comparison is not None and len(comparison.time) else None
-    made: list[tuple[Figure | None, str]] = [
-        (
-            measured_plot(measured) if measured else None,
-            "How far each plant is from what was measured, over time.",
-        ),
-        (
-            following_plot(runs, spec),
-            "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it.",
-        ),
-        (
-            learning_plot(runs) if learnt else None,
-            "What was learnt: amplitudes and duties of each module, by period.",
-        ),
-        (tracking_plot(runs) if tracked else None, "How the first segment follows its reference."),
-        (plan_view(runs, spec), "Paths and bodies from above. Forward is from tail to head."),
-        (bend_plot(runs), "Bend of each segment; positive bends the head end to the left."),
-        (pressure_plot(runs), "Pressure of the + chamber less that of the − chamber."),
-        (None if tracked else speed_plot(runs), "Speed of the centre of mass."),
-        (reading_plot(runs), "What the first segment's sensor reads over what it is bent by."),
-        (error_plot(compared, spec) if compared else None, "How far the twin is from the analytical model."),
-    ]
-    return [picture(figure, caption) for figure, caption in made if figure is not None]
+    asked = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."
+    learning = "What was learnt: amplitudes and duties of each module, by period."
+    made: dict[str, Figure | None] = {
+        "How far each plant is from what was measured, over time.": measured_plot(measured or {}),
+        asked: following_plot(runs, spec),
+        learning: learning_plot(runs) if learnt else None,
+        "How the first segment follows its reference.": tracking_plot(runs) if tracked else None,
+        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec),
+        "Bend of each segment; positive bends the head end to the left.": bend_plot(runs),
+        "Pressure of the + chamber less that of the − chamber.": pressure_plot(runs),
+        "Speed of the centre of mass.": None if tracked else speed_plot(runs),
+        "What the first segment's sensor reads over what it is bent by.": reading_plot(runs),
+        "How far the twin is from the analytical model.": error_plot(compared, spec) if compared else None,
+    }
+    return [picture(figure, caption) for caption, figure in made.items() if figure is not None]
 
 
 def _settings(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -92,16 +92,11 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
 
-    def per_cent(value: Any) -> Any:
-        return value * 100 / length
-
-    def millimetres(share: Any) -> Any:
-        return share * length / 100
-
+    to_share, to_length = (lambda mm: mm * 100 / length), (lambda share: share * length / 100)
     for axes, error in ((shape, comparison.shape_error), (path, comparison.path_error)):
         axes.plot(comparison.time, 1e3 * error, color="0.15", linewidth=1.2)
         axes.set_ylim(0, 1.08e3 * max(float(error.max()), 1e-6))
-        share = axes.secondary_yaxis("right", functions=(per_cent, millimetres))
+        share = axes.secondary_yaxis("right", functions=(to_share, to_length))
         share.set_ylabel("% of body length")
     title = "Differences: body shapes (RMS over connectors, CoM frame, zero mean heading) and CoM positions"
     finish(shape, "shape (mm)", title=title)
@@ -246,8 +241,13 @@ def reading_plot(trajectories: Runs) -> Figure | None:
     return figure
 
 
-def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure:
-    """Return the residuals of what was measured of shape, path, heading and bends (RMS over segments)."""
+def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
+    """Return the residuals of what was measured of shape, path, heading and bends (RMS over segments).
+
+    None where nothing was measured.
+    """
+    if not differences:
+        return None
     signals = {plant: difference.signals() for plant, difference in differences.items()}
     shown = {
         name: drawn for name, drawn in _MEASURED.items() if all(name in each for each in signals.values())

@@ -80,10 +80,8 @@ def draw(
     owners = rows.owners(plot.metric)
     # A metric of the plants is theirs; the comparison's stands alone.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
-    if plot.kind == "line":
-        figure = _line(plot, rows, owners, published)
-    else:
-        figure = (_contour if plot.kind == "contour" else _scatter)(plot, rows, owners)
+    contour = plot.kind == "contour"
+    figure = _contour(plot, rows, owners) if contour else _plane(plot, rows, owners, published)
     figure.suptitle(_title(plot, rows, owners), x=0.01, ha="left", fontsize=10)
     return figure
 
@@ -360,33 +358,68 @@ class _Shades:
         axes.legend(handles=handles, title=title, title_fontsize=8, **_LEGEND, **beside)
 
 
-def _line(plot: Plot, rows: SweepTable, owners: list[str], published: Published | None) -> Figure:
-    """Draw a line a value of `by` (its colour) and owner (its dash and marker), and published values."""
+def _plane(plot: Plot, rows: SweepTable, owners: list[str], published: Published | None) -> Figure:
+    """Draw lines or dots with a colour a value of `by`, and at the lower edge where runs failed."""
     figure, (axes,) = _panels(1, key=plot.by is not None)
-    x = rows.values(plot.x, owners[0])
-    by = rows.values(plot.by, owners[0]) if plot.by else Values("", np.zeros(len(rows.failed)))
-    shades = _Shades([by])
+    lines, colored = plot.kind == "line", plot.by is not None
+    same = Values("", np.zeros(len(rows.failed)))
+    by = [rows.values(plot.by, owner) if plot.by else same for owner in owners]
+    shades = _Shades(by)
+    x, values = rows.values(plot.x, owners[0]), rows.metric(plot.metric, owners[0])
     drawn = 0
-    for owner in owners:
-        values, style = rows.metric(plot.metric, owner), _look(owner)
-        for i, group in enumerate(shades.groups):
-            # Smaller and smaller, for lines of names that lie upon each other.
-            steps = len(shades.groups) - 1 - i if by.names and shades.few else 0
-            place, height = _means(x.numbers, values.numbers, by.numbers == group)
-            drawn += int(np.isfinite(height).sum())
-            style |= {"color": shades.colors[group]} if plot.by else {}
-            style |= {"markersize": (3.5 if shades.few else 2.0) + 2.0 * steps}
-            axes.plot(place, height, linewidth=1.3 if shades.few else 0.9, **style)
-    _finish_plane(axes, x, rows.metric(plot.metric, owners[0]), rows.failed, drawn=drawn)
-    # Lines of plans are told apart by what they vary over alone.
-    samples = [_sample(owner, plain=bool(plot.by)) for owner in owners if owner != PLAN]
-    if published is not None and plot.x in published.at and plot.metric in published.metrics:
-        colors = shades.colors if plot.by and shades.few else {}
-        samples.append(_draw_published(axes, published, plot, x, by, colors))
+    for owner, shade in zip(owners, by, strict=True):
+        along, height = rows.values(plot.x, owner).numbers, rows.metric(plot.metric, owner).numbers
+        drawn += (_draw_lines if lines else _draw_dots)(axes, owner, along, height, shade, shades, colored)
+    finish(axes, values.label)
+    axes.set_xlabel(x.label, fontsize=9)
+    name_ticks(axes.xaxis, x)
+    where = np.unique(x.numbers[rows.failed & np.isfinite(x.numbers)])
+    mark_rows(axes, where, np.full(len(where), 0.025), "failed", across=True)
+    if not drawn:
+        say(axes, rows.failed)
+    # Plans are told apart by what they vary over alone.
+    samples = [_sample(owner, line=lines, plain=colored) for owner in owners if owner != PLAN]
+    if lines and published is not None and plot.x in published.at and plot.metric in published.metrics:
+        colors = shades.colors if colored and shades.few else {}
+        samples.append(_draw_published(axes, published, plot, x, by[0], colors))
     legend_above(axes, samples)
-    if plot.by:
+    if colored:
         shades.name(figure, axes)
     return figure
+
+
+def _draw_lines(
+    axes: Axes, owner: str, x: np.ndarray, y: np.ndarray, by: Values, shades: _Shades, colored: bool
+) -> int:
+    """Draw a line a value of `by`, through the mean at each x; return how many points there are."""
+    drawn = 0
+    for i, group in enumerate(shades.groups):
+        # Smaller and smaller, for lines of names that lie upon each other.
+        steps = len(shades.groups) - 1 - i if by.names and shades.few else 0
+        there = (by.numbers == group) & np.isfinite(x)
+        places, which = np.unique(x[there], return_inverse=True)
+        means = group_means(which.reshape(-1), len(places), y[there])
+        style = _look(owner) | ({"color": shades.colors[group]} if colored else {})
+        style |= {"markersize": (3.5 if shades.few else 2.0) + 2.0 * steps}
+        axes.plot(places, means, linewidth=1.3 if shades.few else 0.9, **style)
+        drawn += int(np.isfinite(means).sum())
+    return drawn
+
+
+def _draw_dots(
+    axes: Axes, owner: str, x: np.ndarray, y: np.ndarray, by: Values, shades: _Shades, colored: bool
+) -> int:
+    """Draw a dot a run, in an order that is not that of the rows; return how many there are."""
+    there = np.isfinite(x) & np.isfinite(y) & np.isfinite(by.numbers)
+    order = np.flatnonzero(there)[np.lexsort((y[there], x[there], by.numbers[there]))]
+    shade, style = by.numbers[order], style_of(owner)
+    color: dict[str, Any] = {"color": style.color}
+    if colored and shades.few:
+        color = {"c": [shades.colors[each] for each in shade]}
+    elif colored:
+        color = {"c": shade, "cmap": "viridis", "norm": shades.norm}
+    axes.scatter(x[order], y[order], s=16, marker=style.marker, alpha=0.85, linewidths=0, **color)
+    return len(order)
 
 
 def _draw_published(
@@ -410,50 +443,6 @@ def _draw_published(
     # A dollar would begin a formula.
     label = f"published, {published.source}".replace("$", r"\$")
     return Line2D([], [], color=PUBLISHED_COLOR, label=label, **style)
-
-
-def _scatter(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
-    figure, (axes,) = _panels(1, key=plot.by is not None)
-    given = [rows.values(plot.by, owner) for owner in owners] if plot.by else []
-    shades = _Shades(given) if given else None
-    drawn = 0
-    for i, owner in enumerate(owners):
-        x, values = rows.values(plot.x, owner), rows.metric(plot.metric, owner)
-        shade = given[i].numbers if given else np.zeros(len(values.numbers))
-        there = np.isfinite(x.numbers) & np.isfinite(values.numbers) & np.isfinite(shade)
-        order = np.flatnonzero(there)[np.lexsort((values.numbers[there], x.numbers[there], shade[there]))]
-        color: dict[str, Any] = {"color": style_of(owner).color}
-        if shades and shades.few:
-            color = {"c": [shades.colors[each] for each in shade[order]]}
-        elif shades:
-            color = {"c": shade[order], "cmap": "viridis", "norm": shades.norm}
-        color |= {"s": 16, "marker": style_of(owner).marker, "alpha": 0.85, "linewidths": 0}
-        axes.scatter(x.numbers[order], values.numbers[order], **color)
-        drawn += len(order)
-    x = rows.values(plot.x, owners[0])
-    _finish_plane(axes, x, rows.metric(plot.metric, owners[0]), rows.failed, drawn=drawn)
-    legend_above(axes, [_sample(owner, line=False, plain=bool(given)) for owner in owners if owner != PLAN])
-    if shades:
-        shades.name(figure, axes)
-    return figure
-
-
-def _means(x: np.ndarray, values: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the different x of the chosen rows, and the mean of their values; NaN where there is none."""
-    there = chosen & np.isfinite(x)
-    places, which = np.unique(x[there], return_inverse=True)
-    return places, group_means(which.reshape(-1), len(places), values[there])
-
-
-def _finish_plane(axes: Axes, x: Values, values: Values, failed: np.ndarray, *, drawn: int) -> None:
-    """Name the axes, and mark on the lower edge where runs failed."""
-    finish(axes, values.label)
-    axes.set_xlabel(x.label, fontsize=9)
-    name_ticks(axes.xaxis, x)
-    where = np.unique(x.numbers[failed & np.isfinite(x.numbers)])
-    mark_rows(axes, where, np.full(len(where), 0.025), "failed", across=True)
-    if not drawn:
-        say(axes, failed)
 
 
 def _sample(owner: str, *, line: bool = True, plain: bool = False) -> Line2D:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -101,20 +102,33 @@ def _opened(shown: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint:
 
 def _rows(layout: Layout) -> Rows:
     """Return the plots that matter for a kind of experiment."""
+
+    def modules(signal: str, name: str, legends: int = layout.segments, **options: Any) -> rrb.Container:
+        """Return a plot a module: up to four stand side by side, more of them in tabs."""
+        views = [
+            _plot(f"module/{j}{signal}", name.format(j), legend=j <= legends, **options)
+            for j in range(1, layout.segments + 1)
+        ]
+        return rrb.Tabs(*views) if len(views) > 4 else rrb.Grid(*views, grid_columns=min(2, len(views)))
+
     axis = _last_periods(layout)
-    bends = _by_module(layout, "module/{}/bend", "Bend of module {} (rad)", legends=0, axis_x=axis)
+    bends = modules("/bend", "Bend of module {} (rad)", 0, axis_x=axis)
     pressures = "p+ minus p- of module {} (kPa)"
-    measured = _measured(layout)
+    # How far the plants are from the measured robot: on a bench there may be bends alone.
+    distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
+    measured = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
+    if "bend" in layout.measured:
+        measured.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
     body = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
     if layout.compared:
         body.append(_plot("comparison", "Difference of the plants (mm)"))
     body += measured
     if layout.kind == "bench":
-        both = [f"+ /module/{{}}/{signal}/**" for signal in ("bend", "sensed")]
+        both = ["+ $origin/bend/**", "+ $origin/sensed/**"]
         return [
-            _by_module(layout, "/", "Bend of module {}, reference and readings (rad)", contents=both),
-            _by_module(layout, "module/{}/valve", "Valves of module {} (1: to the left)"),
-            _by_module(layout, "module/{}/pressure", pressures),
+            modules("", "Bend of module {}, reference and readings (rad)", contents=both),
+            modules("/valve", "Valves of module {} (1: to the left)"),
+            modules("/pressure", pressures),
             *([rrb.Tabs(*reversed(measured))] if measured else []),
         ]
     if layout.kind == "following":
@@ -123,23 +137,9 @@ def _rows(layout: Layout) -> Rows:
             _plot("follow/offset", "Offset commanded"),
             rrb.Tabs(*body, bends),
         ]
-    if layout.kind == "learning":
-        return [
-            bends,
-            _by_module(layout, "module/{}/duty", "Duties of module {}", legends=1),
-            rrb.Tabs(*body),
-        ]
-    below = _by_module(layout, "module/{}/pressure", pressures, legends=0, axis_x=axis)
-    return [bends, below, rrb.Tabs(*body)]
-
-
-def _measured(layout: Layout) -> list[rrb.TimeSeriesView]:
-    """Return how far the plants are from the measured robot: on a bench there may be bends alone."""
-    distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
-    views = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
-    if "bend" in layout.measured:
-        views.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
-    return views
+    learns = layout.kind == "learning"
+    duties = modules("/duty", "Duties of module {}", 1)
+    return [bends, duties if learns else modules("/pressure", pressures, 0, axis_x=axis), rrb.Tabs(*body)]
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
@@ -174,45 +174,13 @@ def _last_periods(layout: Layout) -> rrb.TimeAxis | None:
     return rrb.TimeAxis(view_range=rrb.TimeRange(*ends))
 
 
-def _by_module(
-    layout: Layout,
-    origin: str,
-    name: str,
-    *,
-    contents: Sequence[str] = ("$origin/**",),
-    legends: int | None = None,
-    axis_x: rrb.TimeAxis | None = None,
-) -> rrb.Grid | rrb.Tabs:
-    """Return a plot a module: up to four stand side by side, more of them in tabs.
-
-    Args:
-        layout: of the recording.
-        origin: entity, with {} for the module's number; so are `name` and `contents`.
-        name: of the view.
-        contents: what is plotted.
-        legends: how many have a legend; default all.
-        axis_x: default the whole run.
-    """
-    views = [
-        _plot(
-            origin.format(j),
-            name.format(j),
-            legend=legends is None or j <= legends,
-            axis_x=axis_x,
-            contents=[each.format(j) for each in contents],
-        )
-        for j in range(1, layout.segments + 1)
-    ]
-    return rrb.Tabs(*views) if len(views) > 4 else rrb.Grid(*views, grid_columns=min(2, len(views)))
-
-
 def _plot(
     origin: str,
     name: str,
     *,
     legend: bool = True,
     axis_x: rrb.TimeAxis | None = None,
-    contents: Sequence[str] = ("$origin/**",),
+    contents: Sequence[str] | str = "$origin/**",
 ) -> rrb.TimeSeriesView:
     corner = rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=legend)
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=axis_x, contents=contents)
