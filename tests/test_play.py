@@ -28,7 +28,7 @@ class FakeWindow:
 
     def show(self, snake: LiveSnake) -> None:
         self.snake = snake
-        self.shown.append((float(snake.state.time), snake.command, snake.told()))
+        self.shown.append((float(snake.state.time), snake.command, snake.status_lines()))
 
 
 class FakeTime:
@@ -133,7 +133,7 @@ def test_slow_pictures_do_not_slow_the_snake():
 
 
 def test_what_stands_on_the_screen_has_units():
-    told = dict(LiveSnake(SPEC).told())
+    told = dict(LiveSnake(SPEC).status_lines())
     assert told["frequency (up, down)"] == "1.50 Hz" and told["pressure (page up, page down)"] == "48.3 kPa"
     assert told["offset (left, right)"] == "+0.00" and told["speed"] == "0.000 m/s"
 

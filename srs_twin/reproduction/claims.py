@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -199,20 +199,18 @@ class Claim(Section):
     @property
     def low(self) -> float:
         """Least value that is allowed; a tolerance widens a bound outward."""
-        bounded = self.value is not None and self.rule in ("near", "above")
-        return self._off(-1) if bounded else -math.inf
+        return self._bound("above", -1)
 
     @property
     def high(self) -> float:
         """Greatest value that is allowed."""
-        bounded = self.value is not None and self.rule in ("near", "below")
-        return self._off(1) if bounded else math.inf
+        return self._bound("below", 1)
 
-    def _off(self, side: int) -> float:
-        assert self.value is not None, "asked for"
-        return self.value + side * (
-            self.abs if self.abs is not None else (self.tol or 0.0) * math.fabs(self.value)
-        )
+    def _bound(self, rule: Rule, side: int) -> float:
+        if self.value is None or self.rule not in ("near", rule):
+            return side * math.inf
+        width = self.abs if self.abs is not None else (self.tol or 0.0) * math.fabs(self.value)
+        return self.value + side * width
 
     @property
     def allowed(self) -> str:
@@ -224,11 +222,8 @@ class Claim(Section):
         return f"at least {self.low:.4g}" if math.isinf(self.high) else f"{self.low:.4g} to {self.high:.4g}"
 
 
-COLUMNS = ("analytical", "twin", "alone")
+COLUMNS = get_args(Column)
 """Who can meet a row: a plant, or a computation that needs none."""
-
-Value = bool | int | float | str
-Setting = Value | list[float]
 
 
 def claims_file() -> Path:
@@ -289,19 +284,13 @@ def chosen(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> 
     Raises:
         UnknownNameError: a name that no row has.
     """
+    named = {name: [c for c in claims if f"{c.id}.".startswith(f"{name}.")] for name in only}
     for name in only:
-        if not any(_named(claim, name) for claim in claims):
+        if not named[name]:
             raise UnknownNameError("claim", name, (claim.id for claim in claims), "docs/reproduction.md")
-    found = [
-        claim
-        for claim in claims
-        if (not only or any(_named(claim, name) for name in only)) and (claim.quick or not quick)
-    ]
+    wanted = {claim.id for found in named.values() for claim in found}
+    found = [each for each in claims if (not only or each.id in wanted) and (each.quick or not quick)]
     return tuple(sorted(found, key=lambda claim: claim.use != "law"))
-
-
-def _named(claim: Claim, name: str) -> bool:
-    return claim.id == name or claim.id.startswith(f"{name}.")
 
 
 def _rows(claim: Claim) -> Iterator[Claim]:

@@ -14,14 +14,13 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from srs_twin.errors import SrsError
 from srs_twin.io.files import atomic_write, open_folder, shipped_folder
 from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import digest_of, run_key, source_digests, versions
-from srs_twin.reproduction.claims import COMPUTATIONS, Runs, Setting, Value
+from srs_twin.reproduction.claims import COMPUTATIONS, Plain, Runs, Set
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep
 from srs_twin.sweep.points import Experiment, Point, Sweep
@@ -48,7 +47,7 @@ class Job:
     key: str
     experiment: Experiment | None = None
     law: str | None = None
-    arguments: Mapping[str, Setting] = field(default_factory=dict)
+    arguments: Mapping[str, Set] = field(default_factory=dict)
 
     @property
     def keeps(self) -> bool:
@@ -81,11 +80,11 @@ def points_of(runs: Runs) -> tuple[Point, ...]:
     return tuple(each for each in sweep_of(runs.name).points if _counts(each.changes, runs.where))
 
 
-def _counts(place: Mapping[str, Value], where: Mapping[str, Value]) -> bool:
+def _counts(place: Mapping[str, Plain], where: Mapping[str, Plain]) -> bool:
     return all(_same(place[name], value) for name, value in where.items())
 
 
-def _same(one: Value, other: Value) -> bool:
+def _same(one: Plain, other: Plain) -> bool:
     if isinstance(one, str) or isinstance(other, str):
         return one == other
     return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
@@ -129,9 +128,7 @@ class Store:
     def __enter__(self) -> Store:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._store.close()
 
     def jobs(self, runs: Runs) -> tuple[Job, ...]:

@@ -8,12 +8,10 @@ viewer reports.
 from __future__ import annotations
 
 import os
-import sys
 import time as wall
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from types import TracebackType
 from typing import Protocol
 
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
@@ -21,6 +19,7 @@ from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.viewing.rerun.viewer import lacks_display
 
 SPACE, BACKSPACE, HOME = 32, 259, 268
 RIGHT, LEFT, DOWN, UP, PAGE_UP, PAGE_DOWN = 262, 263, 264, 265, 266, 267
@@ -84,7 +83,7 @@ class LiveSnake:
             self.state = self.twin.step(self._gait.valves(float(self.state.time), self.command))
         return self.state
 
-    def told(self) -> list[tuple[str, str]]:
+    def status_lines(self) -> list[tuple[str, str]]:
         """Return what stands on the screen: name and value of each line."""
         command, speed = self.command, self.state.com_velocity
         return [
@@ -192,9 +191,7 @@ class MujocoWindow:
     def __enter__(self) -> MujocoWindow:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._viewer.close()
 
     def is_open(self) -> bool:
@@ -203,7 +200,7 @@ class MujocoWindow:
 
     def show(self, snake: LiveSnake) -> None:
         """See `Window.show`."""
-        names, values = ("\n".join(column) for column in zip(*snake.told(), strict=True))
+        names, values = ("\n".join(column) for column in zip(*snake.status_lines(), strict=True))
         self._viewer.set_texts((None, None, names, values))
         self._viewer.sync()
 
@@ -214,9 +211,7 @@ def refuse_without_display() -> None:
     Raises:
         InputError: there is none, or it does not answer.
     """
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
+    if lacks_display():
         raise InputError(
             "there is no display to steer a snake on (neither DISPLAY nor WAYLAND_DISPLAY is set); on a "
             "machine with a screen this opens MuJoCo's viewer, and `srs-twin run SCENARIO` needs none"

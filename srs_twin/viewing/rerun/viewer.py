@@ -31,6 +31,12 @@ def rerun_executable() -> Path:
     return program
 
 
+def lacks_display() -> bool:
+    """Say whether no window can be opened, as on a machine without a screen."""
+    named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return sys.platform.startswith("linux") and not named
+
+
 def open_recording(path: str | Path) -> None:
     """Show a recording in the native viewer and wait until it is closed.
 
@@ -39,9 +45,7 @@ def open_recording(path: str | Path) -> None:
     """
     recording = _recording(path)
     program = rerun_executable()
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
+    if lacks_display():
         raise InputError(
             "there is no display to open a viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); "
             f"open {recording.parent / 'report.html'} in a browser instead, or the recording by "

@@ -13,9 +13,10 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 from urllib.parse import quote, urlsplit
 
 from srs_twin.errors import InputError
@@ -53,39 +54,31 @@ def served(recordings: Sequence[Path], port: int = 0) -> Iterator[tuple[str, Cal
     data, page = free_port(), free_port()
     ports = ("--port", str(data), "--web-viewer-port", str(page))
     recording = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-    with (
-        _listening(port, f"http://{HOST}:{page}", recording) as server,
-        rerun_beside("--serve-web", *ports, *map(str, recordings)) as (rerun, said),
-    ):
-        _wait(rerun, f"http://{HOST}:{page}/", said)
-        yield f"http://{HOST}:{server.server_port}/", server.serve_forever
-
-
-@contextmanager
-def _listening(port: int, upstream: str, recording: str) -> Iterator[ThreadingHTTPServer]:
-    class Page(_Page):
-        source, query = upstream, f"url={recording}"
-
+    upstream = f"http://{HOST}:{page}"
     try:
-        server = ThreadingHTTPServer((HOST, port), Page)
+        server = ThreadingHTTPServer((HOST, port), partial(_Page, upstream, f"url={recording}"))
     except (OSError, OverflowError) as error:
         raise InputError(
             f"port {port} cannot be had ({error}); without --port a free one is taken"
         ) from error
-    with server:
-        yield server
+    with server, rerun_beside("--serve-web", *ports, *map(str, recordings)) as (rerun, said):
+        _wait(rerun, f"{upstream}/", said)
+        yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
 
 class _Page(BaseHTTPRequestHandler):
-    """Hands on what Rerun serves, without what is from outside.
+    """Hands on what Rerun serves, without what is from outside."""
 
-    Attributes:
-        source: where Rerun serves it.
-        query: what tells the viewer which recording to open.
-    """
+    def __init__(self, source: str, query: str, *request: Any) -> None:
+        """Answer a request.
 
-    source: str
-    query: str
+        Args:
+            source: where Rerun serves its viewer.
+            query: what tells the viewer which recording to open.
+            request: what the server hands over.
+        """
+        self.source, self.query = source, query
+        super().__init__(*request)
 
     def do_GET(self) -> None:
         """Answer with Rerun's file; the bare address leads to the recording."""
