@@ -7,10 +7,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from srs_twin.comparison.compare import MEASURES
-from srs_twin.comparison.following import following
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
@@ -36,7 +35,7 @@ from srs_twin.viewing.plots.runs import (
     tracking_plot,
     waterfall,
 )
-from srs_twin.viewing.plots.signals import check_drawable
+from srs_twin.viewing.plots.signals import check_drawable, kind_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,6 +75,7 @@ def write_report(
     duration = max(float(run.time[-1]) for run in trajectories.values())
     expectations = metrics.get("expectations") or ()
     verdicts = [verdict(each) for each in expectations]
+    tracked = all(run.has("reference_1") for run in trajectories.values())
     page = render(
         "viewing/html/report.html",
         title=scenario_title,
@@ -84,21 +84,11 @@ def write_report(
         tally=tally(Counter(verdicts)),
         expectations=_expectations(expectations, verdicts),
         **_why(attribution),
-        plots=_plots(trajectories, spec, comparison, measured),
-        kind=_kind(trajectories),
+        plots=_plots(trajectories, spec, comparison, measured, tracked=tracked),
+        kind="tracking" if tracked else kind_of(trajectories),
         settings=_settings(spec, trajectories, metrics.get("versions") or {}),
     )
     Path(path).write_text(page, encoding="utf-8")
-
-
-def _kind(trajectories: Mapping[str, Trajectory]) -> Literal["tracking", "following", "learning", "gait"]:
-    """Return what every plant did: it decides the first plots, and how the page is to be read."""
-    runs = trajectories.values()
-    if all(run.has("reference_1") for run in runs):
-        return "tracking"
-    if all(following(run) is not None for run in runs):
-        return "following"
-    return "learning" if all(map(is_learning, runs)) else "gait"
 
 
 def _results(metrics: Mapping[str, Any]) -> Table:
@@ -172,9 +162,10 @@ def _plots(
     spec: RobotSpec,
     comparison: Comparison | None,
     measured: Mapping[str, MeasuredDifference] | None,
+    *,
+    tracked: bool,
 ) -> list[Picture]:
     """Return the plots that there is something to draw in, those of what was asked of the robot first."""
-    tracked = all(run.has("reference_1") for run in runs.values())
     learnt = all(map(is_learning, runs.values()))
     compared = comparison if comparison is not None and len(comparison.time) else None
     asked = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."

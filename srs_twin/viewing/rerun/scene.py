@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -208,46 +209,40 @@ def _tube_triangles(rings: int) -> np.ndarray:
 
 
 def _send_connectors(to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]) -> None:
-    half = [
-        max(geometry.rigid_gap / 4, 0.1 * geometry.half_track),
-        geometry.half_track - 0.2 * geometry.wheel_radius,
-        0.35 * geometry.width,
-    ]
-    to.fixed("connectors", rr.Boxes3D.from_fields(half_sizes=[half], colors=colors, fill_mode="solid"))
+    track, radius = geometry.half_track, geometry.wheel_radius
+    half = [max(geometry.rigid_gap / 4, 0.1 * track), track - 0.2 * radius, 0.35 * geometry.width]
     theta = snake.stack("theta")
     nothing = np.zeros_like(theta)
     turn = np.stack([nothing, nothing, np.sin(theta / 2), np.cos(theta / 2)], axis=-1)
-    poses = rr.Boxes3D.columns(
-        centers=_at_height(snake.position, line_height(geometry)),
-        quaternions=turn.reshape(-1, 4).astype(np.float32),
-    )
-    to.moving("connectors", poses, geometry.connectors)
+    places = _at_height(snake.position, line_height(geometry))
+    _send_solids(to, "connectors", rr.Boxes3D, places, turn, half_sizes=[half], colors=colors)
 
 
 def _send_wheels(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
-    radius, count = geometry.wheel_radius, 2 * geometry.connectors
-    wheel = rr.Cylinders3D.from_fields(
-        lengths=[0.4 * radius], radii=[radius], colors=[color], fill_mode="solid"
-    )
-    to.fixed("wheels", wheel)
-    axle = np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
-    centres = _at_height(wheel_centres(snake, geometry), radius)
-    to.moving("wheels", rr.Cylinders3D.columns(centers=centres, quaternions=_along(axle)), count)
+    radius, axle = geometry.wheel_radius, np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
+    places = _at_height(wheel_centres(snake, geometry), radius)
+    size: dict[str, Any] = {"lengths": [0.4 * radius], "radii": [radius]}
+    _send_solids(to, "wheels", rr.Cylinders3D, places, _along(axle), colors=[color], **size)
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     """Log a bar across each wheel, a little wider than that, by which one sees it turn."""
-    radius, count = geometry.wheel_radius, 2 * geometry.connectors
+    radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
-    to.fixed("spokes", rr.Boxes3D.from_fields(half_sizes=[half], colors=[_SPOKES], fill_mode="solid"))
     yaw, turn = snake.stack("theta")[:, :, None] / 2, wheel_turns(snake, geometry) / 2
     c, s = np.cos(yaw), np.sin(yaw)
-    pose = [-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)]
-    poses = rr.Boxes3D.columns(
-        centers=_at_height(wheel_centres(snake, geometry), radius),
-        quaternions=np.stack(pose, axis=-1).reshape(-1, 4).astype(np.float32),
-    )
-    to.moving("spokes", poses, count)
+    pose = np.stack([-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)], axis=-1)
+    places = _at_height(wheel_centres(snake, geometry), radius)
+    _send_solids(to, "spokes", rr.Boxes3D, places, pose, half_sizes=[half], colors=[_SPOKES])
+
+
+def _send_solids(
+    to: Entities, name: str, shape: Any, places: np.ndarray, turns: np.ndarray, **looks: Any
+) -> None:
+    """Log equally many solids a sample, at places (n, 3) and turned by quaternions (…, 4), xyzw."""
+    to.fixed(name, shape.from_fields(fill_mode="solid", **looks))
+    poses = shape.columns(centers=places, quaternions=turns.reshape(-1, 4).astype(np.float32))
+    to.moving(name, poses, len(places) // len(to.time))
 
 
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
