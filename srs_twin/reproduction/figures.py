@@ -7,6 +7,7 @@ What stands in the file of figures and lacks its runs is left out; nothing is ru
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -48,14 +49,18 @@ class Picture(Section):
     names: list[Name] = section("Of the runs, where several are drawn over each other.", [])
 
 
-def load_pictures() -> tuple[Picture, ...]:
-    """Load the shipped file of figures.
+def load_pictures(path: Path | None = None) -> tuple[Picture, ...]:
+    """Load a file of figures, the shipped one by default.
 
     Raises:
+        InputError: not readable.
         InputFileError: everything that is wrong with it, one line each.
     """
-    document, pictures = load_list(data_root() / "calibration/published/figures.yaml", Picture, "figures")
+    place = path or data_root() / "calibration/published/figures.yaml"
+    document, pictures = load_list(place, Picture, "figures")
     for i, picture in pictures:
+        for k, runs in enumerate(picture.of):
+            runs.check_names(document, (i, "of", k))
         if picture.draw not in DRAWINGS:
             document.report((i, "draw"), str(UnknownNameError("picture", picture.draw, DRAWINGS)))
     document.finish()
