@@ -118,22 +118,20 @@ def _sampled(run: Trajectory, time: np.ndarray) -> list[np.ndarray]:
 
 
 def _same_connectors(reference: Trajectory, candidate: Trajectory) -> None:
-    counts = [_connectors(trajectory) for trajectory in (reference, candidate)]
+    counts = []
+    for run in (reference, candidate):
+        x, y, bend = (run.stack(name).shape[-1] for name in ("x", "y", "bend"))
+        if not x == y == bend + 1:
+            raise InputError(
+                f"{label(run)}: {x} columns x_1…, {y} y_1… and {bend} bend_1…; "
+                "a snake of N connectors has N, N and N − 1"
+            )
+        counts.append(x)
     if counts[0] != counts[1]:
         raise InputError(
             f"{label(reference)} has {counts[0]} connectors and {label(candidate)} {counts[1]}; "
             "only bodies with equally many can be compared"
         )
-
-
-def _connectors(trajectory: Trajectory) -> int:
-    x, y, bend = (trajectory.stack(name).shape[-1] for name in ("x", "y", "bend"))
-    if not x == y == bend + 1:
-        raise InputError(
-            f"{label(trajectory)}: {x} columns x_1…, {y} y_1… and {bend} bend_1…; "
-            "a snake of N connectors has N, N and N − 1"
-        )
-    return x
 
 
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:

@@ -25,15 +25,14 @@ SPACE, BACKSPACE, HOME = 32, 259, 268
 RIGHT, LEFT, DOWN, UP, PAGE_UP, PAGE_DOWN = 262, 263, 264, 265, 266, 267
 
 _CHANGES = {
-    LEFT: ("offset", 1),
-    RIGHT: ("offset", -1),
-    UP: ("frequency", 1),
-    DOWN: ("frequency", -1),
-    PAGE_UP: ("pressure", 1),
-    PAGE_DOWN: ("pressure", -1),
+    LEFT: ("offset", 16),
+    RIGHT: ("offset", -16),
+    UP: ("frequency", 10),
+    DOWN: ("frequency", -10),
+    PAGE_UP: ("pressure", 14),
+    PAGE_DOWN: ("pressure", -14),
 }
-_PARTS = {"offset": 16, "frequency": 10, "pressure": 14}
-"""How many presses lead from one limit to the other: 0.05, 0.1 Hz, about 1 kPa."""
+"""How many presses lead from one limit to the other, negative downwards: 0.05, 0.1 Hz, about 1 kPa."""
 
 LATEST_S = 0.25
 """Of what the simulation lags behind the clock, no more than this is caught up."""
@@ -107,9 +106,9 @@ class LiveSnake:
         elif key == HOME:
             self.command = replace(self.command, offset=0.0)
         elif key in _CHANGES:
-            name, sign = _CHANGES[key]
+            name, presses = _CHANGES[key]
             low, high = getattr(self.limits, name)
-            value = getattr(self.command, name) + sign * (high - low) / _PARTS[name]
+            value = getattr(self.command, name) + (high - low) / presses
             self.command = self.limits.clipped(replace(self.command, **{name: value}))
 
 

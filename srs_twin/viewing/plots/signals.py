@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from srs_twin.comparison.centre_line import centre_lines
+from srs_twin.comparison.centre_line import centre_lines, on_both_sides
 from srs_twin.comparison.following import following
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.tracking import frequency_of
@@ -69,10 +69,8 @@ def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
 
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the wheels at ± half the track, shape (samples, N, 2, 2), m: left, then right."""
-    theta = trajectory.stack("theta")
-    left = np.stack([-np.sin(theta), np.cos(theta)], axis=-1)
-    side = np.array([1.0, -1.0])[:, None] * geometry.half_track
-    return trajectory.position[:, :, None] + side * left[:, :, None]
+    theta = trajectory.stack("theta")[..., None]
+    return on_both_sides(trajectory.position[:, :, None], theta, geometry.half_track)
 
 
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
