@@ -13,7 +13,14 @@ from typing import IO, TYPE_CHECKING
 
 from srs_twin.errors import InputError
 from srs_twin.viewing.rerun.blueprint import TIMELINE
-from srs_twin.viewing.rerun.viewer import HOST, Rerun, free_port, rerun_beside, verify_recording, words_of
+from srs_twin.viewing.rerun.viewer import (
+    HOST,
+    Rerun,
+    free_port,
+    output_lines,
+    running_rerun,
+    verify_recording,
+)
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -74,7 +81,7 @@ def _headless_viewer(size: tuple[int, int]) -> Iterator[ViewerClient]:
     """
     port = free_port()
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen")
-    with rerun_beside("--port", str(port), *window) as (viewer, said):
+    with running_rerun("--port", str(port), *window) as (viewer, said):
         yield _connected(viewer, port, said)
 
 
@@ -89,7 +96,7 @@ def _connected(viewer: Rerun, port: int, said: IO[bytes]) -> ViewerClient:
             return client
         except (ConnectionError, RuntimeError):
             time.sleep(0.1)
-    words = words_of(said)
+    words = output_lines(said)
     if any("render context" in line or "graphics adapter" in line for line in words):
         raise InputError(
             "no Vulkan driver to draw a picture with; install one (Debian: apt-get install "

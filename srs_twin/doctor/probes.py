@@ -157,7 +157,7 @@ def in_a_browser() -> str | Answer:
     port = free_port()
     # A child would go on to ignore interrupts where this process was started to.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Not `rerun_beside`: in a group of its own Rerun would outlive a probe that is killed with its group.
+    # Not `running_rerun`: in a group of its own Rerun would outlive a probe that is killed with its group.
     words = [*_rerun(), "--serve-web", "--web-viewer-port", str(port)]
     server = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

@@ -49,7 +49,7 @@ Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
 _BOUND = 1e9
 
 
-class Runs(Section):
+class RunRequest(Section):
     """A scenario, points of a sweep or a computation that are run."""
 
     scenario: Name | None = section("Shipped scenario that is run.", None)
@@ -86,7 +86,7 @@ class Runs(Section):
             document.report((*loc, self.kind), str(UnknownNameError(self.kind, self.name, names)))
 
 
-class Measure(Runs):
+class Measure(RunRequest):
     """A number that a run, the runs of a sweep or a computation give."""
 
     metric: Name = section(

@@ -19,7 +19,7 @@ from srs_twin.comparison.compare import compare
 from srs_twin.comparison.learning import is_learning
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import data_root
-from srs_twin.reproduction.claims import COLUMNS, Name, Runs, load_list
+from srs_twin.reproduction.claims import COLUMNS, Name, RunRequest, load_list
 from srs_twin.reproduction.runs import Job, Store, points_of, sweep_of
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario import parse_scenario
@@ -44,7 +44,7 @@ class Picture(Section):
     figure: Name = section("As the text counts it: 31a.")
     caption: Name = section("What is shown, and of which runs.")
     draw: Name = section("Which picture.")
-    of: Annotated[list[Runs], Field(min_length=1, max_length=10)] = section("What is run for it.")
+    of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)] = section("What is run for it.")
     metric: Name | None = section("Of a sweep: what is drawn, by the sweep's own plot of it.", None)
     names: list[Name] = section("Of the runs, where several are drawn over each other.", [])
 
@@ -85,7 +85,7 @@ Trajectories = Mapping[str, Trajectory]
 Drawing = Callable[[Store, Picture], Figure | None]
 
 
-def _trajectories(store: Store, runs: Runs) -> Trajectories:
+def _trajectories(store: Store, runs: RunRequest) -> Trajectories:
     """Return plant → trajectory of a scenario that was run."""
     (job,) = store.jobs(runs)
     found = {plant: store.trajectory(job.key, plant) for plant in COLUMNS[:2]}

@@ -20,7 +20,7 @@ from srs_twin.errors import SrsError
 from srs_twin.io.files import atomic_write, open_folder, shipped_folder
 from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import digest_of, run_key, source_digests, versions
-from srs_twin.reproduction.claims import COMPUTATIONS, Plain, Runs, Set
+from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep
 from srs_twin.sweep.points import Experiment, Point, Sweep
@@ -75,9 +75,9 @@ def _experiment(name: str, periods: float | None) -> Experiment:
     return Experiment(scenario.document, tuple(scenario.plants), periods)
 
 
-def points_of(runs: Runs) -> tuple[Point, ...]:
+def points_of(request: RunRequest) -> tuple[Point, ...]:
     """Return the points of a sweep that count, in the order of their jobs."""
-    return tuple(each for each in sweep_of(runs.name).points if _counts(each.changes, runs.where))
+    return tuple(each for each in sweep_of(request.name).points if _counts(each.changes, request.where))
 
 
 def _counts(place: Mapping[str, Plain], where: Mapping[str, Plain]) -> bool:
@@ -131,15 +131,15 @@ class Store:
     def __exit__(self, *error: object) -> None:
         self._store.close()
 
-    def jobs(self, runs: Runs) -> tuple[Job, ...]:
+    def jobs(self, request: RunRequest) -> tuple[Job, ...]:
         """Return one job, or one a point of the sweep; what several claims need is one job.
 
         Raises:
             InputError: the scenario or sweep cannot be used.
         """
-        same = json.dumps([runs.kind, runs.name, runs.set, runs.periods, runs.where])
+        same = json.dumps([request.kind, request.name, request.set, request.periods, request.where])
         if same not in self._keys:
-            made = list(self._made(runs))
+            made = list(self._made(request))
             for job in made:
                 # One that keeps its trajectories also serves those that need none.
                 if job.key not in self._jobs or job.keeps:
@@ -147,25 +147,25 @@ class Store:
             self._keys[same] = tuple(job.key for job in made)
         return tuple(self._jobs[key] for key in self._keys[same])
 
-    def _made(self, runs: Runs) -> Iterator[Job]:
-        if runs.kind == "law":
+    def _made(self, request: RunRequest) -> Iterator[Job]:
+        if request.kind == "law":
             key = digest_of(
-                law=runs.name,
-                arguments=runs.set,
+                law=request.name,
+                arguments=request.set,
                 versions=versions(),
                 sources=source_digests("srs_twin.reproduction.computations"),
                 data=_data_digests(),
             )
-            yield Job(key, law=runs.name, arguments=runs.set)
+            yield Job(key, law=request.name, arguments=request.set)
             return
-        sweeps = runs.kind == "sweep"
-        experiment = sweep_of(runs.name).experiment if sweeps else _experiment(runs.name, runs.periods)
-        for changes in [point.changes for point in points_of(runs)] if sweeps else [{}]:
-            document = experiment.document({**changes, **runs.set})  # type: ignore[dict-item]
+        sweep = sweep_of(request.name) if request.kind == "sweep" else None
+        experiment = sweep.experiment if sweep else _experiment(request.name, request.periods)
+        for changes in [point.changes for point in points_of(request)] if sweep else [{}]:
+            document = experiment.document({**changes, **request.set})  # type: ignore[dict-item]
             if self._alter is not None:
                 document = self._alter(document)
             plants = experiment.plants
-            whole = Experiment(document, plants, trajectories=not sweeps)
+            whole = Experiment(document, plants, trajectories=sweep is None)
             yield Job(run_key(document, plants), whole)
 
     def run(self, jobs: Iterable[Job], *, workers: int | None = None, started: Started | None = None) -> None:

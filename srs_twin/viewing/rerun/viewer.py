@@ -87,7 +87,7 @@ Rerun = subprocess.Popen[bytes]
 
 
 @contextmanager
-def rerun_beside(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
+def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
     """Run Rerun; yield the process, and the file that what it says goes to.
 
     However the block ends, Rerun ends with it, and so does all that it has started.
@@ -117,7 +117,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def words_of(said: IO[bytes]) -> list[str]:
+def output_lines(said: IO[bytes]) -> list[str]:
     """Return the lines that Rerun has said, one at least."""
     said.seek(0)
     return said.read().decode(errors="replace").strip().splitlines() or ["it said nothing"]

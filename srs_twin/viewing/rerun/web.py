@@ -20,7 +20,7 @@ from typing import IO, Any
 from urllib.parse import quote, urlsplit
 
 from srs_twin.errors import InputError
-from srs_twin.viewing.rerun.viewer import HOST, Rerun, free_port, rerun_beside, words_of
+from srs_twin.viewing.rerun.viewer import HOST, Rerun, free_port, output_lines, running_rerun
 
 _START_S = 30.0
 _FETCH_S = 30.0
@@ -61,7 +61,7 @@ def served(recordings: Sequence[Path], port: int = 0) -> Iterator[tuple[str, Cal
         raise InputError(
             f"port {port} cannot be had ({error}); without --port a free one is taken"
         ) from error
-    with server, rerun_beside("--serve-web", *ports, *map(str, recordings)) as (rerun, said):
+    with server, running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, said):
         _wait(rerun, f"{upstream}/", said)
         yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
@@ -122,4 +122,4 @@ def _wait(rerun: Rerun, address: str, said: IO[bytes]) -> None:
             return
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
-    raise InputError(f"Rerun does not serve its viewer: {words_of(said)[-1]}")
+    raise InputError(f"Rerun does not serve its viewer: {output_lines(said)[-1]}")
