@@ -16,6 +16,7 @@ from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
     from srs_twin.reproduction import Judged, Store
+    from srs_twin.reproduction.claims import Claim
     from srs_twin.sweep.task import Row
 
 
