@@ -57,4 +57,5 @@ def joined(parts: Sequence[Record]) -> Record:
     if len(parts) == 1:
         return parts[0]
     kind: Any = type(parts[0])
-    return kind(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(kind)))
+    names = kind._fields if issubclass(kind, tuple) else [each.name for each in fields(kind)]
+    return kind(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

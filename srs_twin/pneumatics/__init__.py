@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from srs_twin.errors import UnknownNameError
-from srs_twin.pneumatics.base import Pneumatics, Trace
-from srs_twin.pneumatics.lag import LagPneumatics
-from srs_twin.pneumatics.orifice import OrificePneumatics
-from srs_twin.pneumatics.valves import LAYOUTS, Schedule
+from srs_twin.pneumatics.base import Pneumatics as Pneumatics
+from srs_twin.pneumatics.base import Trace as Trace
+from srs_twin.pneumatics.lag import LagPneumatics as LagPneumatics
+from srs_twin.pneumatics.orifice import OrificePneumatics as OrificePneumatics
+from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS
+from srs_twin.pneumatics.valves import Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
 
 KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
-
-__all__ = [
-    "KINDS",
-    "LAYOUTS",
-    "LagPneumatics",
-    "OrificePneumatics",
-    "Pneumatics",
-    "Schedule",
-    "Trace",
-    "make_pneumatics",
-]
 
 
 def make_pneumatics(

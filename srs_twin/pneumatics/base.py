@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,8 @@ from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
 
-@dataclass(frozen=True)
-class Trace:
-    """What the chambers did at given times.
+class Trace(NamedTuple):
+    """What the chambers did at given times; kernels take it as it is.
 
     Attributes:
         pressure: gauge, shape (times, segments, 2), Pa.
@@ -49,10 +48,7 @@ class Trace:
 
     def at(self, rows: np.ndarray) -> Trace:
         """Return some of the times, by their numbers."""
-        return Trace(*(getattr(self, name).take(rows, axis=0) for name in _FIELDS))
-
-
-_FIELDS = tuple(each.name for each in fields(Trace))  # asked for every tick
+        return Trace(*(column.take(rows, axis=0) for column in self))
 
 
 class Pneumatics(ABC):
@@ -182,7 +178,7 @@ class Pneumatics(ABC):
         """
         self._refuse_implausible()
         if schedule.states.dtype != np.int8:
-            schedule = replace(schedule, states=schedule.states.astype(np.int8))
+            schedule = schedule._replace(states=schedule.states.astype(np.int8))
         happening = self.effective(schedule)
         if self._delay:
             whole = self._coming.then(schedule)

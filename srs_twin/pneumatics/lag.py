@@ -100,12 +100,9 @@ class LagPneumatics(Pneumatics):
         trace = Trace.empty(len(times), self._segments)
         pressure, linear = self.pressure.copy(), self._linear.copy()
         free = np.empty(self._segments)
-        drawn = _relax(
-            pressure, linear, free, schedule.span, schedule.starts, schedule.states, times, self._kind,
-            self._rate, self._asymptote, self._tau, self._gain, (self.rest_bend, self._limit), self._leak,
-            self._space,
-            trace.pressure, trace.bend, trace.bend_rate, trace.bend_acceleration, trace.valves, trace.air,
-        )  # fmt: skip
+        law = self._kind, self._rate, self._asymptote, self._leak
+        bending = self._tau, self._gain, self.rest_bend, self._limit
+        drawn = _relax(pressure, linear, free, schedule, times, law, bending, self._space, trace)
         np.multiply(trace.air, self._worth, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
         self._linear = linear
@@ -114,32 +111,25 @@ class LagPneumatics(Pneumatics):
 
 
 @compiled
-def _relax(  # type: ignore[no-untyped-def]  # noqa: D417
-    pressure, linear, bend, span, starts, states, times, kinds, rates, asymptotes, tau, gain, rest, leak,
-    space, p, q, dq, ddq, valves, air,
-):  # fmt: skip
-    """Fill the columns of a trace at `times`, advance to the end of the span, return the air drawn (J).
+def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):  # type: ignore[no-untyped-def]
+    """Fill a trace at `times`, advance to the end of a schedule, return the air drawn (J).
 
     Args:
         pressure: at the start, in place, shape (segments, 2), Pa.
         linear: x at the start, in place, shape (segments,), rad.
         bend: out, at the end, same shape, rad.
-        span: s.
-        starts: of the valve states, shape (runs,), s.
-        states: shape (runs, segments, 2).
+        schedule: of the valves.
         times: ascending, shape (times,), s.
-        kinds: of each chamber, shape (segments, 2).
-        rates: relaxation rates by kind and valve state + 1, 1/s.
-        asymptotes: where the pressure relaxes to, same shape, Pa.
-        tau: τ₂, s.
-        gain: of each chamber, shape (segments, 2), rad/Pa.
-        rest: b, shape (segments,), rad, and q_m, rad.
-        leak: λ, 1/s.
+        law: kind of each chamber, shape (segments, 2); relaxation rates by kind and valve state + 1, 1/s;
+            where the pressure relaxes to, same shape, Pa; λ, 1/s.
+        bending: τ₂, s; gain of each chamber, shape (segments, 2), rad/Pa; b, shape (segments,), and q_m, rad.
         space: V₀ (m³) and A (m³/rad) of a chamber.
-        p, q, dq, ddq, valves, air: out, the columns of a `Trace`; air as amount drawn since the start, J.
+        trace: out; air as amount drawn since the start, J.
     """
+    span, starts, states = schedule
+    kinds, rates, asymptotes, leak = law
+    tau, gain, bias, limit = bending
     decay, lag = np.empty_like(rates), np.empty_like(rates)
-    bias, limit = rest
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
         state, start = states[run], starts[run]
@@ -180,15 +170,15 @@ def _relax(  # type: ignore[no-untyped-def]  # noqa: D417
                 rise = gain[j, 0] * rates[first, up] * (asymptotes[first, up] - plus)
                 rise -= gain[j, 1] * rates[second, down] * (asymptotes[second, down] - minus)
                 speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
-                p[row, j, 0], p[row, j, 1], q[row, j] = plus, minus, turned
-                dq[row, j] = slope * speed
-                ddq[row, j] = slope * (rise - speed) / tau + curve * speed * speed
-                valves[row, j, 0], valves[row, j, 1] = state[j, 0], state[j, 1]
+                trace.pressure[row, j, 0], trace.pressure[row, j, 1] = plus, minus
+                trace.bend[row, j], trace.bend_rate[row, j] = turned, slope * speed
+                trace.bend_acceleration[row, j] = slope * (rise - speed) / tau + curve * speed * speed
+                trace.valves[row, j, 0], trace.valves[row, j, 1] = state[j, 0], state[j, 1]
             amount = drawn + leaked + content - held
             if not within:
                 drawn = amount
                 break
-            air[row] = amount
+            trace.air[row] = amount
             row += 1
     return drawn
 

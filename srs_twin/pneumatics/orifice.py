@@ -182,11 +182,8 @@ class OrificePneumatics(Pneumatics):
             actual[0] = bend
             actual[1] = 0.0 if bend_rate is None else bend_rate
         pressure = np.empty((self._segments, 2))
-        follow(
-            state, books, schedule.span, schedule.starts, schedule.states, times, self._substep,
-            bend is not None, actual, self._plumbing, pressure,
-            trace.pressure, trace.bend, trace.bend_rate, trace.bend_acceleration, trace.valves, trace.air,
-        )  # fmt: skip
+        given = bend is not None
+        follow(state, books, schedule, times, self._substep, given, actual, self._plumbing, pressure, trace)
         np.multiply(trace.air, self._worth, out=trace.air)
         self._state, self._books = state, books
         free = [flattened(x, self._plumbing.limit)[0] for x in state[:, 2]]

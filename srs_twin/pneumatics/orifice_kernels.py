@@ -217,25 +217,22 @@ def _step(y, books, h, begun, state, given, actual, air, work):  # type: ignore[
 
 
 @compiled
-def follow(  # type: ignore[no-untyped-def]  # noqa: D417
-    y, books, span, starts, states, times, substep, given, actual, air, pressure, p, q, dq, ddq, valves, drawn
-):
-    """Advance y and books in place by a span and fill `pressure` (end) and the columns of a trace at `times`.
+def follow(y, books, schedule, times, substep, given, actual, air, pressure, trace):  # type: ignore[no-untyped-def]
+    """Advance y and books in place over a schedule and fill `pressure` (end) and a trace at `times`.
 
     Args:
         y: shape (segments, 3).
         books: shape (3,).
-        span: s.
-        starts: of the valve states, shape (runs,), s.
-        states: shape (runs, segments, 2).
+        schedule: of the valves.
         times: ascending, shape (times,), s.
         substep: longest step, s.
         given: whether `actual` holds.
         actual: bends (rad) and their rates (rad/s) at the start, shape (2, segments).
         air: the plumbing.
         pressure: out, gauge, at the end, shape (segments, 2), Pa.
-        p, q, dq, ddq, valves, drawn: out, the columns of a `Trace`; air as amount drawn, J.
+        trace: out; air as amount drawn, J.
     """
+    span, starts, states = schedule
     segments = y.shape[0]
     work = (
         np.empty((segments, 3)), np.empty((segments, 3)), np.empty(segments), np.empty((segments, 3, 2)),
@@ -267,11 +264,8 @@ def follow(  # type: ignore[no-untyped-def]  # noqa: D417
             while until < times.shape[0] and (times[until] <= end or (k + 1 == count and run + 1 == runs)):
                 until += 1
             if until > row:
-                _look(
-                    times[row:until], begun, h, begin, slope, at_begin, y, dy, at_end, states[run],
-                    given, actual, air, p[row:until], q[row:until], dq[row:until], ddq[row:until],
-                    valves[row:until], drawn[row:until],
-                )  # fmt: skip
+                ends = (begin, slope, at_begin), (y, dy, at_end)
+                _look(times, row, until, begun, h, ends, states[run], given, actual, air, trace)
                 row = until
     for j in range(segments):
         free = air.bias[j] + flattened(y[j, 2], air.limit)[0]
@@ -282,16 +276,15 @@ def follow(  # type: ignore[no-untyped-def]  # noqa: D417
 
 
 @compiled
-def _look(  # type: ignore[no-untyped-def]
-    times, begun, h, y0, dy0, at0, y1, dy1, at1, state, given, actual, air, p, q, dq, ddq, valves, drawn
-):
+def _look(times, first_row, until, begun, h, ends, state, given, actual, air, trace):  # type: ignore[no-untyped-def]
     """Fill rows of a trace inside a step from the cubics through values and slopes at its ends.
 
-    at0 and at1 are the books and the flows from the supply and into all chambers.
+    Of either end: y, ẏ, and the books with the flows from the supply and into all chambers.
     """
+    (y0, dy0, at0), (y1, dy1, at1) = ends
     segments = y0.shape[0]
     y, dy, bend = np.empty_like(y0), np.empty_like(y0), np.empty(segments)
-    for row in range(times.shape[0]):
+    for row in range(first_row, until):
         x = min(1.0, max(0.0, (times[row] - begun) / h))
         first, second = x * (1 - x) ** 2 * h, -(x * x) * (1 - x) * h
         part = x * x * (3 - 2 * x)
@@ -300,7 +293,7 @@ def _look(  # type: ignore[no-untyped-def]
                 y[j, k] = y0[j, k] + part * (y1[j, k] - y0[j, k]) + first * dy0[j, k] + second * dy1[j, k]
         line = at0[0] + part * (at1[0] - at0[0])
         line += first * (at0[3] - at0[4]) + second * (at1[3] - at1[4])
-        drawn[row] = at0[1] + part * (at1[1] - at0[1]) + first * at0[3] + second * at1[3]
+        trace.air[row] = at0[1] + part * (at1[1] - at0[1]) + first * at0[3] + second * at1[3]
         _extrapolate(bend, actual, begun + x * h)
         _slopes(y, line, state, given, bend, air, dy)
         for j in range(segments):
@@ -313,6 +306,8 @@ def _look(  # type: ignore[no-untyped-def]
                 inside = y[j, side] / size
                 signed = (1.0 - 2.0 * side) * air.gain[j, side]
                 rise += signed * (dy[j, side] - inside * growth * rate) / size
-                p[row, j, side], valves[row, j, side] = inside - AMBIENT_PA, state[j, side]
-            q[row, j], dq[row, j] = shown, speed
-            ddq[row, j] = slope * (rise - dy[j, 2]) / air.tau + curve * dy[j, 2] * dy[j, 2]
+                trace.pressure[row, j, side], trace.valves[row, j, side] = inside - AMBIENT_PA, state[j, side]
+            trace.bend[row, j], trace.bend_rate[row, j] = shown, speed
+            trace.bend_acceleration[row, j] = (
+                slope * (rise - dy[j, 2]) / air.tau + curve * dy[j, 2] * dy[j, 2]
+            )

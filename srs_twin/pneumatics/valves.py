@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,9 +31,8 @@ LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
 _SAME = 1e-9  # s: events closer than this are one
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Valve states over a stretch of time, piecewise constant.
+class Schedule(NamedTuple):
+    """Valve states over a stretch of time, piecewise constant; kernels take it as it is.
 
     Attributes:
         span: length of the stretch, s.
