@@ -20,8 +20,9 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.planning.arcs import along, blocked
+from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import word
-from srs_twin.planning.guide import way_from
+from srs_twin.planning.guide import Guide, way_from
 
 NODES, OPEN, EXPANDED = range(3)
 """Places in `Frontier.counts`."""
@@ -197,6 +198,28 @@ class Target(NamedTuple):
     turning: float
 
 
+class Search(NamedTuple):
+    """What a search goes by.
+
+    Attributes:
+        moves: what the snake can do.
+        target: where to arrive.
+        around: the world.
+        cell: side of a cell of poses, m.
+        sector: its width in heading, rad; a whole number of them is a full turn.
+        weight: w.
+        guide: `guide.NO_GUIDE`, or what may lengthen the bound in the key; not where nodes are dropped.
+    """
+
+    moves: Moves
+    target: Target
+    around: Surroundings
+    cell: float
+    sector: float
+    weight: float
+    guide: Guide
+
+
 @compiled
 def rest(x, y, heading, target):  # type: ignore[no-untyped-def]
     """Return the bound h on the length from a pose to the goal, m."""
@@ -205,26 +228,27 @@ def rest(x, y, heading, target):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_root(frontier, x, y, heading, target, cell, sector, moves):  # type: ignore[no-untyped-def]
+def add_root(frontier, x, y, heading, search):  # type: ignore[no-untyped-def]
     """Put a pose to begin at into a frontier; the first in a cell counts."""
-    slot, bound = slot_of(frontier, x, y, heading, cell, sector), rest(x, y, heading, target)
+    slot = slot_of(frontier, x, y, heading, search.cell, search.sector)
+    bound = rest(x, y, heading, search.target)
     if frontier.owners[slot] == 0:
         root = _enter(frontier, slot, x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
-        frontier.links[root, 0], frontier.links[root, 1] = -1, moves.curvatures.shape[0]
+        frontier.links[root, 0], frontier.links[root, 1] = -1, search.moves.curvatures.shape[0]
         push(frontier, root, bound)
 
 
 @compiled
-def expand(frontier, moves, target, around, guide, cell, sector, weight, best, share):  # type: ignore[no-untyped-def]  # noqa: D417
+def expand(frontier, search, best, share):  # type: ignore[no-untyped-def]
     """Expand nodes until something happens; return what (see `CONNECTED`) and at which node.
 
     Args:
         frontier: changed in place.
-        guide: `guide.NO_GUIDE`, or what may lengthen the bound in the key; not where nodes are dropped.
-        weight: w.
+        search: what it goes by.
         best: length of the best plan known, m; nodes that cannot beat it are dropped.
         share: how many nodes to expand at most.
     """
+    moves, cell, sector = search.moves, search.cell, search.sector
     until = frontier.counts[EXPANDED] + share
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
@@ -239,36 +263,37 @@ def expand(frontier, moves, target, around, guide, cell, sector, weight, best, s
         ):
             continue
         frontier.counts[EXPANDED] += 1
-        if _arrived(x, y, heading, target):
+        if _arrived(x, y, heading, search.target):
             return ARRIVED, node
-        if _connects(frontier, node, moves, target, around, best):
+        if _connects(frontier, node, search, best):
             return CONNECTED, node
         for move in range(moves.curvatures.shape[0]):
-            _try(frontier, node, move, moves, target, around, guide, cell, sector, weight, best)
+            _try(frontier, node, move, search, best)
     return EXHAUSTED, -1
 
 
 @compiled
-def _try(frontier, node, move, moves, target, around, guide, cell, sector, weight, best):  # type: ignore[no-untyped-def]
+def _try(frontier, node, move, search, best):  # type: ignore[no-untyped-def]
     """Make a child if it is the first or nearest in its cell, may beat the best plan, and its arc is free."""
     x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
-    curvature, length = moves.curvatures[move], moves.length
-    to_x, to_y, to_heading = along(x, y, heading, curvature, length)
-    slot, cost = slot_of(frontier, to_x, to_y, to_heading, cell, sector), cost + length
+    moves, length = search.moves, search.moves.length
+    to_x, to_y, to_heading = along(x, y, heading, moves.curvatures[move], length)
+    slot = slot_of(frontier, to_x, to_y, to_heading, search.cell, search.sector)
+    cost += length
     owner = frontier.owners[slot] - 1
     if owner >= 0 and frontier.nodes[owner, 3] <= cost + _BETTER:
         return
     left, right, lasting = wider(left, right, lasting, moves.changes[frontier.links[node, 1], move])
-    if not _move_free(x, y, heading, move, length, left, right, moves, around):
+    if not _move_free(x, y, heading, move, length, left, right, moves, search.around):
         return
-    bound = rest(to_x, to_y, to_heading, target)
+    bound = rest(to_x, to_y, to_heading, search.target)
     if cost + bound >= best:
         return
     child = _enter(
         frontier, slot, to_x, to_y, to_heading, cost, bound, left, right, max(0.0, lasting - length)
     )
     frontier.links[child, 0], frontier.links[child, 1] = node, move
-    push(frontier, child, cost + weight * max(bound, way_from(guide, to_x, to_y)))
+    push(frontier, child, cost + search.weight * max(bound, way_from(search.guide, to_x, to_y)))
 
 
 @compiled
@@ -315,13 +340,14 @@ def _arrived(x, y, heading, target):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _connects(frontier, node, moves, target, around, best):  # type: ignore[no-untyped-def]
+def _connects(frontier, node, search, best):  # type: ignore[no-untyped-def]
     """Say whether the Dubins path from a node to the goal is free and makes a better plan."""
     x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
+    target, before = search.target, frontier.links[node, 1]
     path = word(x, y, heading, target.x, target.y, target.heading, target.free, target.turning)
     if cost + path[3] + path[4] + path[5] >= best:
         return False
-    return passes(x, y, heading, path, frontier.links[node, 1], left, right, lasting, moves, around)
+    return passes(x, y, heading, path, before, left, right, lasting, search.moves, search.around)
 
 
 @compiled

@@ -17,7 +17,6 @@ The packages that offer this (`dubins`, wrappers of one C file) have had no rele
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,26 +27,12 @@ _FULL = 2 * math.pi
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
-class DubinsPath:
-    """A shortest path of bounded curvature.
-
-    Attributes:
-        curvatures: of the three pieces, 1/m.
-        lengths: of the three pieces, m; some may be 0.
-    """
-
-    curvatures: tuple[float, float, float]
-    lengths: tuple[float, float, float]
-
-    @property
-    def length(self) -> float:
-        """Of the whole path, m."""
-        return sum(self.lengths)
+Pieces = list[tuple[float, float]]
+"""(curvature in 1/m, length in m) of arcs laid end to end."""
 
 
-def shortest(start: Pose, x: float, y: float, heading: float | None, radius: float) -> DubinsPath:
-    """Return the shortest path from a pose to a pose, or to a point where the heading is None.
+def shortest(start: Pose, x: float, y: float, heading: float | None, radius: float) -> Pieces:
+    """Return the three pieces of the shortest path from a pose to a pose, or to a point; some may be empty.
 
     Args:
         start: where it begins.
@@ -56,12 +41,8 @@ def shortest(start: Pose, x: float, y: float, heading: float | None, radius: flo
         heading: at the end, rad; None where any will do.
         radius: least turning radius, m.
     """
-    free = heading is None
-    first, middle, last, t, p, q = word(
-        start.x, start.y, start.heading, x, y, 0.0 if heading is None else heading, free, radius
-    )
-    signs = (first / radius, middle / radius, last / radius)
-    return DubinsPath(signs, (float(t), float(p), float(q)))
+    path = word(*start, x, y, heading or 0.0, heading is None, radius)
+    return [(turn / radius, length) for turn, length in zip(path[:3], path[3:], strict=True)]
 
 
 @compiled

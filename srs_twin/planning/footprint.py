@@ -247,7 +247,12 @@ def problems(footprint: Footprint) -> list[tuple[str, str]]:
         found.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
     for side, name in enumerate(("left", "right")):
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        edges = [edge + _extra(footprint, row, side) for row, edge in enumerate(getattr(footprint, name))]
+        # By as much wider as after any change to their offset.
+        extra = [
+            max(footprint.transient(before, after)[side] for before in footprint.offsets)
+            for after in footprint.offsets
+        ]
+        edges = np.add(getattr(footprint, name), extra)
         row = int(np.argmax(turn * edges))
         if turn[row] * edges[row] >= 1:
             tightest, offset = turn[row] == turn.max(), footprint.offsets[row]
@@ -255,12 +260,6 @@ def problems(footprint: Footprint) -> list[tuple[str, str]]:
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
             found.append((name, f"{edges[row]:g} m reaches {where}"))
     return found
-
-
-def _extra(footprint: Footprint, row: int, side: int) -> float:
-    """Return by how much the left (side 0) or right edge of a row is wider after any change to its offset."""
-    after = footprint.offsets[row]
-    return max((footprint.transient(before, after)[side] for before in footprint.offsets), default=0.0)
 
 
 def checked(footprint: Footprint) -> Footprint:

@@ -74,13 +74,10 @@ def guide_to(goal: Goal, start: Pose, world: World, clearance: float, margin: fl
 
 def _extent(goal: Goal, start: Pose, world: World, margin: float) -> Bounds:
     """Return a rectangle about everything."""
-    x, y = [goal.x, start.x], [goal.y, start.y]
+    corners = [corner for p in world.polygons for corner in p.corners]
     for c in world.obstacles:
-        x += [c.x - c.radius, c.x + c.radius]
-        y += [c.y - c.radius, c.y + c.radius]
-    for px, py in (corner for p in world.polygons for corner in p.corners):
-        x.append(px)
-        y.append(py)
+        corners += [(c.x - c.radius, c.y - c.radius), (c.x + c.radius, c.y + c.radius)]
+    x, y = zip((goal.x, goal.y), (start.x, start.y), *corners, strict=True)
     return Bounds((min(x) - margin, max(x) + margin), (min(y) - margin, max(y) + margin))
 
 

@@ -14,10 +14,10 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.best_first import Moves, passes
 from srs_twin.planning.collision import Checker, Surroundings
-from srs_twin.planning.dubins import shortest, word
+from srs_twin.planning.dubins import Pieces, shortest, word
 from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, path_of
 from srs_twin.planning.search import shortened
-from srs_twin.planning.tree import Pieces, moves_of
+from srs_twin.planning.tree import moves_of
 from srs_twin.world import Pose
 
 SECONDS = 1.0
@@ -65,8 +65,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     poses = [_pose(state) for state in setup.getSolutionPath().getStates()]
     path: Pieces = []
     for a, b in zip([problem.start, *poses[1:]], poses[1:], strict=False):
-        piece = shortest(a, b.x, b.y, b.heading, radius)
-        path += zip(piece.curvatures, piece.lengths, strict=True)
+        path += shortest(a, b.x, b.y, b.heading, radius)
     if settings.smooth:
         path = shortened(problem.start, path, moves, around, radius)
     return Plan(Outcome.FOUND, "a free path", path_of(problem.start, path, body))

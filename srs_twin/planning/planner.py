@@ -23,11 +23,18 @@ from dataclasses import replace
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.collision import Checker, inside
 from srs_twin.planning.footprint import Footprint, Transient, checked
+from srs_twin.planning.greedy import greedy
+from srs_twin.planning.ompl_baseline import rrt_connect
 from srs_twin.planning.problem import Plan, Problem, Segment, Settings, path_of
+from srs_twin.planning.search import best_first
 from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 
-PLANNERS = ("best_first", "greedy", "ompl")
-"""Names; `ompl` needs the extra of that name."""
+PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
+    "best_first": best_first,
+    "greedy": lambda problem, _: greedy(problem),
+    "ompl": rrt_connect,
+}
+"""Name → planner; `ompl` needs the extra of that name."""
 
 _FAR = 2000.0
 """Places are at most so far from the origin, m; cells are counted within."""
@@ -50,15 +57,13 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     _refuse(problem)
     _compile()
     begun = time.perf_counter()
-    answer = _answer(problem, settings or Settings(), planner)
+    answer = PLANNERS[planner](problem, settings or Settings())
     return replace(answer, seconds=time.perf_counter() - begun)
 
 
 @functools.cache
 def _compile() -> None:
     """Compile the kernels, or load them: neither is planning, and no limit in seconds may run out by it."""
-    from srs_twin.planning.search import best_first
-
     # With obstacles in the way and changes that cost width: a straight way would leave kernels out.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
@@ -68,26 +73,12 @@ def _compile() -> None:
     best_first(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05), world, body), Settings())
 
 
-def _answer(problem: Problem, settings: Settings, planner: str) -> Plan:
-    if planner == "greedy":
-        from srs_twin.planning.greedy import greedy
-
-        return greedy(problem)
-    if planner == "ompl":
-        from srs_twin.planning.ompl_baseline import rrt_connect
-
-        return rrt_connect(problem, settings)
-    from srs_twin.planning.search import best_first
-
-    return best_first(problem, settings)
-
-
 def _refuse(problem: Problem) -> None:
     """Raise what is wrong with a problem before anything is tried."""
     checked(problem.footprint)
-    _refuse_numbers(problem)
-    _refuse_world(problem.world)
     start, goal = problem.start, problem.goal
+    _refuse_numbers(start, goal)
+    _refuse_world(problem.world)
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
         if hit := inside(problem.world, x, y):
             relation = "outside of" if hit.startswith("the bounds") else "inside"
@@ -97,8 +88,7 @@ def _refuse(problem: Problem) -> None:
         raise InputError(f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb} {hit}")
 
 
-def _refuse_numbers(problem: Problem) -> None:
-    start, goal = problem.start, problem.goal
+def _refuse_numbers(start: Pose, goal: Goal) -> None:
     angles = (start.heading, goal.heading or 0.0)
     if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
         raise InputError(f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite, -100 to 100")

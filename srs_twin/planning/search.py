@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.planning.arcs import Primitives, along
-from srs_twin.planning.best_first import Moves, one_arc, passes
+from srs_twin.planning.best_first import Moves, Search, one_arc, passes
 from srs_twin.planning.collision import Checker, Surroundings
-from srs_twin.planning.dubins import shortest, word
-from srs_twin.planning.guide import guide_to
+from srs_twin.planning.dubins import Pieces, shortest, word
+from srs_twin.planning.guide import NO_GUIDE, guide_to
 from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, Settings, path_of
 from srs_twin.planning.tree import (
-    Pieces,
     Resolution,
     Tree,
     arrivals,
@@ -121,8 +119,7 @@ def _cut(start: Pose, path: Pieces, moves: Moves, around: Surroundings, radius: 
         last = len(path)
         while (last := int(_farthest(poses, places, k, last, moves, around, radius))) > k:
             x, y, heading = map(float, poses[last])
-            cut = shortest(Pose(*map(float, poses[k])), x, y, heading, radius)
-            cuts = list(zip(cut.curvatures, cut.lengths, strict=True))
+            cuts = shortest(Pose(*map(float, poses[k])), x, y, heading, radius)
             # A change of offset is felt on what follows it, so a cut is judged with the rest of the path.
             if not moves.changes.any() or _passes(start, [*done, *cuts, *path[last:]], moves, around):
                 done += cuts
@@ -222,10 +219,9 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     best: tuple[Segment, ...] | None = None
     for level, resolution in enumerate(_resolutions(problem, settings.levels)):
         trees = _trees(resolution, problem, settings, checker.surroundings)
-        guided = partial(_guided, resolution, problem, settings, checker.surroundings)
-        ended = _search_level(trees, guided, problem, budget, _search_length(best), level == 0)
+        ended = _search_level(trees, problem, budget, _search_length(best), level == 0)
         if ended.path is not None:
-            best = _finished(ended.path, trees[0], problem, settings, checker)
+            best = _finished(ended.path, trees[0].search.moves, problem, settings, checker)
         if ended.final or budget.spent or (best is not None and not settings.improve):
             break
     expanded, cell = settings.nodes - budget.nodes, (resolution.cell, resolution.sector)
@@ -252,9 +248,7 @@ def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
         yield Resolution(arcs, _CELL * arcs.length, 2 * math.pi / (_SECTORS * part))
 
 
-def _search_level(
-    trees: list[Tree], guided: Callable[[], Tree], problem: Problem, budget: _Budget, best: float, prove: bool
-) -> _Ended:
+def _search_level(trees: list[Tree], problem: Problem, budget: _Budget, best: float, prove: bool) -> _Ended:
     """Search at one resolution.
 
     The trees take turns with growing shares. The one from the goal rarely is the first to find a path; it is
@@ -284,7 +278,7 @@ def _search_level(
             )
             return _Ended(why=why, final=True)
         if share == _SHARE:
-            trees.append(guided())
+            trees.append(_guided(trees[0].search, problem))
         prove, share = False, min(2 * share, _LARGEST_SHARE)
     return _Ended()
 
@@ -292,34 +286,35 @@ def _search_level(
 def _trees(resolution: Resolution, problem: Problem, settings: Settings, around: Surroundings) -> list[Tree]:
     """Return the tree from the start, and that from the goal unless transients make paths one-way."""
     body, start = problem.footprint, problem.start
-    moves = moves_of(resolution.primitives, body)
-    trees = [Tree([start], moves, target_of(problem.goal, body), around, resolution, settings.weight)]
+    moves, cells = moves_of(resolution.primitives, body), (resolution.cell, resolution.sector)
+    search = Search(moves, target_of(problem.goal, body), around, *cells, settings.weight, NO_GUIDE)
+    trees = [Tree([start], search)]
     if not body.transients:
         end = turned(start)
         home = target_of(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
         roots = [turned(pose) for pose in arrivals(problem.goal, resolution.sector)]
-        back = reversed_moves(moves)
-        trees.append(Tree(roots, back, home, around, resolution, settings.weight, backward=True))
+        back = search._replace(moves=reversed_moves(moves), target=home)
+        trees.append(Tree(roots, back, backward=True))
     return trees
 
 
-def _guided(resolution: Resolution, problem: Problem, settings: Settings, around: Surroundings) -> Tree:
+def _guided(search: Search, problem: Problem) -> Tree:
     """Return a tree from the start that follows the guide."""
-    body, goal, start = problem.footprint, problem.goal, problem.start
-    guide = guide_to(goal, start, problem.world, body.narrowest, 4 / min(body.tightest))
-    moves, weight = moves_of(resolution.primitives, body), max(settings.weight, _GUIDED_WEIGHT)
-    return Tree([start], moves, target_of(goal, body), around, resolution, weight, guide=guide)
+    body, start = problem.footprint, problem.start
+    guide = guide_to(problem.goal, start, problem.world, body.narrowest, 4 / min(body.tightest))
+    weight = max(search.weight, _GUIDED_WEIGHT)
+    return Tree([start], search._replace(guide=guide, weight=weight))
 
 
 def _finished(
-    found: Pieces, tree: Tree, problem: Problem, settings: Settings, checker: Checker
+    found: Pieces, moves: Moves, problem: Problem, settings: Settings, checker: Checker
 ) -> tuple[Segment, ...]:
     """Return the path as segments, shortened where it is to be."""
     start, body = problem.start, problem.footprint
     path = path_of(start, found, body)
     if settings.smooth:
         radius = 1 / min(body.tightest)
-        shorter = path_of(start, shortened(start, found, tree.moves, checker.surroundings, radius), body)
+        shorter = path_of(start, shortened(start, found, moves, checker.surroundings, radius), body)
         # Transients hang on what came before; a path that is no longer free with them is not taken.
         if _search_length(shorter) < _search_length(path) and checker.free_path(shorter):
             path = shorter

@@ -16,20 +16,16 @@ from srs_twin.planning.best_first import (
     FULL,
     Frontier,
     Moves,
+    Search,
     Target,
     add_root,
     empty_frontier,
     expand,
     grown,
 )  # fmt: skip
-from srs_twin.planning.collision import Surroundings
-from srs_twin.planning.dubins import shortest
+from srs_twin.planning.dubins import Pieces, shortest
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.guide import NO_GUIDE, Guide
 from srs_twin.world import Goal, Pose
-
-Pieces = list[tuple[float, float]]
-"""(curvature, length) of arcs laid end to end."""
 
 _ROOM = 4096
 # At the end of a tightest turn the Dubins length jumps by a full turn if rounding puts the goal inside of it;
@@ -98,26 +94,15 @@ class Tree:
 
     Args:
         roots: poses to begin at.
-        moves: what the snake can do.
-        target: where to arrive.
-        around: the world.
-        resolution: cells.
-        weight: of the bound.
-        guide: round obstacles.
+        search: what it goes by.
         backward: it solves the reversed problem, from the goal.
     """
 
-    def __init__(
-        self, roots: list[Pose], moves: Moves, target: Target, around: Surroundings,
-        resolution: Resolution, weight: float, *, guide: Guide = NO_GUIDE, backward: bool = False,
-    ) -> None:  # fmt: skip
-        self.moves, self.target, self.around = moves, target, around
-        self.cells, self.weight = (resolution.cell, resolution.sector), weight
-        self.guide, self.backward = guide, backward
+    def __init__(self, roots: list[Pose], search: Search, *, backward: bool = False) -> None:
+        self.search, self.backward, self.exhausted = search, backward, False
         self.frontier: Frontier = empty_frontier(max(_ROOM, 2 * len(roots)))
         for root in roots:
-            add_root(self.frontier, root.x, root.y, root.heading, target, *self.cells, moves)
-        self.exhausted = False
+            add_root(self.frontier, *root, search)
 
     @property
     def expanded(self) -> int:
@@ -128,17 +113,7 @@ class Tree:
         """Expand so many nodes at most; return the pieces of a plan shorter than `best` (m), if found."""
         until = self.expanded + share
         while True:
-            ended, node = expand(
-                self.frontier,
-                self.moves,
-                self.target,
-                self.around,
-                self.guide,
-                *self.cells,
-                self.weight,
-                best,
-                until - self.expanded,
-            )
+            ended, node = expand(self.frontier, self.search, best, until - self.expanded)
             if ended != FULL:
                 break
             self.frontier = grown(self.frontier)
@@ -146,15 +121,14 @@ class Tree:
         return self._path(int(node), connected=ended == CONNECTED) if ended in (CONNECTED, ARRIVED) else None
 
     def _path(self, node: int, *, connected: bool) -> Pieces:
-        target = self.target
+        moves, target = self.search.moves, self.search.target
         pieces: Pieces = []
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.free else target.heading
-            path = shortest(end, target.x, target.y, heading, target.turning)
-            pieces = list(zip(path.curvatures, path.lengths, strict=True))[::-1]
+            pieces = shortest(end, target.x, target.y, heading, target.turning)[::-1]
         while (parent := int(self.frontier.links[node, 0])) >= 0:
-            pieces.append((float(self.moves.curvatures[self.frontier.links[node, 1]]), self.moves.length))
+            pieces.append((float(moves.curvatures[self.frontier.links[node, 1]]), moves.length))
             node = parent
         return pieces[::-1]
 

@@ -22,10 +22,10 @@ POSE = st.builds(Pose, PLACE, PLACE, ANGLE)
 RADIUS = st.floats(0.1, 2)
 
 
-def rolled(pose: Pose, curvatures, lengths) -> np.ndarray:
+def rolled(pose: Pose, pieces) -> np.ndarray:
     """End pose by the circle's centre, (x, y, heading)."""
     x, y, heading = pose.x, pose.y, pose.heading
-    for k, s in zip(curvatures, lengths, strict=True):
+    for k, s in pieces:
         if k == 0:
             x, y = x + s * math.cos(heading), y + s * math.sin(heading)
             continue
@@ -35,28 +35,31 @@ def rolled(pose: Pose, curvatures, lengths) -> np.ndarray:
     return np.array([x, y, heading])
 
 
+def total(pieces) -> float:
+    return sum(length for _, length in pieces)
+
+
 def length(a: Pose, b: Pose, radius: float) -> float:
-    return shortest(a, b.x, b.y, b.heading, radius).length
+    return total(shortest(a, b.x, b.y, b.heading, radius))
 
 
 @given(POSE, POSE, RADIUS)
 def test_path_ends_at_the_pose(a, b, radius):
     path = shortest(a, b.x, b.y, b.heading, radius)
-    end = rolled(a, path.curvatures, path.lengths)
+    end = rolled(a, path)
     assert end[:2] == pytest.approx([b.x, b.y], abs=1e-7)
     assert math.remainder(end[2] - b.heading, 2 * math.pi) == pytest.approx(0, abs=1e-7)
-    assert min(path.lengths) >= 0
-    assert all(abs(k) in (0, pytest.approx(1 / radius)) for k in path.curvatures)
+    assert all(abs(k) in (0, pytest.approx(1 / radius)) and s >= 0 for k, s in path)
 
 
 @given(POSE, PLACE, PLACE, RADIUS)
 def test_path_to_a_point_ends_there_and_no_arrival_heading_is_shorter(a, x, y, radius):
     path = shortest(a, x, y, None, radius)
-    end = rolled(a, path.curvatures, path.lengths)
+    end = rolled(a, path)
     assert end[:2] == pytest.approx([x, y], abs=1e-7)
-    others = [shortest(a, x, y, heading, radius).length for heading in np.linspace(0, 2 * math.pi, 60)]
-    assert path.length <= min(others) + 1e-7
-    assert path.length == pytest.approx(shortest(a, x, y, end[2], radius).length, abs=1e-6)
+    others = [total(shortest(a, x, y, heading, radius)) for heading in np.linspace(0, 2 * math.pi, 60)]
+    assert total(path) <= min(others) + 1e-7
+    assert total(path) == pytest.approx(total(shortest(a, x, y, end[2], radius)), abs=1e-6)
 
 
 @given(POSE, POSE, RADIUS)
@@ -94,7 +97,7 @@ def test_no_three_pieces_found_by_search_are_shorter(seed):
             continue
 
         def miss(lengths, word=word):
-            end = rolled(a, word, lengths)
+            end = rolled(a, zip(word, lengths, strict=True))
             return [end[0] - b.x, end[1] - b.y, 2 * math.sin((end[2] - b.heading) / 2)]
 
         for _ in range(12):
