@@ -12,9 +12,10 @@ from unicycle import Unicycle, Wheel
 
 from srs_twin import InputError
 from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
-from srs_twin.control.following import ENDINGS, BearingLaw, Conditions, Follower, PathLaw, Predictor, Steering
+from srs_twin.control.following import ENDINGS, Conditions, Follower
 from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
+from srs_twin.control.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.planning import Footprint, Outcome, Plan
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import Route

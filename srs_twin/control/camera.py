@@ -72,41 +72,34 @@ class PeriodMean:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # time, and the integrals of x, y and heading up to it
-        self._sums: deque[tuple[float, float, float, float]] = deque()
-        self._last: Pose | None = None
+        # Time, and the integrals of x, y and heading up to it.
+        self._sums: deque[tuple[float, np.ndarray]] = deque()
+        self._last = np.zeros(3)
         self.middle = 0.0
         self.pose: Pose | None = None
         self.whole = False
 
     def add(self, time: float, pose: Pose) -> None:
         """Take a frame; headings are counted on from the last one, whatever turn they come in."""
-        if self._last is None:
-            self._sums.append((time, 0.0, 0.0, 0.0))
-            self._last = self.pose = pose
-            self.middle = time
+        sums, last, since = self._sums, self._last, time - self._period
+        if not sums:
+            sums.append((time, np.zeros(3)))
+            self._last, self.pose, self.middle = np.array([*pose]), pose, time
             return
-        last = self._last
-        heading = last.heading + math.remainder(pose.heading - last.heading, 2 * math.pi)
-        before, x, y, turn = self._sums[-1]
-        half = (time - before) / 2
-        x += half * (last.x + pose.x)
-        y += half * (last.y + pose.y)
-        turn += half * (last.heading + heading)
-        self._sums.append((time, x, y, turn))
-        self._last = Pose(pose.x, pose.y, heading)
-        sums, since = self._sums, time - self._period
+        turned = math.remainder(pose.heading - float(last[2]), 2 * math.pi)
+        self._last = np.array([pose.x, pose.y, last[2] + turned])
+        before, integral = sums[-1]
+        whole = integral + (time - before) / 2 * (last + self._last)
+        sums.append((time, whole))
         while len(sums) > 2 and sums[1][0] <= since:
             sums.popleft()
-        begin, x0, y0, turn0 = sums[0]
+        begin, start = sums[0]
         if begin < since:
             # Between frames the integral is taken as linear.
-            part = (since - begin) / (sums[1][0] - begin)
-            x0 += part * (sums[1][1] - x0)
-            y0 += part * (sums[1][2] - y0)
-            turn0 += part * (sums[1][3] - turn0)
+            after, further = sums[1]
+            start = start + (since - begin) / (after - begin) * (further - start)
             begin = since
         self.whole = self.whole or begin <= since + _ROUNDING
         span = time - begin
         self.middle = begin + span / 2
-        self.pose = Pose((x - x0) / span, (y - y0) / span, (turn - turn0) / span)
+        self.pose = Pose(*map(float, (whole - start) / span))

@@ -45,7 +45,8 @@ D K for its D is the first.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -110,20 +111,27 @@ Gain = float | np.ndarray
 """One number for all segments, or one for each, shape (segments,)."""
 
 
+@dataclass(eq=False)
 class SlidingMode(Controller):
     """Follows a reference with every segment, each by itself, from its sensed bend alone.
 
     Lost readings are dealt with by `Readings`.
 
     Attributes:
+        gains: names of the attributes that may differ from segment to segment.
         reference: the bend to follow.
+
+    Raises:
+        InputError: a gain that is not finite and above 0.
     """
 
-    def __init__(self, reference: Reference, **gains: Gain) -> None:
-        for name, value in gains.items():
-            check_positive(f"{self.kind}: {name}", value)
-        self.reference = reference
-        self._gains = gains
+    gains: ClassVar[tuple[str, ...]]
+
+    reference: Reference
+
+    def __post_init__(self) -> None:
+        for name in self.gains:
+            check_positive(f"{self.kind}: {name}", getattr(self, name))
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`.
@@ -131,10 +139,11 @@ class SlidingMode(Controller):
         Raises:
             InputError: gains of another shape than one number or one a segment.
         """
-        for name, value in self._gains.items():
-            if np.shape(value) not in ((), (spec.segments,)):
+        for name in self.gains:
+            shape = np.shape(getattr(self, name))
+            if shape not in ((), (spec.segments,)):
                 raise InputError(
-                    f"{self.kind}: {name} has shape {np.shape(value)}; give one number, or one for each of "
+                    f"{self.kind}: {name} has shape {shape}; give one number, or one for each of "
                     f"the {spec.segments} segments"
                 )
         self._tick = tick
@@ -175,38 +184,29 @@ EPSILON_RAD_PER_S = math.radians(84.0)
 CUTOFF_HZ = 16.0
 
 
+@dataclass(eq=False)
 class DirectSMC(SlidingMode):
-    """Fills one chamber and vents the other, or holds both, anew every tick (module docstring)."""
+    """Fills one chamber and vents the other, or holds both, anew every tick (module docstring).
+
+    Attributes:
+        D: slope of the sliding manifold, 1/s.
+        epsilon: ε, half the width of the dead zone of σ, rad/s.
+        cutoff_hz: of the velocity filter, Hz.
+    """
 
     kind = "direct_smc"
     layouts = ("in_out",)
+    gains = ("D", "epsilon", "cutoff_hz")
 
-    def __init__(
-        self,
-        reference: Reference,
-        *,
-        D: Gain = DIRECT_D_PER_S,
-        epsilon: Gain = EPSILON_RAD_PER_S,
-        cutoff_hz: Gain = CUTOFF_HZ,
-    ) -> None:
-        """Make the controller.
-
-        Args:
-            reference: the bend to follow.
-            D: slope of the sliding manifold, 1/s.
-            epsilon: ε, half the width of the dead zone of σ, rad/s.
-            cutoff_hz: of the velocity filter, Hz.
-
-        Raises:
-            InputError: a gain that is not finite and above 0.
-        """
-        super().__init__(reference, D=D, epsilon=epsilon, cutoff_hz=cutoff_hz)
-        self._slope, self._dead, self._cutoff = D, epsilon, cutoff_hz
+    _: KW_ONLY
+    D: Gain = DIRECT_D_PER_S
+    epsilon: Gain = EPSILON_RAD_PER_S
+    cutoff_hz: Gain = CUTOFF_HZ
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`."""
         super().reset(spec, tick, seed=seed)
-        self._filter = VelocityFilter(self._cutoff, tick)
+        self._filter = VelocityFilter(self.cutoff_hz, tick)
         self._rate: np.ndarray = np.zeros(spec.segments)
 
     def step(self, state: SnakeState) -> np.ndarray:
@@ -215,8 +215,8 @@ class DirectSMC(SlidingMode):
         self._filter.step(self._reading)
         self._rate = self._filter.rate
         self._error = self.reference.value(time) - self._filter.value
-        self._sigma = self.reference.rate(time) - self._rate + self._slope * self._error
-        drive = np.where(np.abs(self._sigma) > self._dead, np.sign(self._sigma), 0.0).astype(np.int8)
+        self._sigma = self.reference.rate(time) - self._rate + self.D * self._error
+        drive = np.where(np.abs(self._sigma) > self.epsilon, np.sign(self._sigma), 0.0).astype(np.int8)
         return np.stack([drive, -drive], axis=-1)
 
     def signals(self) -> dict[str, Any]:
@@ -237,38 +237,35 @@ FORMS = (EQ_29, EQ_30)
 """As Eq. 29 has it, with D in 1/s, and as Eq. 30 is printed, where D is in 1/rad."""
 
 
+@dataclass(eq=False)
 class IterativeSMC(SlidingMode):
-    """Adjusts the duty of both chambers once a carrier period (module docstring)."""
+    """Adjusts the duty of both chambers once a carrier period (module docstring).
+
+    Attributes:
+        K: gain, s/rad.
+        D: slope of the sliding manifold, 1/s; 1/rad in the form that K does not multiply.
+        carrier_hz: of the pulse-width modulation, Hz.
+        form: one of `FORMS`.
+
+    Raises:
+        InputError: an unknown form.
+    """
 
     kind = "iterative_smc"
     layouts = ("3/2",)
+    gains = ("K", "D")
 
-    def __init__(
-        self,
-        reference: Reference,
-        *,
-        K: Gain = K_S_PER_RAD,
-        D: Gain = ITERATIVE_D_PER_S,
-        carrier_hz: float = CARRIER_HZ,
-        form: str = EQ_29,
-    ) -> None:
-        """Make the controller.
+    _: KW_ONLY
+    K: Gain = K_S_PER_RAD
+    D: Gain = ITERATIVE_D_PER_S
+    carrier_hz: float = CARRIER_HZ
+    form: str = EQ_29
 
-        Args:
-            reference: the bend to follow.
-            K: gain, s/rad.
-            D: slope of the sliding manifold, 1/s; 1/rad in the form that K does not multiply.
-            carrier_hz: of the pulse-width modulation, Hz.
-            form: one of `FORMS`.
-
-        Raises:
-            InputError: a gain that is not finite and above 0, or an unknown form.
-        """
-        super().__init__(reference, K=K, D=D)
-        if form not in FORMS:
-            raise UnknownNameError("form of Eq. 30", form, FORMS)
-        self._gain, self._carrier = K, carrier_hz
-        self._slope = D if form == EQ_29 else np.asarray(D) / K
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.form not in FORMS:
+            raise UnknownNameError("form of Eq. 30", self.form, FORMS)
+        self._slope = self.D if self.form == EQ_29 else np.asarray(self.D) / self.K
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`.
@@ -277,7 +274,7 @@ class IterativeSMC(SlidingMode):
             InputError: a tick that is no multiple of 0.1 ms or longer than a carrier period.
         """
         super().reset(spec, tick, seed=seed)
-        self._pulses = PulseWidth(self._carrier, tick, spec.segments)
+        self._pulses = PulseWidth(self.carrier_hz, tick, spec.segments)
         self._mu = np.zeros(spec.segments)
         self._before = np.zeros(spec.segments)
         self._sum = np.zeros(spec.segments)
@@ -301,5 +298,5 @@ class IterativeSMC(SlidingMode):
         elapsed = self._count * self._tick if self._count else self._pulses.period
         mean = self._sum / max(self._count, 1)
         self._sigma = (self._error - self._before) / elapsed + self._slope * mean
-        self._mu = np.clip(self._mu + self._gain * self._sigma, -1.0, 1.0)
+        self._mu = np.clip(self._mu + self.K * self._sigma, -1.0, 1.0)
         self._before, self._sum, self._count = self._error, np.zeros_like(self._sum), 0

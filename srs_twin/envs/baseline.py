@@ -17,7 +17,8 @@ import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera
-from srs_twin.control.following import Conditions, Follower, PathLaw
+from srs_twin.control.following import Conditions, Follower
+from srs_twin.control.steering import PathLaw
 from srs_twin.envs.crawling import STEP_S, CrawlTask
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.task import Task
