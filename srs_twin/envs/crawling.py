@@ -21,12 +21,11 @@ import numpy as np
 from srs_twin.control.base import LARGEST_READING, Readings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
-from srs_twin.envs.task import Episode, Signal, Signals, Task, Variation, numbered, twin_settings
-from srs_twin.errors import InputError, whole_steps
+from srs_twin.envs.task import Episode, Signal, Signals, Task, Variation, numbered
+from srs_twin.errors import InputError
 from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
-from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor
 from srs_twin.world import Bounds, Goal, World
 
@@ -74,7 +73,6 @@ class CrawlTask(Task):
 
     Attributes:
         place: where.
-        robot: what crawls, before anything is drawn.
         limits: of the commands.
     """
 
@@ -110,16 +108,13 @@ class CrawlTask(Task):
             UnknownNameError: a setting that the twin does not take.
             InputError: a robot, fit, range or time limit that cannot be, or a camera that is too slow.
         """
-        whole_steps("limit_s", limit_s, "step", STEP_S)
+        super().__init__(Variation.of(robot, fit=fit, ranges=ranges), limit_s, {"sensor": sensor, **twin})
         if camera.rate_hz * STEP_S < 1 - 1e-9:
             raise InputError(
                 f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g} s; "
                 f"it must be {1 / STEP_S:g} Hz or more"
             )
-        self.name, self.place, self.limit_s = name, place, limit_s
-        self._variation = Variation.of(robot, fit=fit, ranges=ranges)
-        self._twin, self._camera = {"sensor": sensor, **twin_settings(twin)}, camera
-        self.robot = self._variation.file.spec()
+        self.name, self.place, self._camera = name, place, camera
         self.limits = GaitLimits.of(self.robot)
         self.actions = gait_signals(self.limits)
         self.observations = _observations(place, self.robot.segments, self.actions)
@@ -135,9 +130,7 @@ class CrawlTask(Task):
         goal = Goal(distance * math.cos(way), distance * math.sin(way), None, GOAL_RADIUS_M)
         seed = int(rng.integers(2**32))
         world = World(self._obstacles(goal, seed), self.place.room, goal)
-        twin = self._same(spec, world, last) or TwinSnake(
-            spec, tick=STEP_S, supply_pa=self.limits.pressure[1], world=world, **self._twin
-        )
+        twin = self._twin(spec, last, world, supply_pa=self.limits.pressure[1])
         return CrawlEpisode(self, twin, world, heading, CameraFrames(self._camera, seed), seed)
 
     def _obstacles(self, goal: Goal, seed: int) -> tuple[Any, ...]:
@@ -145,13 +138,6 @@ class CrawlTask(Task):
             return ()
         clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
         return strewn(self.place.obstacles, self.place.strewn, seed, radius=_RADII_M, gap=_GAP_M, clear=clear)
-
-    @staticmethod
-    def _same(spec: RobotSpec, world: World, last: Episode | None) -> TwinSnake | None:
-        """Return the twin of an episode that is over, where it is the one that is wanted."""
-        if not isinstance(last, CrawlEpisode) or world.solid or last.world.solid:
-            return None
-        return last.twin if last.twin.spec == spec else None
 
 
 class CrawlEpisode(Episode):
@@ -218,8 +204,7 @@ class CrawlEpisode(Episode):
 
     def _info(self) -> dict[str, Any]:
         x, y = map(float, self.state.com)
-        return {
-            "time_s": float(self.state.time),
+        return super()._info() | {
             "com_x_m": x,
             "com_y_m": y,
             "heading_rad": float(self.state.heading),
@@ -227,8 +212,6 @@ class CrawlEpisode(Episode):
             "goal_y_m": self._goal.y,
             "goal_distance_m": self._distance,
             "touching": self._touching(),
-            "air_j": float(self.state.air),
-            "ending": self.ending,
         }
 
     def _touching(self) -> bool:

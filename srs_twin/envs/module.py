@@ -18,11 +18,10 @@ import numpy as np
 from srs_twin.control.base import LARGEST_READING, Readings
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.smc import CARRIER_HZ
-from srs_twin.envs.task import Episode, Signal, Task, Variation, twin_settings
-from srs_twin.errors import InputError, whole_steps
+from srs_twin.envs.task import Episode, Signal, Task, Variation
+from srs_twin.errors import InputError
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
-from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor
 
 STEP_S = 0.05
@@ -68,10 +67,9 @@ class ModuleTask(Task):
             UnknownNameError: a setting that the twin does not take.
             InputError: a robot of more segments, a fit, range or time limit that cannot be.
         """
-        whole_steps("limit_s", limit_s, "step", STEP_S)
-        self._variation = Variation.of(robot, fit=fit, ranges=ranges)
-        self._twin, self.limit_s = {"sensor": sensor, "timestep": TIMESTEP_S, **twin_settings(twin)}, limit_s
-        spec = self._variation.file.spec()
+        settings = {"sensor": sensor, "timestep": TIMESTEP_S, **twin}
+        super().__init__(Variation.of(robot, fit=fit, ranges=ranges), limit_s, settings)
+        spec = self.robot
         if spec.segments != 1:
             raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")
         self.reach = REACH_SHARE * largest_bend(spec, spec.supply.nominal)
@@ -95,12 +93,7 @@ class ModuleTask(Task):
         spec = self._variation.draw(rng)
         levels = rng.uniform(-self.reach, self.reach, max(1, round(self.limit_s / HOLD_S)))
         seed = int(rng.integers(2**32))
-        twin = _same(spec, last) or TwinSnake(spec, tick=STEP_S, base="clamped", **self._twin)
-        return ModuleEpisode(self, twin, levels, seed)
-
-
-def _same(spec: RobotSpec, last: Episode | None) -> TwinSnake | None:
-    return last.twin if last is not None and last.twin.spec == spec else None
+        return ModuleEpisode(self, self._twin(spec, last, base="clamped"), levels, seed)
 
 
 class ModuleEpisode(Episode):
@@ -135,12 +128,9 @@ class ModuleEpisode(Episode):
 
     def _info(self) -> dict[str, Any]:
         plus, minus = map(float, self.state.pressure[0])
-        return {
-            "time_s": float(self.state.time),
+        return super()._info() | {
             "bend_rad": float(self.state.bend[0]),
             "reference_rad": self._reference(),
             "pressure_plus_pa": plus,
             "pressure_minus_pa": minus,
-            "air_j": float(self.state.air),
-            "ending": self.ending,
         }

@@ -28,7 +28,7 @@ from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.world import Goal
+from srs_twin.world import Goal, World
 
 
 @dataclass(frozen=True)
@@ -119,13 +119,42 @@ class Task(ABC):
         observations: what it gets.
         step_s: how long an action holds, s.
         limit_s: after how long an episode is cut off, s.
+        robot: what moves, before anything is drawn.
     """
 
     name: str
     actions: Signals
     observations: Signals
     step_s: float
-    limit_s: float
+
+    def __init__(self, variation: Variation, limit_s: float, twin: Mapping[str, Any]) -> None:
+        """Take what all tasks have.
+
+        Args:
+            variation: of the robot.
+            limit_s: time limit, s.
+            twin: settings that go on to `TwinSnake`; a task sets some of its arguments itself.
+
+        Raises:
+            UnknownNameError: a setting that the twin does not take.
+            InputError: a time limit that is no multiple of the step.
+        """
+        whole_steps("limit_s", limit_s, "step", self.step_s)
+        allowed = set(signature(TwinSnake).parameters) - _TASKS_OWN
+        for name in twin:
+            if name not in allowed:
+                raise UnknownNameError("setting of the task or its twin", name, allowed)
+        self.limit_s, self._variation, self._settings = limit_s, variation, dict(twin)
+        self.robot = variation.file.spec()
+
+    def _twin(
+        self, spec: RobotSpec, last: Episode | None, world: World | None = None, **own: Any
+    ) -> TwinSnake:
+        """Return a twin: that of an episode that is over, where it is the same and met no obstacles."""
+        solid = world is not None and world.solid
+        if last is not None and last.twin.spec == spec and not (solid or last.twin.touches):
+            return last.twin
+        return TwinSnake(spec, tick=self.step_s, world=world, **own, **self._settings)
 
     @abstractmethod
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> Episode:
@@ -138,19 +167,6 @@ class Task(ABC):
         Raises:
             InputError: what was drawn cannot be.
         """
-
-
-def twin_settings(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings that go on to `TwinSnake`; a task sets some of its arguments itself.
-
-    Raises:
-        UnknownNameError: one that it does not take.
-    """
-    allowed = set(signature(TwinSnake).parameters) - _TASKS_OWN
-    for name in given:
-        if name not in allowed:
-            raise UnknownNameError("setting of the task or its twin", name, allowed)
-    return dict(given)
 
 
 class Episode(ABC):
@@ -221,9 +237,9 @@ class Episode(ABC):
     def _judge(self) -> float:
         """Return the reward of the step that led to `state`; set `ending` where the episode is over."""
 
-    @abstractmethod
     def _info(self) -> dict[str, Any]:
         """Return what people want to know; units in the keys."""
+        return {"time_s": float(self.state.time), "air_j": float(self.state.air), "ending": self.ending}
 
 
 _MOST_SEEDS = 2**32
