@@ -41,21 +41,19 @@ class Body:
         return Solid(self.mass, self.inertia, LENGTH, GAP, 0.0)
 
     @property
-    def spring(self) -> tuple[float, float]:
-        return self.stiffness, self.damping
-
-    @property
     def floor(self) -> FloorFriction:
         return floor_friction(self.law, self.track, self.mu_t, self.mu_n, SLIP)
+
+    @property
+    def model(self) -> tuple[Solid, tuple[float, float], FloorFriction]:
+        return self.solid, (self.stiffness, self.damping), self.floor
 
     def balance(self, q, u, moment, a=0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the kernel's momenta, their rates, and its matrix."""
         n, size = len(self.mass), len(u)
         momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
-        compliant_kernels.balance(
-            q, u, moment, a, self.solid, self.spring, self.floor, momentum, force, matrix,
-            np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size)),
-        )  # fmt: skip
+        work = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
+        compliant_kernels.balance(q, u, moment, a, self.model, momentum, force, matrix, work)
         return momentum, force, matrix
 
     def advance(self, moments, duration: float, step: float, start=None) -> np.ndarray:
@@ -71,11 +69,9 @@ class Body:
             state[first : first + segments] = q
             momentum = self.balance(q, u, np.zeros(segments))[0]
             state[3:5], state[5], state[first + segments :] = u[:2], momentum[2], momentum[3:]
-        states = np.empty((count, len(state)))
-        done = compliant_kernels.advance(
-            state, np.full(count, step), given, np.arange(1, count + 1), self.solid, self.spring, self.floor,
-            u, states, np.empty((count, len(u))),
-        )  # fmt: skip
+        states, marks = np.empty((count, len(state))), np.arange(1, count + 1)
+        seen = states, np.empty((count, len(u)))
+        done = compliant_kernels.advance((state, u), np.full(count, step), given, marks, self.model, seen)
         assert done == count
         return states
 

@@ -11,6 +11,7 @@ from srs_twin.friction import LAWS
 from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, fill_rows, pose_body
+from srs_twin.pneumatics import Trace
 
 
 def by_rows(
@@ -64,8 +65,9 @@ def test_the_tail_knows_what_the_rows_of_the_whole_body_say(seed, connectors, la
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
     bend, acceleration = random.normal(0, 0.7, (samples, segments)), random.normal(0, 99, (samples, segments))
     found = np.empty((samples, segments))
-    inverse_dynamics(
-        u[:, :3].copy(), bend, u[:, 3:].copy(), acceleration, solid, floor, turning, found
-    )  # fmt: skip
+    trace = Trace.empty(samples, segments)._replace(
+        bend=bend, bend_rate=u[:, 3:].copy(), bend_acceleration=acceleration
+    )
+    inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), found)
     expected = [by_rows(u[k], bend[k], acceleration[k], solid, floor, turning) for k in range(samples)]
     assert found == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)

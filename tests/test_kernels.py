@@ -15,6 +15,7 @@ from srs_twin.plants import analytical
 from srs_twin.plants.analytical import kernels, kinematics
 from srs_twin.plants.analytical.floor import fill_forces, floor_forces, floor_friction
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
+from srs_twin.pneumatics import Trace
 
 GRAVITY = 9.81
 
@@ -62,11 +63,13 @@ def run(
     mass = np.array(swim.mass)
     solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
-    none = np.empty((0, kernels.STATES))
-    done, parts = analytical.advance(
-        state, slope, np.full(count, step), bends, rates, np.empty(0, dtype=int), solid, floor, True,
-        tolerance, np.array([0.0, across, 0.0]), none, none,
-    )  # fmt: skip
+    trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
+    now, seen = (
+        (state, slope, np.array([0.0, across, 0.0])),
+        (np.empty((0, kernels.STATES)), np.empty((0, 3))),
+    )
+    steps, marks = np.full(count, step), np.empty(0, dtype=int)
+    done, parts = analytical.advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
     assert done == count
     return state, parts
 

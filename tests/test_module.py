@@ -82,10 +82,10 @@ def test_gains_given_and_gains_found():
             "reference": {"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 2.0},
         }
     ).build_controller()  # fmt: skip
-    assert (given._slope, given._dead, given._cutoff) == (3.0, 0.5, 7.0)
+    assert (given.D, given.epsilon, given.cutoff_hz) == (3.0, 0.5, 7.0)
     assert given.reference == Sine(0.3, 2.0)
     plain = DirectSMC(STEP)
-    assert (default._slope, default._dead, default._cutoff) == (plain._slope, plain._dead, plain._cutoff)
+    assert (default.D, default.epsilon, default.cutoff_hz) == (plain.D, plain.epsilon, plain.cutoff_hz)
 
 
 def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
@@ -184,6 +184,7 @@ def test_the_analytical_moment_is_that_of_lagrange():
     """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
     from srs_twin.plants.analytical import hang, kernels
     from srs_twin.plants.analytical.kinematics import Solid
+    from srs_twin.pneumatics import Trace
 
     mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
     solid = Solid(mass, inertia, 0.07, 0.004, 0.0)
@@ -218,7 +219,8 @@ def test_the_analytical_moment_is_that_of_lagrange():
     expected = (later - earlier) / (2 * h) - slope
     head = np.array([0.3, -0.2, 1.1])
     states, velocities, torque = np.zeros((1, kernels.STATES)), np.zeros((1, 3)), np.zeros((1, 2))
-    hang(q[None], dq[None], ddq[None], solid, head, states, velocities, torque)
+    trace = Trace.empty(1, len(q))._replace(bend=q[None], bend_rate=dq[None], bend_acceleration=ddq[None])
+    hang(trace, solid, head, states, velocities, torque)
     assert torque[0] == pytest.approx(expected, rel=1e-4)
 
     def turned(vector):

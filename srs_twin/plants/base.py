@@ -218,6 +218,11 @@ class PneumaticPlant(Plant):
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""
         return self.pneumatics.openings
 
+    def describe(self) -> dict[str, Any]:
+        """Return the settings worth recording."""
+        air = {"pneumatics": self.pneumatics.describe(), "layout": self.layout}
+        return super().describe() | air | {"sensor": self.sensor.describe()}
+
     @abstractmethod
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks; return so many samples."""
@@ -251,6 +256,23 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
                 what = f"{each.name} is {wrong:g}, which no snake reaches"
                 raise DivergedError(plant, float(time), what, history=before)
     return state
+
+
+def check_before(plant: str, time: float, *state: Any) -> None:
+    """Refuse to go on from a state that no snake has.
+
+    Args:
+        plant: the plant's name.
+        time: of the end of the next step, s.
+        state: numbers and arrays.
+
+    Raises:
+        DivergedError: it is not plausible.
+    """
+    if not plausible(*state):
+        wrong = implausible(np.concatenate([np.ravel(each) for each in state]))
+        what = f"its state held {wrong:g} before the step, which no snake reaches"
+        raise DivergedError(plant, time, what)
 
 
 def check_commands(who: str, time: float, valves: Any) -> None:

@@ -125,8 +125,10 @@ class SnakePhysics(dm.Physics):
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
         feet = treads(spec) if self._free else []
-        self._force_columns = self._sensor_columns([f"floor_force_{foot}" for foot in feet])
-        self._foot_columns = self._sensor_columns([foot.replace("tread", "velocity_foot") for foot in feet])
+        # Of each connector's left and right foot, shape (N, 2, 3).
+        self._force_columns = self._columns([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
+        velocities = [foot.replace("tread", "velocity_foot") for foot in feet]
+        self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
         self._attach_hulls(raw, spec)
         # Bends are sums of hinge angles.
@@ -150,10 +152,6 @@ class SnakePhysics(dm.Physics):
             pieces = sum(other.startswith(f"hull_{segment}_") for other in hulls)
             share = np.clip(pieces / 2 - piece, 0.0, 1.0)
             self._owners[segment - 1, k], self._owners[segment, k] = share, 1 - share
-
-    def _sensor_columns(self, names: list[str]) -> np.ndarray:
-        """Return where the three numbers of each wheel's sensor stand, shape (N, 2, 3)."""
-        return self._columns(names).reshape(-1, 2, 3)
 
     def _columns(self, names: list[str]) -> np.ndarray:
         """Return where the three numbers of each sensor stand, shape (sensors, 3)."""

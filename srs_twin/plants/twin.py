@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.arrays import implausible, joined, plausible
+from srs_twin.arrays import joined
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.mjcf.numerics import PRELOAD, WHEELS, Numerics
-from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_plausible
+from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
@@ -145,31 +145,17 @@ class TwinSnake(PneumaticPlant):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
-        return super().describe() | {
-            "wheels": self.wheels,
-            "pneumatics": self.pneumatics.describe(),
-            "layout": self.layout,
-            "sensor": self.sensor.describe(),
-            "timestep_s": self.timestep,
-            "hinges_per_segment": self._numerics.hinges_per_segment,
-            "slip_time_s": self._numerics.slip_time,
-            "axle_time_s": self._numerics.axle_time,
-            "preload": self._numerics.preload,
-            "link_share": self._numerics.link_share,
-            "wheel_spin": self._numerics.wheel_spin,
-            "constant_curvature": self._numerics.constant_curvature,
-            "base": self._numerics.base,
-        }
+        numbers, times = self._numerics, ("timestep", "slip_time", "axle_time")
+        names = ("wheels", "hinges_per_segment", "preload", "link_share", "wheel_spin", "constant_curvature")
+        given = {name: getattr(numbers, name) for name in (*names, "base")}
+        return super().describe() | given | {f"{name}_s": getattr(numbers, name) for name in times}
 
     def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
         """Follow a schedule for some samples of so many steps each."""
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
-        if not plausible(before, self._theta, self._spent):
-            # Before the engine sees it: it would take a quaternion of any length for a direction.
-            wrong = implausible([*before, *self._theta, self._spent])
-            what = f"its state held {wrong:g} before the step, which no snake reaches"
-            raise DivergedError(self.name, begun + self.timestep, what)
+        # Before the engine sees it: it would take a quaternion of any length for a direction.
+        check_before(self.name, begun + self.timestep, before, self._theta, self._spent)
         trace, record = self._drive(schedule, samples * steps)
         interval = schedule.span / samples
         times = begun + interval * np.arange(1, samples + 1)
@@ -198,11 +184,6 @@ class TwinSnake(PneumaticPlant):
         """Return what was to be seen at these times, each at the end of so many steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
-        if self._numerics.base == "clamped":
-            # In the air: nothing pushes, nothing is spent.
-            force = np.zeros((count, *self._last_push.shape))
-            work = record.energy[ends]
-            return self._observe(times, record.states[ends], trace.at(ends), force, force[:, :, 0], work)
         push, velocity = record.floor_force[:used, ..., :2], record.foot_velocity[:used, ..., :2]
         # The floor's force acts with the velocity that it leads to, at the end of its step.
         earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push

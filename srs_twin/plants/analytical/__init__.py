@@ -33,11 +33,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.arrays import check_positive, implausible, joined
+from srs_twin.arrays import check_positive, joined
 from srs_twin.compiled import compiled
 from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.friction import AT_TRACK, LAWS
@@ -55,7 +55,7 @@ from srs_twin.plants.analytical.kernels import (
     step,
 )
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, chord_terms
-from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_plausible
+from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import RobotSpec
@@ -169,31 +169,27 @@ def _unevenness(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(  # type: ignore[no-untyped-def]
-    state, slope, steps, bends, rates, marks, solid, floor, turning, tolerance, u, seen, velocities
-):
-    """Advance `state` in place over the given steps.
+def advance(now, steps, trace, marks, model, tolerance, seen):  # type: ignore[no-untyped-def]
+    """Advance a body in place over the given steps.
 
     Args:
-        state: shape (STATES,), see the indices in `kernels`.
-        slope: its rates, shape (STATES,); kept from call to call.
+        now: state by the indices in `kernels` and its rates, shape (STATES,) each, velocity in the body frame
+            and yaw rate, shape (3,); the latter two are kept from call to call, as first guess.
         steps: step lengths, shape (steps,), s.
-        bends: bends at the start and at each step's two stages, shape (1 + 2 steps, segments), rad.
-        rates: bend rates there, rad/s.
+        trace: what the chambers do at the start and at each step's two stages, 1 + 2 steps rows.
         marks: numbers of steps after which to look, ascending, shape (samples,).
-        solid: the body, a `kinematics.Solid`.
-        floor: a `floor.FloorFriction`.
-        turning: whether the friction's moment about the centre of mass acts.
+        model: a `kinematics.Solid`, a `floor.FloorFriction`, and whether the friction's moment about the
+            centre of mass acts.
         tolerance: of η, m/s.
-        u: velocity in the body frame and yaw rate, shape (3,); kept from call to call as first guess.
-        seen: out, states at the marks, shape (samples, STATES).
-        velocities: out, u there, shape (samples, 3).
+        seen: out, states and velocities at the marks, shapes (samples, STATES) and (samples, 3).
 
     Returns:
         How many steps were made, fewer if one failed, and in how many parts, those made anew included.
     """
+    (state, slope, u), (states, velocities) = now, seen
+    solid, bends, rates = model[0], trace.bend, trace.bend_rate
     n = solid.mass.shape[0]
-    model, body = (solid, floor, turning), np.empty((ROWS, n))
+    body = np.empty((ROWS, n))
     weight = solid.mass.sum()
     arm = (solid.length + solid.gap) * math.sqrt((n * n - 1) / 12)
     k1, k2, after = np.empty(STATES), np.empty(STATES), np.empty(STATES)
@@ -231,14 +227,13 @@ def advance(  # type: ignore[no-untyped-def]
             if size < PARTS and eta < _NEAR * tolerance and done % (2 * size) == 0:
                 size *= 2
         while mark < marks.shape[0] and marks[mark] == i + 1:
-            copy(state, seen[mark])
+            copy(state, states[mark])
             copy(u, velocities[mark])
             mark += 1
     return steps.shape[0], parts
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """What a body did at some moments.
 
     Attributes:
@@ -273,16 +268,24 @@ class Body(ABC):
     yields = False
     """Whether the bends are the body's own, not the free ones that the chambers would give."""
 
-    def __init__(self, solid: Solid, floor: FloorFriction) -> None:
+    def __init__(self, solid: Solid, floor: FloorFriction, own: int = 0) -> None:
+        """Take solid and floor for the kernels, and how many bends of its own the body has."""
         self.solid, self.floor = solid, floor
+        self._shapes = kernels.STATES + 2 * own, 3 + own
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
         """Return the bends (rad) and their rates (rad/s) now; None from a body that has none of its own."""
         return None, None
 
-    @abstractmethod
     def reset(self, pose: Pose) -> None:
         """Lie straight, at rest, with the centre of mass at x, y (m) and that heading (rad)."""
+        self.state, self.velocity = map(np.zeros, self._shapes)
+        self.state[:3] = pose
+
+    def _seen(self, marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return room for states and velocities at some marks."""
+        states, velocities = (np.zeros((len(marks), count)) for count in self._shapes)
+        return states, velocities
 
     @abstractmethod
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
@@ -308,31 +311,23 @@ class GivenBends(Body):
 
     def __init__(self, solid: Solid, floor: FloorFriction, *, turning: bool, tolerance: float) -> None:
         super().__init__(solid, floor)
-        self._turning, self._tolerance = turning, tolerance
+        self._model, self._tolerance = (solid, floor, turning), tolerance
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
-        self.state = np.zeros(kernels.STATES)
-        self.state[:3] = pose
-        self.velocity = np.zeros(3)
+        super().reset(pose)
         self._slope = np.zeros(kernels.STATES)
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        states, velocities = np.empty((len(marks), kernels.STATES)), np.empty((len(marks), 3))
-        done, _ = advance(
-            self.state, self._slope, steps, trace.bend, trace.bend_rate, marks, self.solid, self.floor,
-            self._turning, self._tolerance, self.velocity, states, velocities,
-        )  # fmt: skip
-        return done, states, velocities
+        now, seen = (self.state, self._slope, self.velocity), self._seen(marks)
+        done, _ = advance(now, steps, trace, marks, self._model, self._tolerance, seen)
+        return done, *seen
 
     def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.look`."""
         torque = np.empty_like(trace.bend)
-        inverse_dynamics(
-            velocities, trace.bend, trace.bend_rate, trace.bend_acceleration, self.solid, self.floor,
-            self._turning, torque,
-        )  # fmt: skip
+        inverse_dynamics(velocities, trace, self._model, torque)
         return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
 
 
@@ -345,9 +340,7 @@ class ClampedBends(Body):
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays where it is then."""
-        self.state = np.zeros(kernels.STATES)
-        self.state[:3] = pose
-        self.velocity = np.zeros(3)
+        super().reset(pose)
         mass = self.solid.mass
         pitch = self.solid.length + self.solid.gap
         ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
@@ -356,26 +349,21 @@ class ClampedBends(Body):
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`; `look` finds out where the chain is."""
-        return len(steps), np.zeros((len(marks), kernels.STATES)), np.zeros((len(marks), 3))
+        return len(steps), *self._seen(marks)
 
     def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.look`; where the chain is follows from its bends alone."""
         torque = np.empty_like(trace.bend)
-        hang(
-            trace.bend, trace.bend_rate, trace.bend_acceleration, self.solid, self._head,
-            states, velocities, torque,
-        )  # fmt: skip
+        hang(trace, self.solid, self._head, states, velocities, torque)
         return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
 
 
 @compiled
-def hang(bends, rates, accelerations, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
+def hang(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
     """Fill what follows from the bends of a chain that is held at its head.
 
     Args:
-        bends: shape (samples, segments), rad.
-        rates: same shape, rad/s.
-        accelerations: same shape, rad/s².
+        trace: of the chambers, whose free bends they are.
         solid: the chain.
         head: where it is held: x, y (m), heading (rad).
         states: out, pose and velocity of the centre of mass by the indices in `kernels`, world frame.
@@ -385,13 +373,13 @@ def hang(bends, rates, accelerations, solid, head, states, velocities, torque): 
     n, total = solid.mass.shape[0], solid.mass.sum()
     place, pull, gain = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
     lever = np.empty((n - 1, 2))
-    for k in range(bends.shape[0]):
+    for k in range(trace.bend.shape[0]):
         angle, spin, mean, mean_spin = head[2], 0.0, head[2], 0.0
         gain[0] = 0.0
         place[0], pull[0] = 0.0, 0.0
         v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
         for j in range(n - 1):
-            q, dq, ddq = bends[k, j], rates[k, j], accelerations[k, j]
+            q, dq, ddq = trace.bend[k, j], trace.bend_rate[k, j], trace.bend_acceleration[k, j]
             psi, turn, twist = angle - q / 2, spin - dq / 2, gain[j] - ddq / 2
             angle, spin, gain[j + 1] = angle - q, spin - dq, gain[j] - ddq
             _, _, span, slope, curvature = chord_terms(q, solid)
@@ -437,7 +425,7 @@ class YieldingBends(Body):
     yields = True
 
     def __init__(self, spec: RobotSpec, solid: Solid, floor: FloorFriction) -> None:
-        super().__init__(solid, floor)
+        super().__init__(solid, floor, spec.segments)
         bending = spec.bending
         self._spring = bending.stiffness, bending.damping
         self._spec, self._bias = spec, spec.modules.array("bias")
@@ -445,20 +433,16 @@ class YieldingBends(Body):
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
-        self.state = np.zeros(compliant_kernels.BENDS + 2 * self._segments)
-        self.state[:3] = pose
-        self.state[compliant_kernels.BENDS :][: self._segments] = self._bias
-        self.velocity = np.zeros(3 + self._segments)
+        super().reset(pose)
+        self.bends()[0][:] = self._bias
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        states = np.empty((len(marks), len(self.state)))
-        velocities = np.empty((len(marks), len(self.velocity)))
-        done: int = compliant_kernels.advance(
-            self.state, steps, self._moments(trace)[1:].reshape(len(steps), 2, -1), marks, self.solid,
-            self._spring, self.floor, self.velocity, states, velocities,
-        )  # fmt: skip
-        return done, states, velocities
+        now, model = (self.state, self.velocity), (self.solid, self._spring, self.floor)
+        seen = self._seen(marks)
+        moments = self._moments(trace)[1:].reshape(len(steps), 2, -1)
+        done: int = compliant_kernels.advance(now, steps, moments, marks, model, seen)
+        return done, *seen
 
     def bends(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Body.bends`."""
@@ -581,13 +565,10 @@ class AnalyticalSnake(PneumaticPlant):
 
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
-        wrong = implausible([*self._body.state, *self._body.velocity])
-        if wrong is not None:
-            what = f"its state held {wrong:g} before the step, which no snake reaches"
-            raise DivergedError(self.name, self._ticks * self.tick + self.timestep, what)
+        begun = self._ticks * self.tick
+        check_before(self.name, begun + self.timestep, self._body.state, self._body.velocity)
         steps = self._steps(self.pneumatics.effective(schedule), samples)
         done, motion, trace = self._drive(schedule, steps)
-        begun = self._ticks * self.tick
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
         if done < len(steps.ends):
@@ -632,9 +613,6 @@ class AnalyticalSnake(PneumaticPlant):
             "model": self._model,
             "base": self.base,
             "friction": self.friction,
-            "pneumatics": self.pneumatics.describe(),
-            "layout": self.layout,
-            "sensor": self.sensor.describe(),
             "friction_torque": self._turning,
             "inertia": self._inertia,
             "track_m": self._floor.track,
@@ -686,10 +664,7 @@ class AnalyticalSnake(PneumaticPlant):
         count, n = len(time), self.spec.geometry.connectors
         position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))
         energy = np.empty(count)
-        kernels.observe(
-            motion.states, motion.velocities, motion.bend, motion.bend_rate, self._body.solid, self._floor,
-            position, theta, force, energy,
-        )  # fmt: skip
+        kernels.observe(motion, self._body.solid, self._floor, position, theta, force, energy)
         return SnakeState(
             time=time,
             com=motion.states[:, kernels.STATE_X : kernels.STATE_Y + 1],

@@ -99,7 +99,7 @@ def add_connectors(u, a, solid, floor, rows, rates, momentum, force, matrix):  #
 
 
 @compiled
-def balance(q, u, moment, a, solid, spring, floor, momentum, force, matrix, body, rows, rates):  # type: ignore[no-untyped-def]
+def balance(q, u, moment, a, model, momentum, force, matrix, work):  # type: ignore[no-untyped-def]
     """Evaluate both sides of Lagrange's equations in the frame of the mean heading.
 
     Args:
@@ -108,20 +108,17 @@ def balance(q, u, moment, a, solid, spring, floor, momentum, force, matrix, body
             shape (3 + segments,).
         moment: what the chambers exert on each segment, N·m.
         a: s; 0 makes `matrix` the mass matrix.
-        solid: the body.
-        spring: stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment.
-        floor: the floor.
+        model: solid; stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment; floor.
         momentum: out, p, shape (3 + segments,).
         force: out, dp/dt, same shape.
         matrix: out, slope of p − a dp/dt by u while q moves by a u, but for some terms in a².
-        body: work array, shape (ROWS, N).
-        rows: work array, shape (N, 3, 3 + segments).
-        rates: work array, shape (N, 2, 3 + segments).
+        work: arrays of shapes (ROWS, N), (N, 3, 3 + segments) and (N, 2, 3 + segments).
 
     Returns:
         The power that friction takes, W.
     """
-    stiffness, damping = spring
+    solid, (stiffness, damping), floor = model
+    body, rows, rates = work
     pose_body(q, u[3:], solid, body)
     fill_rows(body, q, u, solid, rows, rates)
     momentum[:] = 0.0
@@ -169,11 +166,11 @@ def _residual(known, a, u, weight, momentum, force, out):  # type: ignore[no-unt
 
 
 @compiled
-def _stage(known, a, moment, solid, spring, floor, u, k, work):  # type: ignore[no-untyped-def]
+def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success."""
-    momentum, force, matrix, body, rows, rates, q, residual, step = work
+    momentum, force, matrix, posed, q, residual, step = work
     segments, size = moment.shape[0], u.shape[0]
-    weight = solid.mass.sum()
+    weight = model[0].mass.sum()
     share = 0.0  # of the last step that has been made
     fall = 0.0  # of the potential along that step, at its start
     converged = False
@@ -181,7 +178,7 @@ def _stage(known, a, moment, solid, spring, floor, u, k, work):  # type: ignore[
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = known[BENDS + j] + a * u[3 + j]
-        power = balance(q, u, moment, a, solid, spring, floor, momentum, force, matrix, body, rows, rates)
+        power = balance(q, u, moment, a, model, momentum, force, matrix, posed)
         _residual(known, a, u, weight, momentum, force, residual)
         falls = 0.0
         for j in range(size):
@@ -225,26 +222,23 @@ def _draw_on(u, rate, time, last):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(state, steps, moments, marks, solid, spring, floor, u, seen, velocities):  # type: ignore[no-untyped-def]
-    """Advance `state` in place over the given steps; return how many were made: fewer, if one failed.
+def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped-def]
+    """Advance a body in place over the given steps; return how many were made: fewer, if one failed.
 
     Args:
-        state: those of `kernels`, bends (rad), their momenta (kg·m²/s), shape (STATES + 2 segments,).
+        now: state: that of `kernels`, bends (rad), their momenta (kg·m²/s), shape (STATES + 2 segments,); and
+            velocities as in `balance`, kept from call to call as Newton's first guess.
         steps: step lengths, shape (steps,), s.
         moments: chambers' moments at each step's two stages, shape (steps, 2, segments), N·m.
         marks: numbers of steps after which to look, ascending, shape (samples,).
-        solid: the body, a `kinematics.Solid`.
-        spring: stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment.
-        floor: a `floor.FloorFriction`.
-        u: velocities as in `balance`; kept from call to call as Newton's first guess.
-        seen: out, states at the marks, shape (samples, STATES + 2 segments).
-        velocities: out, u there, shape (samples, 3 + segments).
+        model: as in `balance`.
+        seen: out, states and velocities at the marks, shapes (samples, …).
     """
-    n, size = solid.mass.shape[0], u.shape[0]
-    work = (
-        np.empty(size), np.empty(size), np.empty((size, size)), np.empty((ROWS, n)),
-        np.empty((n, 3, size)), np.empty((n, 2, size)), np.empty(n - 1), np.empty(size), np.zeros(size),
-    )  # fmt: skip
+    (state, u), (states, velocities) = now, seen
+    n, size = model[0].mass.shape[0], u.shape[0]
+    posed = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
+    sides = np.empty(size), np.empty(size), np.empty((size, size))
+    work = (*sides, posed, np.empty(n - 1), np.empty(size), np.zeros(size))
     k1, k2, known = np.empty_like(state), np.empty_like(state), np.empty_like(state)
     last, drift = u.copy(), np.zeros(size)
     mark = 0
@@ -253,13 +247,13 @@ def advance(state, steps, moments, marks, solid, spring, floor, u, seen, velocit
         a = GAMMA * h
         # Velocities drawn on in a straight line from stage to stage save every second of Newton's steps.
         _draw_on(u, drift, a, last)
-        fine = _stage(state, a, moments[i, 0], solid, spring, floor, u, k1, work)
+        fine = _stage(state, a, moments[i, 0], model, u, k1, work)
         for j in range(state.shape[0]):
             known[j] = state[j] + (1 - GAMMA) * h * k1[j]
         for j in range(size):
             drift[j] = (u[j] - last[j]) / a
         _draw_on(u, drift, h - a, last)
-        fine &= _stage(known, a, moments[i, 1], solid, spring, floor, u, k2, work)
+        fine &= _stage(known, a, moments[i, 1], model, u, k2, work)
         for j in range(state.shape[0]):
             state[j] = known[j] + a * k2[j]
         for j in range(size):
@@ -268,7 +262,7 @@ def advance(state, steps, moments, marks, solid, spring, floor, u, seen, velocit
         if not (fine and abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT):
             return i
         while mark < marks.shape[0] and marks[mark] == i + 1:
-            copy(state, seen[mark])
+            copy(state, states[mark])
             copy(u, velocities[mark])
             mark += 1
     return steps.shape[0]

@@ -48,19 +48,17 @@ _CHORD = 4
 
 
 @compiled
-def inverse_dynamics(velocities, bends, rates, accelerations, solid, floor, turning, torque):  # type: ignore[no-untyped-def]
+def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyped-def]
     """Fill the segments' net moments that the given bends need.
 
     Args:
         velocities: of the centre of mass in the mean-heading frame (m/s), yaw rate, shape (samples, 3).
-        bends: shape (samples, segments), rad.
-        rates: rad/s.
-        accelerations: rad/s².
-        solid: the body.
-        floor: the floor.
-        turning: whether the friction's moment about the centre of mass acts.
+        trace: of the chambers, whose free bends they are.
+        model: solid, floor and whether the friction's moment about the centre of mass acts.
         torque: out, shape (samples, segments), N·m.
     """
+    solid, floor, turning = model
+    bends, rates, accelerations = trace.bend, trace.bend_rate, trace.bend_acceleration
     n = solid.mass.shape[0]
     body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
     chords, load = np.empty((n - 1, _CHORD)), np.empty((n, 3))
@@ -315,14 +313,11 @@ def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type:
 
 
 @compiled
-def observe(states, velocities, bends, rates, solid, floor, position, theta, force, energy):  # type: ignore[no-untyped-def]
+def observe(motion, solid, floor, position, theta, force, energy):  # type: ignore[no-untyped-def]
     """Fill what follows from the states, in the world frame.
 
     Args:
-        states: by the indices in `kernels`, shape (samples, STATES or more).
-        velocities: as in `Motion`, shape (samples, 3 or more).
-        bends: shape (samples, segments), rad.
-        rates: same shape, rad/s.
+        motion: a `Motion`.
         solid: the body.
         floor: the floor.
         position: out, connectors, shape (samples, N, 2), m.
@@ -330,6 +325,7 @@ def observe(states, velocities, bends, rates, solid, floor, position, theta, for
         force: out, the floor's force on them, shape (samples, N, 2), N.
         energy: out, kinetic, shape (samples,), J.
     """
+    states, velocities, bends, rates, _ = motion
     n = solid.mass.shape[0]
     body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
     for k in range(states.shape[0]):
