@@ -22,7 +22,6 @@ from srs_twin.planning.dubins import Pieces, shortest, word
 from srs_twin.planning.guide import NO_GUIDE, guide_to
 from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, Settings, path_of
 from srs_twin.planning.tree import (
-    Resolution,
     Tree,
     arrivals,
     moves_of,
@@ -31,6 +30,9 @@ from srs_twin.planning.tree import (
     turned,
 )
 from srs_twin.world import Goal, Pose, World
+
+Cells = tuple[float, float]
+"""Side of a cell of poses, m, and its width in heading, rad."""
 
 _PIECES = 32
 """A quarter of a circle is replaced by so many chords, inside it: gaps may only look wider than they are."""
@@ -217,35 +219,35 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     """Plan; see `planning.plan`."""
     checker, budget = Checker(problem.world, problem.footprint), _Budget(settings.nodes, settings.seconds)
     best: tuple[Segment, ...] | None = None
-    for level, resolution in enumerate(_resolutions(problem, settings.levels)):
-        trees = _trees(resolution, problem, settings, checker.surroundings)
+    for level, (arcs, cells) in enumerate(_resolutions(problem, settings.levels)):
+        trees = _trees(arcs, cells, problem, settings, checker.surroundings)
         ended = _search_level(trees, problem, budget, _search_length(best), level == 0)
         if ended.path is not None:
             best = _finished(ended.path, trees[0].search.moves, problem, settings, checker)
         if ended.final or budget.spent or (best is not None and not settings.improve):
             break
-    expanded, cell = settings.nodes - budget.nodes, (resolution.cell, resolution.sector)
+    expanded = settings.nodes - budget.nodes
     if best is not None:
-        return Plan(Outcome.FOUND, "a free path", best, expanded, cell)
+        return Plan(Outcome.FOUND, "a free path", best, expanded, cells)
     if ended.final:
         return Plan(Outcome.UNREACHABLE, ended.why, (), expanded)
-    at = f"at cells of {1000 * cell[0]:.3g} mm and {math.degrees(cell[1]):.3g} degrees"
+    at = f"at cells of {1000 * cells[0]:.3g} mm and {math.degrees(cells[1]):.3g} degrees"
     if ended.why:
         reason = f"{ended.why}, {at}; finer ones (more levels) may still find a way"
-        return Plan(Outcome.UNREACHABLE, reason, (), expanded, cell)
+        return Plan(Outcome.UNREACHABLE, reason, (), expanded, cells)
     reason = f"neither a path nor a proof after {expanded} nodes, {at}; give more nodes or seconds"
-    return Plan(Outcome.BUDGET_SPENT, reason, (), expanded, cell)
+    return Plan(Outcome.BUDGET_SPENT, reason, (), expanded, cells)
 
 
-def _resolutions(problem: Problem, levels: int) -> Iterator[Resolution]:
-    """Yield finer and finer ones: arcs and cells halve, at last curvatures double; given arcs come first."""
+def _resolutions(problem: Problem, levels: int) -> Iterator[tuple[Primitives, Cells]]:
+    """Yield finer and finer arcs and cells: both halve, at last curvatures double; given arcs come first."""
     both = min(problem.footprint.tightest)
     first = problem.primitives or Primitives(_COUNT, _COARSEST_TURN, _COARSEST_TURN / both)
     for level in range(levels):
         part = 2**level
         count = first.count if level < 2 else 2 * first.count - 1
         arcs = Primitives(count, first.turn / part, first.length / part)
-        yield Resolution(arcs, _CELL * arcs.length, 2 * math.pi / (_SECTORS * part))
+        yield arcs, (_CELL * arcs.length, 2 * math.pi / (_SECTORS * part))
 
 
 def _search_level(trees: list[Tree], problem: Problem, budget: _Budget, best: float, prove: bool) -> _Ended:
@@ -283,16 +285,18 @@ def _search_level(trees: list[Tree], problem: Problem, budget: _Budget, best: fl
     return _Ended()
 
 
-def _trees(resolution: Resolution, problem: Problem, settings: Settings, around: Surroundings) -> list[Tree]:
+def _trees(
+    arcs: Primitives, cells: Cells, problem: Problem, settings: Settings, around: Surroundings
+) -> list[Tree]:
     """Return the tree from the start, and that from the goal unless transients make paths one-way."""
     body, start = problem.footprint, problem.start
-    moves, cells = moves_of(resolution.primitives, body), (resolution.cell, resolution.sector)
+    moves = moves_of(arcs, body)
     search = Search(moves, target_of(problem.goal, body), around, *cells, settings.weight, NO_GUIDE)
     trees = [Tree([start], search)]
     if not body.transients:
         end = turned(start)
         home = target_of(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
-        roots = [turned(pose) for pose in arrivals(problem.goal, resolution.sector)]
+        roots = [turned(pose) for pose in arrivals(problem.goal, cells[1])]
         back = search._replace(moves=reversed_moves(moves), target=home)
         trees.append(Tree(roots, back, backward=True))
     return trees

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,21 +31,6 @@ _ROOM = 4096
 # the bound must not, so it is that of turns tighter by this share.
 _SLACK = 1e-6
 _SPREAD = (0.0, -0.7, 0.7)
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """How finely a search looks.
-
-    Attributes:
-        primitives: arcs that lead from node to node.
-        cell: side of a cell of poses, m.
-        sector: its width in heading, rad.
-    """
-
-    primitives: Primitives
-    cell: float
-    sector: float
 
 
 def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
