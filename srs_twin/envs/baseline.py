@@ -122,10 +122,10 @@ class Score:
 def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
     """Let a policy play one episode of a task, drawn from `rng`."""
     episode = task.begin(rng)
-    told, total = episode.first, 0.0
+    result, total = episode.first, 0.0
     while not episode.ending:
-        told = episode.step(policy(told.observation))
-        total += told.reward
+        result = episode.step(policy(result.observation))
+        total += result.reward
     return Score(episode.ending, total, float(episode.state.time))
 
 

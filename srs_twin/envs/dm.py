@@ -19,11 +19,11 @@ class EpisodePhysics(control.Physics):
 
     Attributes:
         episode: the one that runs.
-        told: what the agent is told now.
+        result: of the last step.
     """
 
     episode: Episode | None = None
-    told: StepResult
+    result: StepResult
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
         """Prepare for episodes that are drawn from `rng`."""
@@ -38,7 +38,7 @@ class EpisodePhysics(control.Physics):
     def reset(self) -> None:
         """Begin an episode."""
         self.episode = self._task.begin(self._rng, self.episode)
-        self.told = self.episode.first
+        self.result = self.episode.first
 
     def after_reset(self) -> None:
         """Nothing is left to do."""
@@ -51,7 +51,7 @@ class EpisodePhysics(control.Physics):
         """Let the action hold for that many steps of the task."""
         assert self.episode is not None, "reset first"
         for _ in range(n_sub_steps):
-            self.told = self.episode.step(self._action)
+            self.result = self.episode.step(self._action)
 
     def time(self) -> float:
         """Return the time of the episode, s."""
@@ -89,17 +89,17 @@ class DmTask(control.Task):
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
         """Return the observations, each by its name, shape (1,)."""
         names = [each.name for each in self.task.observations]
-        return OrderedDict(zip(names, physics.told.observation[:, None], strict=True))
+        return OrderedDict(zip(names, physics.result.observation[:, None], strict=True))
 
     def get_reward(self, physics: EpisodePhysics) -> float:
         """Return the reward of the last step."""
-        return physics.told.reward
+        return physics.result.reward
 
     def get_termination(self, physics: EpisodePhysics) -> float | None:
         """Return the discount at the end: 0 at the task's own end, 1 where the time is up; else None."""
-        if physics.told.terminated:
+        if physics.result.terminated:
             return 0.0
-        return 1.0 if physics.told.truncated else None
+        return 1.0 if physics.result.truncated else None
 
 
 def load(task: str, *, seed: int | None = None, **settings: Any) -> control.Environment:

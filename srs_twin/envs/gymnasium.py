@@ -14,8 +14,7 @@ import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import SyncVectorEnv
 
 from srs_twin.envs import make_task
 from srs_twin.envs.task import Episode, Signals, high, low
@@ -184,7 +183,7 @@ def space_of(signals: Signals) -> spaces.Box:
 StepTuple = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
-class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
     """Environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
 
     An environment whose episode has ended begins another with the next step, whatever its action
@@ -193,6 +192,8 @@ class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     Attributes:
         envs: each one.
     """
+
+    envs: list[SnakeEnv]  # type: ignore[assignment]
 
     def __init__(
         self,
@@ -217,14 +218,8 @@ class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         if num_envs < 1:
             raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
+        super().__init__([lambda: SnakeEnv(task, render_mode=render_mode, **settings)] * num_envs)
         self._workers = Workers(threads)
-        self.envs = [SnakeEnv(task, render_mode=render_mode, **settings) for _ in range(num_envs)]
-        first = self.envs[0]
-        self.num_envs, self.render_mode = num_envs, render_mode
-        self.metadata = {**first.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.single_action_space, self.single_observation_space = first.action_space, first.observation_space
-        self.action_space = batch_space(first.action_space, num_envs)
-        self.observation_space = batch_space(first.observation_space, num_envs)
         self._over = np.zeros(num_envs, dtype=bool)
 
     def reset(
@@ -275,15 +270,10 @@ class SnakeVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         rewards = np.array([each[1] for each in stepped])
         return observations, rewards, terminated, truncated, self._joined(each[4] for each in stepped)
 
-    def render(self) -> tuple[np.ndarray, ...] | None:
+    def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
         """Return a picture of each environment; None without a render mode."""
         pictures = (env.render() for env in self.envs)
         return tuple(picture for picture in pictures if picture is not None) or None
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Give back what pictures have taken."""
-        for env in self.envs:
-            env.close()
 
     def _stepped(self, k: int, action: np.ndarray) -> StepTuple:
         if self._over[k]:

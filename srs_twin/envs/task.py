@@ -177,7 +177,7 @@ class Episode(ABC):
         state: of it, now.
         goal: where to get to; None where there is no such place.
         ending: why it ended, empty while it goes on.
-        first: what the agent is told before its first action.
+        first: what the agent gets before its first action.
     """
 
     ending = ""
@@ -189,7 +189,7 @@ class Episode(ABC):
         self._task = task
         self._bounds = low(task.observations), high(task.observations)
         self._steps, self._most = 0, whole_steps("limit_s", task.limit_s, "step", task.step_s)
-        self.first = StepResult(self._told(), 0.0, False, False, self._info())
+        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def step(self, action: object) -> StepResult:
         """Let an action hold for a step; one beyond its bounds is brought to them.
@@ -215,9 +215,9 @@ class Episode(ABC):
         truncated = not terminated and self._steps >= self._most
         if truncated:
             self.ending = TIME_UP
-        return StepResult(self._told(), reward, terminated, truncated, self._info())
+        return StepResult(self._observation(), reward, terminated, truncated, self._info())
 
-    def _told(self) -> np.ndarray:
+    def _observation(self) -> np.ndarray:
         """Return the observation: float32, within its bounds."""
         least, most = self._bounds
         self._seen: np.ndarray = np.minimum(
@@ -303,16 +303,16 @@ class Variation:
 
 def _of_fit(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
     """Return the values of a fit as they may be, and those that it held."""
-    told = [each for each in fit.parameters if each.value is not None]
-    values = np.array([each.value for each in told], dtype=float)
-    errors = np.array([each.standard_error for each in told], dtype=float)
+    fitted = [each for each in fit.parameters if each.value is not None]
+    values = np.array([each.value for each in fitted], dtype=float)
+    errors = np.array([each.standard_error for each in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    drawn = rng.multivariate_normal(values, covariance, method="eigh") if told else values
-    bounds = {each.name: each for each in unknowns(spec, (each.name for each in told))}
+    drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
+    bounds = {each.name: each for each in unknowns(spec, (each.name for each in fitted))}
     held = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
     return held | {
         each.name: float(
             np.clip(value, max(each.low, bounds[each.name].low), min(each.high, bounds[each.name].high))  # type: ignore[type-var]
         )
-        for each, value in zip(told, drawn, strict=True)
+        for each, value in zip(fitted, drawn, strict=True)
     }
