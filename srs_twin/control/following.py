@@ -129,7 +129,7 @@ class Follower(Controller):
         self._predictor = Predictor(self.footprint, period, conditions.delay, conditions.settle)
         self._slow = STUCK_SHARE * min(self.footprint.speeds) * period
         self._moving_at = 0.0
-        self._orders: deque[tuple[float, float]] = deque()
+        self._pending: deque[tuple[float, float]] = deque()
         self._commanded = 0.0
         self._here = _NOWHERE
         self._tries, self._not_before = 0, 0.0
@@ -144,8 +144,8 @@ class Follower(Controller):
         if frame is not None:
             self._mean.add(time, frame)
             self._decide(time)
-        while self._orders and self._orders[0][0] <= time + 1e-9:
-            self._steer(self._orders.popleft()[1])
+        while self._pending and self._pending[0][0] <= time + 1e-9:
+            self._steer(self._pending.popleft()[1])
         valves = self.gait.step(state)
         if self.gait.finished and self.ending is None:
             self._end(time, "gait_ended")
@@ -202,7 +202,7 @@ class Follower(Controller):
         # At its bounds an offset is sent however little it changes.
         if abs(wanted - self._commanded) >= _SENT or wanted in (self._low, self._high):
             if wanted != self._commanded:
-                self._orders.append((later, wanted))
+                self._pending.append((later, wanted))
             self._commanded = wanted
 
     def _look(self, time: float, here: Pose) -> None:
@@ -230,7 +230,7 @@ class Follower(Controller):
             self._end(time, why)
             return
         self._tries += 1
-        plan, reason = _asked(self.replan, pose)
+        plan, reason = _new_plan(self.replan, pose)
         if plan is not None:
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why})"
             self._events.append(Event(time, "replanned", text))
@@ -262,7 +262,7 @@ class Follower(Controller):
         self.gait.offset = offset  # type: ignore[attr-defined]  # checked when made
 
 
-def _asked(replan: Replan, pose: Pose) -> tuple[Plan | None, str]:
+def _new_plan(replan: Replan, pose: Pose) -> tuple[Plan | None, str]:
     """Return a plan from a pose, or None and why there is none."""
     try:
         plan = replan(pose)

@@ -106,7 +106,8 @@ class _Reader:
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = lambda _: self._times.pop()
-        self._parser.StartDoctypeDeclHandler = self._doctype
+        no_doctype = "a document type (<!DOCTYPE>) is not allowed; MJCF needs no entities"
+        self._parser.StartDoctypeDeclHandler = lambda *_: self._refuse(no_doctype)
 
     def read(self) -> None:
         """Take the whole file.
@@ -154,9 +155,6 @@ class _Reader:
                 self._scan.folders.add(value)
             elif name.startswith("file"):
                 self._refer(tag, value)
-
-    def _doctype(self, *_: object) -> None:
-        self._refuse("a document type (<!DOCTYPE>) is not allowed; MJCF needs no entities")
 
     def _check_count(self) -> None:
         for what, most in _COUNT_LIMITS.items():
