@@ -73,10 +73,6 @@ class _Scan:
     seen: set[Path] = field(default_factory=set)
     bytes: int = 0
 
-    @property
-    def folder(self) -> Path:
-        return self.root.parent
-
 
 def scan_mjcf(path: Path) -> list[str]:
     """Return what is wrong with an MJCF file, and what it refers to, before anything is compiled.
@@ -147,9 +143,10 @@ class _Reader:
         self._check_count()
         if len(self._times) > MAX_DEPTH:
             self._refuse(f"nested more than {MAX_DEPTH} deep")
-        if tag == "size":
-            self._check_sizes(attributes)
         for name, value in attributes.items():
+            most = _SIZE_LIMITS.get(name, _OTHER_SIZE_LIMIT)
+            if tag == "size" and _bytes(value) > most:
+                self._refuse(f"<size> asks for {name} {value}; at most {most} is allowed")
             if name in _FOLDERS:
                 self._check_path(tag, value)
                 self._scan.folders.add(value)
@@ -161,17 +158,11 @@ class _Reader:
             if self._count[what] > most:
                 self._refuse(f"more than {most} {what}, counting what is replicated")
 
-    def _check_sizes(self, attributes: Mapping[str, str]) -> None:
-        for name, value in attributes.items():
-            most = _SIZE_LIMITS.get(name, _OTHER_SIZE_LIMIT)
-            if _bytes(value) > most:
-                self._refuse(f"<size> asks for {name} {value}; at most {most} is allowed")
-
     def _check_path(self, tag: str, given: str) -> Path | None:
         """Return the file that is meant, or None after noting that it lies elsewhere."""
         try:
-            target = (self._scan.folder / given).resolve()
-            inside = target.is_relative_to(self._scan.folder.resolve())
+            target = (self._scan.root.parent / given).resolve()
+            inside = target.is_relative_to(self._scan.root.parent.resolve())
         except (OSError, RuntimeError, ValueError) as error:
             self._note(f"<{tag}> names {given!r}, which cannot be looked up ({error})")
             return None
@@ -221,10 +212,10 @@ class _Reader:
 def _check_assets(scan: _Scan) -> None:
     """Refuse files that MuJoCo would open but are none, lie elsewhere, or are too large."""
     total = 0
-    root = scan.folder.resolve()
+    root = scan.root.parent.resolve()
     for place, given in scan.assets:
         for folder in sorted(scan.folders):
-            path = scan.folder / folder / given
+            path = scan.root.parent / folder / given
             try:
                 status = path.stat()
             except (OSError, ValueError):

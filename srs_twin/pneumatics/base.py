@@ -37,14 +37,9 @@ class Trace(NamedTuple):
     @classmethod
     def empty(cls, times: int, segments: int) -> Trace:
         """Return a trace to be filled."""
-        return cls(
-            np.empty((times, segments, 2)),
-            np.empty((times, segments)),
-            np.empty((times, segments)),
-            np.empty((times, segments)),
-            np.empty((times, segments, 2), dtype=np.int8),
-            np.empty(times),
-        )
+        sides = times, segments, 2
+        q, dq, ddq = (np.empty((times, segments)) for _ in range(3))
+        return cls(np.empty(sides), q, dq, ddq, np.empty(sides, dtype=np.int8), np.empty(times))
 
     def at(self, rows: np.ndarray) -> Trace:
         """Return some of the times, by their numbers."""
