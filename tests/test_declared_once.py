@@ -37,14 +37,18 @@ def sections(of: type[Section] = Section) -> Iterator[type[Section]]:
 SECTIONS = sorted(set(sections()), key=lambda each: each.__name__)
 
 
-def keys_in_sources() -> Iterator[tuple[str, str, ast.Call]]:
-    """Yield section, key and call of each `quantity` and `section` in the sources."""
+def keys_in_sources() -> Iterator[tuple[str, str, ast.expr]]:
+    """Yield section, key and what is assigned to it in the sources."""
     for path in ROOM.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        tree = ast.parse(path.read_text("utf-8"))
+        shared = {
+            ast.unparse(each.targets[0]): each.value for each in tree.body if isinstance(each, ast.Assign)
+        }
+        for node in ast.walk(tree):
             for line in node.body if isinstance(node, ast.ClassDef) else ():
-                if isinstance(line, ast.AnnAssign) and isinstance(line.value, ast.Call):
+                if isinstance(line, ast.AnnAssign) and line.value is not None:
                     assert isinstance(line.target, ast.Name)
-                    yield node.name, line.target.id, line.value
+                    yield node.name, line.target.id, shared.get(ast.unparse(line.value), line.value)
 
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda each: each.__name__)
@@ -60,12 +64,14 @@ def test_defaults_are_the_constructors(section):
 def test_no_default_of_a_constructor_is_typed_again():
     by_name = {each.__name__: each for each in SECTIONS}
     typed = []
-    for name, key, call in keys_in_sources():
+    for name, key, given in keys_in_sources():
         parameter = by_name[name].parameter(key) if name in by_name else None
-        place = {"quantity": 3, "section": 1}.get(getattr(call.func, "id", ""), 0)
-        if parameter is None or parameter.default is parameter.empty or not place:
+        if parameter is None or parameter.default is parameter.empty:
             continue
-        if len(call.args) > place and ast.unparse(call.args[place]) != "None":
+        default = [given]
+        if isinstance(given, ast.Call) and ast.unparse(given.func) in ("quantity", "constructor_default"):
+            default = given.args[2:]
+        if default and ast.unparse(default[0]) != "None":
             typed.append(f"{name}.{key}")
     assert set(typed) <= OTHER.keys(), "take the default out: the section has the constructor's"
 
@@ -73,8 +79,8 @@ def test_no_default_of_a_constructor_is_typed_again():
 def test_no_unit_is_typed_that_the_key_names():
     twice = [
         f"{name}.{key}"
-        for name, key, call in keys_in_sources()
-        if any(word.arg == "unit" for word in call.keywords) and split_unit(key)[1] != "1"
+        for name, key, given in keys_in_sources()
+        if any(word.arg == "unit" for word in getattr(given, "keywords", ())) and split_unit(key)[1] != "1"
     ]
     assert twice == []
     assert all(key.endswith(tuple(UNITS)) for key in ("slip_speed_m_s", "k_s_per_rad", "duration_s"))

@@ -206,15 +206,15 @@ class BearingLaw(Steering):
 
     predicts = False
 
-    def __init__(self, gain: float, spacing: float, near: float) -> None:
-        """Make it.
+    def __init__(self, gain: float = 0.6, node: float = 0.2, near: float = 0.2) -> None:
+        """Make it; docs/following.md says how the defaults were found.
 
         Args:
             gain: offset for an error of bearing, 1/rad.
-            spacing: of the nodes along the path, m; the last one is the path's end.
+            node: distance of the nodes along the path, m; the last one is the path's end.
             near: how close is close enough, m.
         """
-        self._gain, self._spacing, self._near = gain, spacing, near
+        self._gain, self._spacing, self._near = gain, node, near
 
     def begin(self, route: Route) -> None:
         """See `Steering.begin`."""
@@ -242,16 +242,16 @@ class PathLaw(Steering):
 
     predicts = True
 
-    def __init__(self, footprint: Footprint, length: float, settle: float) -> None:
-        """Make it.
+    def __init__(self, footprint: Footprint, lookahead: float = 0.15, settle: float = 0.05) -> None:
+        """Make it; docs/following.md says how the defaults were found.
 
         Args:
             footprint: curvature → offset.
-            length: L, m.
+            lookahead: L, m.
             settle: ℓ, m.
         """
         self._offsets, self._curvatures = np.array(footprint.offsets), np.array(footprint.curvatures)
-        self._length, self._settle = length, settle
+        self._length, self._settle = lookahead, settle
 
     def begin(self, route: Route) -> None:
         """See `Steering.begin`."""

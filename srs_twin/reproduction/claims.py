@@ -21,7 +21,7 @@ from srs_twin.errors import UnknownNameError
 from srs_twin.io.documents import Document, Loc, load_yaml
 from srs_twin.io.files import data_root, shipped_names
 from srs_twin.io.validation import Model, validate
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, quantity
 
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
@@ -52,12 +52,18 @@ _BOUND = 1e9
 class RunRequest(Section):
     """A scenario, points of a sweep or a computation that are run."""
 
-    scenario: Name | None = section("Shipped scenario that is run.", None)
-    sweep: Name | None = section("Shipped sweep whose points are run.", None)
-    law: Name | None = section("Computation that takes the place of runs.", None)
-    set: Changes = section("Fields of the scenario or arguments of the computation that are otherwise.", {})
-    periods: float | None = quantity("Simulated time in periods", 3.0, 1000.0, None)
-    where: Fields = section("Points of the sweep that count: varied field and its value.", {})
+    scenario: Name | None = None
+    """Shipped scenario that is run."""
+    sweep: Name | None = None
+    """Shipped sweep whose points are run."""
+    law: Name | None = None
+    """Computation that takes the place of runs."""
+    set: Changes = {}
+    """Fields of the scenario or arguments of the computation that are otherwise."""
+    periods: float | None = quantity(3.0, 1000.0, None)
+    """Simulated time in periods."""
+    where: Fields = {}
+    """Points of the sweep that count: varied field and its value."""
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:
@@ -89,12 +95,14 @@ class RunRequest(Section):
 class Measure(RunRequest):
     """A number that a run, the runs of a sweep or a computation give."""
 
-    metric: Name = section(
-        "Metric, `comparison.…`, `trace.…` (of the trajectory), or what a computation names."
-    )
-    take: Take | None = section("What is taken of the values of a sweep's points.", None)
-    plant: Literal["analytical", "twin"] | None = section("Whose, whatever column is asked for.", None)
-    size: bool = section("Whether the sign is left out.", False)
+    metric: Name
+    """Metric, `comparison.…`, `trace.…` (of the trajectory), or what a computation names."""
+    take: Take | None = None
+    """What is taken of the values of a sweep's points."""
+    plant: Literal["analytical", "twin"] | None = None
+    """Whose, whatever column is asked for."""
+    size: bool = False
+    """Whether the sign is left out."""
 
     def check_names(self, document: Document, loc: Loc) -> None:
         """Report a trace that there is not, besides what is run."""
@@ -107,13 +115,16 @@ class Measure(RunRequest):
 class Cause(Section):
     """Why a row is missed: shown by a switch or by a section of the documents, or supposed without either."""
 
-    says: Name = section("In words.")
-    columns: list[Column] = section("Which columns it explains.", ["analytical", "twin"])
-    docs: Name | None = section(
-        "Section of the documents that shows it (docs/models.md#why-they-differ).", None
-    )
-    switch: Name | None = section("Name of the assumption that is switched.", None)
-    set: Changes = section("Fields of the scenario that switch it: with them the row must be met.", {})
+    says: Name
+    """In words."""
+    columns: list[Column] = ["analytical", "twin"]
+    """Which columns it explains."""
+    docs: Name | None = None
+    """Section of the documents that shows it (docs/models.md#why-they-differ)."""
+    switch: Name | None = None
+    """Name of the assumption that is switched."""
+    set: Changes = {}
+    """Fields of the scenario that switch it: with them the row must be met."""
 
     @model_validator(mode="after")
     def _one_proof(self) -> Cause:
@@ -125,39 +136,63 @@ class Cause(Section):
 class TableRows(Section):
     """How the numbers of a table become rows of their own."""
 
-    at: Name = section("Key of a row of the table that says where.")
-    field: Name = section("Field of the sweep that has this value there.")
-    sweep: Name = section("Sweep that has a point a row.")
-    columns: dict[Name, Name] = section("Key of a row of the table → metric.")
-    signed: list[Name] = section("Columns printed without the sign that they have where `at` is below 0.", [])
-    fit: list[Name] = section("Columns that may be used to calibrate.", [])
-    fit_at: list[float] = section("Where they may be.", [])
+    at: Name
+    """Key of a row of the table that says where."""
+    field: Name
+    """Field of the sweep that has this value there."""
+    sweep: Name
+    """Sweep that has a point a row."""
+    columns: dict[Name, Name]
+    """Key of a row of the table → metric."""
+    signed: list[Name] = []
+    """Columns printed without the sign that they have where `at` is below 0."""
+    fit: list[Name] = []
+    """Columns that may be used to calibrate."""
+    fit_at: list[float] = []
+    """Where they may be."""
 
 
 class Claim(Section):
     """One statement of the dissertation, and how it is checked."""
 
-    id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)] = section(
-        "Name of the row."
-    )
-    source: Name = section("Section, figure, table, errata.")
-    robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = section("Generation that it is about.", None)
-    says: Annotated[str, Field(min_length=1, max_length=600)] = section("The statement.")
-    use: Use = section("fit, holdout, law or shape.")
-    value: float | None = quantity("Published value", -_BOUND, _BOUND, None, unit="the unit")
-    unit: Name = section("Unit of the value.", "1")
-    tol: float | None = quantity("Relative tolerance", 0.0, 100.0, None)
-    abs: float | None = quantity("Absolute tolerance", 0.0, _BOUND, None, unit="the unit")
-    rule: Rule | None = section("near, below, above, or ordering: each measure larger than the next.", None)
-    measure: Measure | None = section("What is held against the value.", None)
-    measures: list[Measure] = section("What is combined, or put in order.", [])
-    combine: Combine = section("How measures become one number.", "value")
-    columns: list[Column] = section("What is judged.", ["analytical", "twin"])
-    quick: bool = section("Whether --quick runs it.", False)
-    cause: list[Cause] = section("Why it is missed, as far as known.", [])
-    table: TableRows | None = section("How `rows` become rows.", None)
-    rows: list[dict[Name, float]] = section("Numbers of a table.", [])
-    note: Annotated[str, Field(max_length=1000)] | None = section("What a reader must know.", None)
+    id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)]
+    """Name of the row."""
+    source: Name
+    """Section, figure, table, errata."""
+    robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = None
+    """Generation that it is about."""
+    says: Annotated[str, Field(min_length=1, max_length=600)]
+    """The statement."""
+    use: Use
+    """fit, holdout, law or shape."""
+    value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
+    """Published value."""
+    unit: Name = "1"
+    """Unit of the value."""
+    tol: float | None = quantity(0.0, 100.0, None)
+    """Relative tolerance."""
+    abs: float | None = quantity(0.0, _BOUND, None, unit="the unit")
+    """Absolute tolerance."""
+    rule: Rule | None = None
+    """near, below, above, or ordering: each measure larger than the next."""
+    measure: Measure | None = None
+    """What is held against the value."""
+    measures: list[Measure] = []
+    """What is combined, or put in order."""
+    combine: Combine = "value"
+    """How measures become one number."""
+    columns: list[Column] = ["analytical", "twin"]
+    """What is judged."""
+    quick: bool = False
+    """Whether --quick runs it."""
+    cause: list[Cause] = []
+    """Why it is missed, as far as known."""
+    table: TableRows | None = None
+    """How `rows` become rows."""
+    rows: list[dict[Name, float]] = []
+    """Numbers of a table."""
+    note: Annotated[str, Field(max_length=1000)] | None = None
+    """What a reader must know."""
 
     @model_validator(mode="after")
     def _what_belongs_together(self) -> Claim:

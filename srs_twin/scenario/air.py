@@ -8,53 +8,47 @@ from pydantic import model_validator
 
 from srs_twin.pneumatics import OrificePneumatics, Pneumatics, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.fields import Section, quantity, section
-
-ORIFICE_ONLY = ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml", "line_begins_kpa")
+from srs_twin.scenario.fields import Section, quantity
 
 
 class SupplyFile(Section):
     """Compressed air."""
 
-    pressure_kpa: float | None = quantity(
-        "Supply pressure, gauge (default: the robot's nominal one)", 0.1, 2000.0, None
-    )
-    allow_overpressure: bool = section("The same as allow_overpressure of the scenario.", False)
+    pressure_kpa: float | None = quantity(0.1, 2000.0, None)
+    """Supply pressure, gauge (default: the robot's nominal one)."""
+    allow_overpressure: bool = False
+    """The same as allow_overpressure of the scenario."""
 
 
 class PneumaticsFile(Section):
     """Valves and chambers."""
 
     constructors = (make_pneumatics, OrificePneumatics)
+    only = {
+        ("kind", "orifice"): ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml", "line_begins_kpa")
+    }
 
-    kind: Literal["lag", "orifice"] = section(
-        "How chambers fill; lag: exponentially, with tau_1; orifice: compressible flow (ISO 6358) into "
-        "chambers that grow as they bend, from one supply.",
-        "lag",
-    )
-    leak_per_s: float = quantity("Share of its pressure that a held chamber loses a second", 0.0, 100.0)
-    valve_delay_s: float = quantity("How much later than commanded a valve switches, besides tau_2", 0.0, 1.0)
-    critical_ratio: float | None = quantity(
-        "Critical pressure ratio of the valves (orifice; default {default:g})", 0.0, 0.8, None
-    )
-    flow_limit_l_per_min: float | None = quantity(
-        "Most that the supply delivers, measured at ambient pressure (orifice; default: no limit)", 0.01, 1e4
-    )
-    line_volume_ml: float | None = quantity(
-        "Volume between a limited supply and the inlets (orifice; default {default:g})", 1.0, 1e6, None
-    )
-    line_begins_kpa: float | None = quantity(
-        "Pressure in that line at first, gauge (orifice; default: the supply's)", 0.0, 2000.0
-    )
+    kind: Literal["lag", "orifice"] = "lag"
+    """How chambers fill; lag: exponentially, with tau_1; orifice: compressible flow (ISO 6358) into
+    chambers that grow as they bend, from one supply."""
+    leak_per_s: float = quantity(0.0, 100.0)
+    """Share of its pressure that a held chamber loses a second."""
+    valve_delay_s: float = quantity(0.0, 1.0)
+    """How much later than commanded a valve switches, besides tau_2."""
+    critical_ratio: float | None = quantity(0.0, 0.8, None)
+    """Critical pressure ratio of the valves (orifice; default {default:g})."""
+    flow_limit_l_per_min: float | None = quantity(0.01, 1e4)
+    """Most that the supply delivers, measured at ambient pressure (orifice; default: no limit)."""
+    line_volume_ml: float | None = quantity(1.0, 1e6, None)
+    """Volume between a limited supply and the inlets (orifice; default {default:g})."""
+    line_begins_kpa: float | None = quantity(0.0, 2000.0)
+    """Pressure in that line at first, gauge (orifice; default: the supply's)."""
 
     @model_validator(mode="after")
-    def _what_belongs_together(self) -> PneumaticsFile:
-        given = [name for name in ORIFICE_ONLY if getattr(self, name) is not None]
-        if given and self.kind != "orifice":
-            raise ValueError(f"{given[0]} belongs to kind: orifice; set that, or take {given[0]} out")
-        of_the_line = [name for name in given if name.startswith("line")]
-        if of_the_line and self.flow_limit_l_per_min is None:
-            raise ValueError(f"{of_the_line[0]} is felt only with flow_limit_l_per_min; give that too")
+    def _line_is_limited(self) -> PneumaticsFile:
+        given = [key for key in ("line_volume_ml", "line_begins_kpa") if getattr(self, key) is not None]
+        if given and self.flow_limit_l_per_min is None:
+            raise ValueError(f"{given[0]} is felt only with flow_limit_l_per_min; give that too")
         return self
 
     def resolved(self) -> PneumaticsFile:
@@ -72,8 +66,6 @@ class PneumaticsFile(Section):
 class ValvesFile(Section):
     """The valves of each chamber."""
 
-    layout: Literal["3/2", "in_out"] | None = section(
-        "3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which can hold as well "
-        "(default: what the controller drives).",
-        None,
-    )
+    layout: Literal["3/2", "in_out"] | None = None
+    """3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which can hold as well
+    (default: what the controller drives)."""

@@ -23,7 +23,7 @@ from srs_twin.identification.takes import commands
 from srs_twin.planning import Footprint
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 if TYPE_CHECKING:
     from srs_twin.recordings.recording import Recording
@@ -33,11 +33,11 @@ _KIND = "Which controller."
 _SHAPE = "How the bend changes over time."
 _RIGHT = math.pi / 2
 
-_FREQUENCY = quantity("Gait frequency", 0.01, 50.0)
-_PHASE = quantity("Phase at the start", -6.3, 6.3)
-_PHASE_STEP = quantity("Lag of each segment behind the one before it (default: the robot's)", -6.3, 6.3)
-_CARRIER = quantity("Carrier of the pulse-width modulation", 1.0, 1000.0)
-_SLOPE = quantity("D, slope of the sliding manifold", 0.001, 1000.0)
+_FREQUENCY = quantity(0.01, 50.0)
+_PHASE = quantity(-6.3, 6.3)
+_PHASE_STEP = quantity(-6.3, 6.3)
+_CARRIER = quantity(1.0, 1000.0)
+_SLOPE = quantity(0.001, 1000.0)
 
 Bend = Annotated[float, Field(ge=-_RIGHT, le=_RIGHT)]
 
@@ -84,11 +84,16 @@ class GaitFile(ControllerSection):
 
     constructors = (Gait,)
 
-    kind: Literal["gait"] = section(_KIND)
+    kind: Literal["gait"]
+    """Which controller."""
     frequency_hz: float = _FREQUENCY
-    offset: float = quantity("Steering offset, positive to the left", -0.95, 0.95)
+    """Gait frequency."""
+    offset: float = quantity(-0.95, 0.95)
+    """Steering offset, positive to the left."""
     phase_rad: float = _PHASE
+    """Phase at the start."""
     phase_step_rad: float | None = _PHASE_STEP
+    """Lag of each segment behind the one before it (default: the robot's)."""
 
 
 class LearningFile(ControllerSection):
@@ -97,28 +102,31 @@ class LearningFile(ControllerSection):
     constructors = (ILC,)
     tick = 0.005  # the peaks of bends that ripple with a carrier of 17 ms must be seen
 
-    kind: Literal["ilc"] = section(_KIND)
+    kind: Literal["ilc"]
+    """Which controller."""
     frequency_hz: float = _FREQUENCY
-    offset: float = quantity(
-        "Steering offset, positive to the left, by unequal targets", -LARGEST_OFFSET, LARGEST_OFFSET
-    )
-    target: Literal["smallest"] | None = section(
-        "Target of the larger side: the smallest amplitude recorded (default), unless target_rad is given.",
-        None,
-    )
-    target_rad: float | None = quantity("Target of the larger side", 0.01, _RIGHT, None)
-    k_per_rad: float = quantity("k, change of duty for an error", 1e-4, 100.0)
-    free_periods: int = quantity("Periods at full duty before the recorded one", 1, 1000)
+    """Gait frequency."""
+    offset: float = quantity(-LARGEST_OFFSET, LARGEST_OFFSET)
+    """Steering offset, positive to the left, by unequal targets."""
+    target: Literal["smallest"] | None = None
+    """Target of the larger side: the smallest amplitude recorded (default), unless target_rad is given."""
+    target_rad: float | None = quantity(0.01, _RIGHT, None)
+    """Target of the larger side."""
+    k_per_rad: float = quantity(1e-4, 100.0)
+    """k, change of duty for an error."""
+    free_periods: int = quantity(1, 1000)
+    """Periods at full duty before the recorded one."""
     carrier_hz: float = _CARRIER
-    on_fault: Literal["go_on", "stop"] = section(
-        "What a dead sensor or a stuck valve leads to: going on without that module, or the end of the run."
-    )
-    steering: Literal["targets", "targets_and_wave"] = section(
-        "What the offset acts on: unequal targets, or also the valves' wave (Eq. 13), which then fills the "
-        "chambers of the side to turn to for longer."
-    )
+    """Carrier of the pulse-width modulation."""
+    on_fault: Literal["go_on", "stop"] = constructor_default()
+    """What a dead sensor or a stuck valve leads to: going on without that module, or the end of the run."""
+    steering: Literal["targets", "targets_and_wave"] = constructor_default()
+    """What the offset acts on: unequal targets, or also the valves' wave (Eq. 13), which then fills the
+    chambers of the side to turn to for longer."""
     phase_rad: float = _PHASE
+    """Phase at the start."""
     phase_step_rad: float | None = _PHASE_STEP
+    """Lag of each segment behind the one before it (default: the robot's)."""
 
     @model_validator(mode="after")
     def _fits(self) -> LearningFile:
@@ -145,8 +153,10 @@ class LearningFile(ControllerSection):
 class ConstantFile(Section):
     """One bend for ever."""
 
-    kind: Literal["constant"] = section(_SHAPE)
-    bend_rad: float = quantity("Bend", -_RIGHT, _RIGHT)
+    kind: Literal["constant"]
+    """How the bend changes over time."""
+    bend_rad: float = quantity(-_RIGHT, _RIGHT)
+    """Bend."""
 
     def build(self) -> Reference:
         """Return the reference."""
@@ -158,10 +168,14 @@ class StepFile(Section):
 
     constructors = (Step,)
 
-    kind: Literal["step"] = section(_SHAPE)
-    bend_rad: float = quantity("Bend after the step", -_RIGHT, _RIGHT)
-    before_rad: float = quantity("Bend before it", -_RIGHT, _RIGHT)
-    time_s: float = quantity("When it comes", 0.0, 3600.0)
+    kind: Literal["step"]
+    """How the bend changes over time."""
+    bend_rad: float = quantity(-_RIGHT, _RIGHT)
+    """Bend after the step."""
+    before_rad: float = quantity(-_RIGHT, _RIGHT)
+    """Bend before it."""
+    time_s: float = quantity(0.0, 3600.0)
+    """When it comes."""
 
     def build(self) -> Reference:
         """Return the reference."""
@@ -171,16 +185,21 @@ class StepFile(Section):
 class _PeriodicFile(Section):
     constructors: ClassVar[tuple[type[Sine | Square], ...]] = (Sine,)
 
-    amplitude_rad: float = quantity("Amplitude", 0.001, _RIGHT)
-    frequency_hz: float = quantity("Frequency", 0.01, 50.0)
+    amplitude_rad: float = quantity(0.001, _RIGHT)
+    """Amplitude."""
+    frequency_hz: float = quantity(0.01, 50.0)
+    """Frequency."""
     phase_rad: float = _PHASE
-    offset_rad: float = quantity("Mean bend", -_RIGHT, _RIGHT)
+    """Phase at the start."""
+    offset_rad: float = quantity(-_RIGHT, _RIGHT)
+    """Mean bend."""
 
 
 class SineFile(_PeriodicFile):
     """A sine."""
 
-    kind: Literal["sine"] = section(_SHAPE)
+    kind: Literal["sine"]
+    """How the bend changes over time."""
 
 
 class SquareFile(_PeriodicFile):
@@ -188,15 +207,19 @@ class SquareFile(_PeriodicFile):
 
     constructors = (Square,)
 
-    kind: Literal["square"] = section(_SHAPE)
+    kind: Literal["square"]
+    """How the bend changes over time."""
 
 
 class StaircaseFile(Section):
     """One bend after another, each held for the same time; the last one stays."""
 
-    kind: Literal["staircase"] = section(_SHAPE)
-    bends_rad: Annotated[tuple[Bend, ...], Field(min_length=1, max_length=1000)] = section("The bends, rad.")
-    hold_s: float = quantity("How long each is held", 0.001, 3600.0)
+    kind: Literal["staircase"]
+    """How the bend changes over time."""
+    bends_rad: Annotated[tuple[Bend, ...], Field(min_length=1, max_length=1000)]
+    """The bends, rad."""
+    hold_s: float = quantity(0.001, 3600.0)
+    """How long each is held."""
 
     def build(self) -> Reference:
         """Return the reference."""
@@ -209,10 +232,10 @@ ReferenceFile = Annotated[
 
 
 class _TrackingFile(ControllerSection):
-    reference: ReferenceFile = section("The bend that every segment is to follow.")
-    beyond_range: Literal["refuse", "saturate"] = section(
-        "What becomes of a reference beyond what the segments bend by at the supply pressure.", "refuse"
-    )
+    reference: ReferenceFile
+    """The bend that every segment is to follow."""
+    beyond_range: Literal["refuse", "saturate"] = "refuse"
+    """What becomes of a reference beyond what the segments bend by at the supply pressure."""
 
     def controller(self, scenario: Scenario) -> Controller:
         """See `ControllerSection.controller`."""
@@ -243,10 +266,14 @@ class DirectFile(_TrackingFile):
 
     constructors = (DirectSMC,)
 
-    kind: Literal["direct_smc"] = section(_KIND)
+    kind: Literal["direct_smc"]
+    """Which controller."""
     d_per_s: float = _SLOPE
-    epsilon_rad_per_s: float = quantity("ε, half the width of the dead zone", 0.0001, 1000.0)
-    cutoff_hz: float = quantity("Cutoff of the velocity filter", 0.1, 1000.0)
+    """D, slope of the sliding manifold."""
+    epsilon_rad_per_s: float = quantity(0.0001, 1000.0)
+    """ε, half the width of the dead zone."""
+    cutoff_hz: float = quantity(0.1, 1000.0)
+    """Cutoff of the velocity filter."""
 
 
 class IterativeFile(_TrackingFile):
@@ -254,10 +281,14 @@ class IterativeFile(_TrackingFile):
 
     constructors = (IterativeSMC,)
 
-    kind: Literal["iterative_smc"] = section(_KIND)
-    k_s_per_rad: float = quantity("K, gain", 1e-5, 1000.0)
+    kind: Literal["iterative_smc"]
+    """Which controller."""
+    k_s_per_rad: float = quantity(1e-5, 1000.0)
+    """K, gain."""
     d_per_s: float = _SLOPE
+    """D, slope of the sliding manifold."""
     carrier_hz: float = _CARRIER
+    """Carrier of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: the carrier's periods must not be shorter than ticks."""
@@ -269,9 +300,12 @@ class HoldFile(ControllerSection):
 
     constructors = (HoldValves,)
 
-    kind: Literal["hold_valves"] = section(_KIND)
-    plus: Literal["fill", "hold", "vent"] = section("Valves of the + chambers.")
-    minus: Literal["fill", "hold", "vent"] = section("Valves of the - chambers.")
+    kind: Literal["hold_valves"]
+    """Which controller."""
+    plus: Literal["fill", "hold", "vent"] = constructor_default()
+    """Valves of the + chambers."""
+    minus: Literal["fill", "hold", "vent"] = constructor_default()
+    """Valves of the - chambers."""
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
@@ -281,7 +315,8 @@ class HoldFile(ControllerSection):
 class ReplayFile(ControllerSection):
     """Valves that were recorded, or chambers that hold recorded pressures; the scenario needs a recording."""
 
-    kind: Literal["replay"] = section(_KIND)
+    kind: Literal["replay"]
+    """Which controller."""
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
@@ -301,64 +336,54 @@ class CameraFile(Section):
 
     constructors = (Camera,)
 
-    rate_hz: float = quantity("Frames a second", 5.0, 10_000.0)
-    position_noise_m: float = quantity("RMS noise of x and y", 0.0, 1.0)
-    heading_noise_rad: float = quantity("RMS noise of the heading", 0.0, 3.0)
-
-
-_GAIN_PER_RAD, _NODE_M, _NEAR_M, _LOOKAHEAD_M, _SETTLE_M = 0.6, 0.2, 0.2, 0.15, 0.05
-"""Defaults of the followers; docs/following.md says how they were found."""
-
-FOLLOWERS = {"bearing": ("gain_per_rad", "node_m", "near_m"), "path": ("lookahead_m", "settle_m")}
-"""Keys that belong to one follower only."""
+    rate_hz: float = quantity(5.0, 10_000.0)
+    """Frames a second."""
+    position_noise_m: float = quantity(0.0, 1.0)
+    """RMS noise of x and y."""
+    heading_noise_rad: float = quantity(0.0, 3.0)
+    """RMS noise of the heading."""
 
 
 class FollowFile(ControllerSection):
     """Following of a plan by the offset of a gait (Section 5.2.2); the scenario needs a planner."""
 
-    constructors = (Conditions,)
+    constructors = (PathLaw, BearingLaw, Conditions)
+    only = {
+        ("follower", "bearing"): ("gain_per_rad", "node_m", "near_m"),
+        ("follower", "path"): ("lookahead_m", "settle_m"),
+    }
 
-    kind: Literal["follow"] = section(_KIND)
-    follower: Literal["bearing", "path"] = section(
-        "bearing: the text's, towards one node after the other; path: feedback of the distance from the path "
-        "with its curvature ahead.",
-        "path",
-    )
-    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")] = section("What is steered.")
-    delay_s: float = quantity("How long a command takes to the snake", 0.0, 10.0, 0.1)
-    camera: CameraFile = section("How it sees the snake.", CameraFile())
-    gain_per_rad: float | None = quantity(
-        f"Offset for an error of bearing (bearing; default {_GAIN_PER_RAD})", 0.001, 100.0, None
-    )
-    node_m: float | None = quantity(f"Distance of the nodes (bearing; default {_NODE_M})", 0.001, 100.0, None)
-    near_m: float | None = quantity(
-        f"How near to a node is near enough (bearing; default {_NEAR_M})", 0.001, 100.0, None
-    )
-    lookahead_m: float | None = quantity(
-        f"Path over which a distance from it dies out (path; default {_LOOKAHEAD_M})", 0.001, 100.0, None
-    )
-    settle_m: float | None = quantity(
-        "Path over which a new offset takes hold (path; default: a third of the footprint's longest "
-        f"transient, {_SETTLE_M} without one)",
-        0.0,
-        100.0,
-        None,
-    )
-    replan_beyond_m: float | None = quantity(
-        "Distance from the path that calls for a new plan (default: none is made)", 0.001, 100.0, None
-    )
-    replans: int = quantity("How often a new plan is asked for at most", 0, 1000)
+    kind: Literal["follow"]
+    """Which controller."""
+    follower: Literal["bearing", "path"] = "path"
+    """bearing: the text's, towards one node after the other; path: feedback of the distance from the path
+    with its curvature ahead."""
+    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
+    """What is steered."""
+    delay_s: float = quantity(0.0, 10.0, 0.1)
+    """How long a command takes to the snake."""
+    camera: CameraFile = CameraFile()
+    """How it sees the snake."""
+    gain_per_rad: float | None = quantity(0.001, 100.0, None)
+    """Offset for an error of bearing (bearing; default {default:g})."""
+    node_m: float | None = quantity(0.001, 100.0, None)
+    """Distance of the nodes (bearing; default {default:g})."""
+    near_m: float | None = quantity(0.001, 100.0, None)
+    """How near to a node is near enough (bearing; default {default:g})."""
+    lookahead_m: float | None = quantity(0.001, 100.0, None)
+    """Path over which a distance from it dies out (path; default {default:g})."""
+    settle_m: float | None = quantity(0.0, 100.0, None)
+    """Path over which a new offset takes hold (path; default: a third of the footprint's longest
+    transient, {default:g} without one)."""
+    replan_beyond_m: float | None = quantity(0.001, 100.0, None)
+    """Distance from the path that calls for a new plan (default: none is made)."""
+    replans: int = quantity(0, 1000)
+    """How often a new plan is asked for at most."""
 
     @model_validator(mode="after")
-    def _what_belongs_together(self) -> FollowFile:
+    def _leaves_the_offset_alone(self) -> FollowFile:
         if self.gait.offset != 0:
             raise ValueError("the follower decides the offset; take gait.offset out")
-        for follower, names in FOLLOWERS.items():
-            given = [name for name in names if getattr(self, name) is not None]
-            if given and self.follower != follower:
-                raise ValueError(
-                    f"{given[0]} belongs to follower: {follower}; set that, or take {given[0]} out"
-                )
         return self
 
     def controller(self, scenario: Scenario) -> Controller:
@@ -370,12 +395,9 @@ class FollowFile(ControllerSection):
         planner = scenario.planner
         assert planner is not None, "a follower without a planner was reported"
         body, settle, problem = planner.footprint, self._settle(planner.footprint), planner.problem
-        law: Steering
+        law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})
         if self.follower == "bearing":
-            gain, near = self.gain_per_rad or _GAIN_PER_RAD, self.near_m or _NEAR_M
-            law = BearingLaw(gain, self.node_m or _NODE_M, near)
-        else:
-            law = PathLaw(body, self.lookahead_m or _LOOKAHEAD_M, settle)
+            law = BearingLaw(**self.arguments(BearingLaw))
         return Follower(
             self.gait.controller(scenario),
             law,
@@ -390,7 +412,8 @@ class FollowFile(ControllerSection):
 
     def _settle(self, footprint: Footprint) -> float:
         """Return ℓ: what follows with a lag of ℓ is there, but for 5 %, after 3 ℓ."""
-        longest = max((each.length for each in footprint.transients), default=3 * _SETTLE_M)
+        without = 3 * self.parameters["settle"].default
+        longest = max((each.length for each in footprint.transients), default=without)
         return longest / 3 if self.settle_m is None else self.settle_m
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:

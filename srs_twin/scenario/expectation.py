@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import UnknownNameError
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, quantity
 
 COMPARISON = "comparison"
 _BOUND = 1e9
@@ -38,17 +38,24 @@ class Expectation(Section):
     metric: str = Field(
         title="Metric", description="Name of the metric.", json_schema_extra={"enum": list(known_metrics())}
     )
-    plant: Literal["analytical", "twin"] | None = section("Which plant's metric.", None)
-    of: Literal["comparison"] | None = section("A metric of the comparison instead of a plant's.", None)
-    near: float | None = quantity("The expected value", -_BOUND, _BOUND, None, unit=_UNIT)
-    rel: float | None = quantity("Relative tolerance of near", 1e-9, 100.0, None)
-    abs: float | None = quantity("Absolute tolerance of near", 0.0, _BOUND, None, unit=_UNIT)
-    below: float | None = quantity("Highest allowed value", -_BOUND, _BOUND, None, unit=_UNIT)
-    above: float | None = quantity("Lowest allowed value", -_BOUND, _BOUND, None, unit=_UNIT)
-    source: Words | None = section("Where the value is published; none for our own.", None)
-    known: Words | None = section(
-        "Why it is missed, where that is known: `--check` lets it pass, `--strict` does not.", None
-    )
+    plant: Literal["analytical", "twin"] | None = None
+    """Which plant's metric."""
+    of: Literal["comparison"] | None = None
+    """A metric of the comparison instead of a plant's."""
+    near: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
+    """The expected value."""
+    rel: float | None = quantity(1e-9, 100.0, None)
+    """Relative tolerance of near."""
+    abs: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
+    """Absolute tolerance of near."""
+    below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
+    """Highest allowed value."""
+    above: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
+    """Lowest allowed value."""
+    source: Words | None = None
+    """Where the value is published; none for our own."""
+    known: Words | None = None
+    """Why it is missed, where that is known: `--check` lets it pass, `--strict` does not."""
 
     @field_validator("metric")
     @classmethod
@@ -121,7 +128,8 @@ def _in_words(low: float, high: float) -> str:
 class ExpectationsFile(Section):
     """Expectations alone, for `srs-twin replay --expect`."""
 
-    expect: Annotated[list[Expectation], Field(min_length=1, max_length=200)] = section("What must come out.")
+    expect: Annotated[list[Expectation], Field(min_length=1, max_length=200)]
+    """What must come out."""
 
 
 def verdict(checked: Mapping[str, Any]) -> str:

@@ -2,61 +2,77 @@
 
 The unit of a number stands in its key and nowhere else: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A
 section builds an object by a constructor whose parameters have the keys' names without their units
-(``frequency``, ``k`` or ``K``, ``distance``). Where the constructor has a default, the file has the same.
+(``frequency``, ``k`` or ``K``, ``distance``). Where the constructor has a default, the file has the same. The
+docstring of a key is its description in JSON schemas; of a number, unit and range come behind it, and
+``{default}`` stands for the constructor's.
 """
 
 from __future__ import annotations
 
+import ast
 import inspect
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cache, partial
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
-from pydantic import Field
+from pydantic import ConfigDict, Field, model_validator
 
 from srs_twin.io.validation import Strict
 from srs_twin.robot.sourced import in_si, in_unit, split_unit
 
 
-@dataclass(frozen=True)
-class _Key:
-    """What a section says of a key, before the key's name and the constructor are known."""
-
-    text: str
-    default: Any
-    bounds: tuple[float, float] | None = None
-    unit: str | None = None
-
-    def field(self, key: str, parameter: inspect.Parameter | None) -> Any:
-        own = parameter.default if parameter and parameter.default is not parameter.empty else ...
-        default = own if self.default is ... else self.default
-        if self.bounds is None:
-            return Field(default, title=self.text.partition(";")[0].rstrip("."), description=self.text)
-        (low, high), unit = self.bounds, self.unit or split_unit(key)[1]
-        title = self.text.format(default=None if own is ... else in_unit(key, own))
-        text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
-        return Field(
-            default, title=title, description=text, ge=low, le=high, json_schema_extra={"unit": unit}
-        )
-
-
-def quantity(title: str, low: float, high: float, default: Any = ..., *, unit: str | None = None) -> Any:
+def quantity(low: float, high: float, default: Any = ..., *, unit: str | None = None) -> Any:
     """Return the field of a bounded number of a `Section`.
 
     Args:
-        title: what it is; ``{default}`` in it is the constructor's default.
         low: the lowest allowed.
         high: the highest allowed.
         default: what a file gets that leaves it out. Not given: the constructor's, and the key is required
             where that has none.
         unit: of a key that does not name it.
     """
-    return _Key(title, default, (low, high), unit)
+    given = {} if default is ... else {"default": default}
+    return partial(Field, ge=low, le=high, json_schema_extra={"unit": unit} if unit else None, **given)
 
 
-def section(text: str, default: Any = ...) -> Any:
-    """Return the field of anything else, with a description; `default` as in `quantity`."""
-    return _Key(text, default)
+def constructor_default() -> Any:
+    """Return the field of anything else that has the constructor's default."""
+    return partial(Field)
+
+
+@cache
+def _docstrings(module: str) -> dict[str, dict[str, str]]:
+    """Return what stands below the keys of a module's classes: class → key → text in one line.
+
+    Read when a schema is asked for: pydantic's `use_attribute_docstrings` takes 0.2 s at every import.
+    """
+    found: dict[str, dict[str, str]] = {}
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    for cls in (each for each in tree.body if isinstance(each, ast.ClassDef)):
+        for key, below in pairwise(cls.body):
+            if isinstance(key, ast.AnnAssign) and isinstance(below, ast.Expr):
+                text = " ".join(ast.literal_eval(below.value).split())
+                found.setdefault(cls.name, {})[ast.unparse(key.target)] = text
+    return found
+
+
+def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
+    """Say of each key what its docstring says; of a number also unit, range and default."""
+    texts: dict[str, str] = {}
+    for base in reversed([each for each in cls.__mro__ if issubclass(each, Section)]):
+        texts |= _docstrings(base.__module__).get(base.__name__, {})
+    for key, text in texts.items():
+        shown = schema["properties"][key]
+        title = text.partition(";")[0].rstrip(".")
+        for bounds in (shown, *shown.get("anyOf", ())):
+            if "minimum" in bounds:
+                parameter, unit = cls.parameter(key), shown.setdefault("unit", split_unit(key)[1])
+                title = text.rstrip(".").format(default=in_unit(key, parameter and parameter.default))
+                low, high = bounds["minimum"], bounds["maximum"]
+                text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
+        shown |= {"title": title, "description": text}
 
 
 class Section(Strict):
@@ -65,30 +81,53 @@ class Section(Strict):
     Attributes:
         constructors: whose parameters the keys set, the first's before the others'; `build` calls the first.
         parameters: of the constructors, by name in small letters.
+        only: key and what it must be → other keys, which mean nothing without that.
     """
+
+    model_config = ConfigDict(json_schema_extra=_describe)
 
     constructors: ClassVar[tuple[Callable[..., Any], ...]] = ()
     parameters: ClassVar[dict[str, inspect.Parameter]] = {}
+    only: ClassVar[dict[tuple[str, str], tuple[str, ...]]] = {}
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         signatures = [inspect.signature(each).parameters for each in reversed(cls.constructors)]
         cls.parameters = {name.lower(): each for known in signatures for name, each in known.items()}
         for key, given in list(vars(cls).items()):
-            if isinstance(given, _Key):
-                setattr(cls, key, given.field(key, cls.parameter(key)))
+            if isinstance(given, partial):
+                parameter = cls.parameter(key)
+                known = parameter is not None and parameter.default is not parameter.empty
+                own = {"default": parameter.default} if parameter and known else {}
+                setattr(cls, key, Field(**own | given.keywords))
 
     @classmethod
     def parameter(cls, key: str) -> inspect.Parameter | None:
         """Return the parameter that a key sets, by its whole name or by that without its unit."""
         return cls.parameters.get(key) or cls.parameters.get(split_unit(key)[0])
 
-    def arguments(self) -> dict[str, Any]:
-        """Return what the keys set, by parameter, in SI; None leaves a default alone."""
+    @model_validator(mode="after")
+    def _belongs_there(self) -> Self:
+        for (key, needed), names in self.only.items():
+            given = [name for name in names if getattr(self, name) is not None]
+            if given and getattr(self, key) != needed:
+                text = f"{given[0]} belongs to {key}: {needed}; set that, or take {given[0]} out"
+                raise ValueError(text)
+        return self
+
+    def arguments(self, *of: Callable[..., Any]) -> dict[str, Any]:
+        """Return what the keys set, by parameter, in SI; None leaves a default alone.
+
+        Args:
+            of: constructors whose parameters count; none: all.
+        """
+        known = {name for each in of for name in inspect.signature(each).parameters}
         found = {}
         for key in type(self).model_fields:
             parameter, value = self.parameter(key), getattr(self, key)
-            if parameter and not (value is None and parameter.default is not parameter.empty):
+            if parameter is None or (of and parameter.name not in known):
+                continue
+            if not (value is None and parameter.default is not parameter.empty):
                 found[parameter.name] = in_si(key, value)
         return found
 

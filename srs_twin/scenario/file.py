@@ -9,7 +9,7 @@ from pydantic import Field, WithJsonSchema
 from srs_twin.scenario.air import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, quantity
 from srs_twin.scenario.planner import PlannerFile
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.recording import RecordingFile
@@ -25,11 +25,9 @@ ROBOT_TEXT = (
 class ComparisonFile(Section):
     """How the plants are compared."""
 
-    gap_factor: bool = section(
-        "Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid "
-        "gaps (Section 3.4.2); the analytical plant must have gaps: false.",
-        False,
-    )
+    gap_factor: bool = False
+    """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid
+    gaps (Section 3.4.2); the analytical plant must have gaps: false."""
 
 
 class ScenarioFile(Section):
@@ -43,40 +41,47 @@ class ScenarioFile(Section):
         pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$",
         description="Name of the results' folder (default: the file's name).",
     )
-    title: Annotated[str, Field(min_length=1, max_length=200)] | None = section(
-        "One line for people (default: the name).", None
-    )
+    title: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """One line for people (default: the name)."""
     robot: Annotated[Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})] = Field(
         title="Robot", description=ROBOT_TEXT
     )
-    duration_s: float = quantity("Simulated time", 0.001, 3600.0)
-    seed: int = quantity("Seed of whatever is random", 0, 2**32 - 1, 0)
-    record_hz: float = quantity("Recorded samples a second", 0.1, 10_000.0, 100.0)
-    supply: SupplyFile = section("Compressed air.", SupplyFile())
-    pneumatics: PneumaticsFile = section("Valves and chambers.", PneumaticsFile())
-    allow_overpressure: bool = section(
-        "Let a supply pressure above the robot's limit run, with a warning.", False
-    )
-    valves: ValvesFile = section("The valves of each chamber.", ValvesFile())
-    sensor: SensorFile = section("What controllers are told of the bends.", SensorFile())
-    faults: Annotated[list[FaultFile], Field(max_length=200)] = section("What breaks, and when.", [])
-    bench: bool = section(
-        "Hold the head fast, in the air, as a module is held on a bench; on both plants, without a floor.",
-        False,
-    )
-    controller: ControllerFile = section("What commands the valves.")
-    start: StartFile = section("Where the snake lies at first.", StartFile())
-    recording: RecordingFile | None = section(
-        "What was measured of the robot, to replay and to hold the plants against (controller.kind: replay).",
-        None,
-    )
-    planner: PlannerFile | None = section("How the way to the goal is found (controller.kind: follow).", None)
-    world: WorldFile = section("Obstacles, bounds and goal.", WorldFile())
-    plants: PlantsFile = section(
-        "Which plants run (default: both).", PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
-    )
-    comparison: ComparisonFile = section("How the plants are compared.", ComparisonFile())
-    expect: Annotated[list[Expectation], Field(max_length=200)] = section("What must come out.", [])
+    duration_s: float = quantity(0.001, 3600.0)
+    """Simulated time."""
+    seed: int = quantity(0, 2**32 - 1, 0)
+    """Seed of whatever is random."""
+    record_hz: float = quantity(0.1, 10_000.0, 100.0)
+    """Recorded samples a second."""
+    supply: SupplyFile = SupplyFile()
+    """Compressed air."""
+    pneumatics: PneumaticsFile = PneumaticsFile()
+    """Valves and chambers."""
+    allow_overpressure: bool = False
+    """Let a supply pressure above the robot's limit run, with a warning."""
+    valves: ValvesFile = ValvesFile()
+    """The valves of each chamber."""
+    sensor: SensorFile = SensorFile()
+    """What controllers are told of the bends."""
+    faults: Annotated[list[FaultFile], Field(max_length=200)] = []
+    """What breaks, and when."""
+    bench: bool = False
+    """Hold the head fast, in the air, as a module is held on a bench; on both plants, without a floor."""
+    controller: ControllerFile
+    """What commands the valves."""
+    start: StartFile = StartFile()
+    """Where the snake lies at first."""
+    recording: RecordingFile | None = None
+    """What was measured of the robot, to replay and to hold the plants against (controller.kind: replay)."""
+    planner: PlannerFile | None = None
+    """How the way to the goal is found (controller.kind: follow)."""
+    world: WorldFile = WorldFile()
+    """Obstacles, bounds and goal."""
+    plants: PlantsFile = PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
+    """Which plants run (default: both)."""
+    comparison: ComparisonFile = ComparisonFile()
+    """How the plants are compared."""
+    expect: Annotated[list[Expectation], Field(max_length=200)] = []
+    """What must come out."""
 
     def tick(self, plant: str) -> float:
         """Return the control tick of a plant, whether the file names it or not, s."""

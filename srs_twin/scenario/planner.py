@@ -16,7 +16,7 @@ from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import checked
 from srs_twin.planning.planner import plan_shaped
 from srs_twin.planning.problem import path_of
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, constructor_default, quantity
 from srs_twin.world import Goal, Pose, World
 
 _KIND = "How the way is found."
@@ -29,9 +29,12 @@ class PrimitivesFile(Section):
 
     constructors = (Primitives,)
 
-    count: int = quantity("N, how many; odd", 3, 201)
-    turn_rad: float = quantity("Largest turn of one", 0.001, 3.14)
-    length_m: float = quantity("Length of each", 0.001, 100.0)
+    count: int = quantity(3, 201)
+    """N, how many; odd."""
+    turn_rad: float = quantity(0.001, 3.14)
+    """Largest turn of one."""
+    length_m: float = quantity(0.001, 100.0)
+    """Length of each."""
 
 
 class _PlannerFile(Section):
@@ -41,10 +44,10 @@ class _PlannerFile(Section):
         max_length=4096,
         description="What the body sweeps at each offset: a shipped name or the path of a footprint file.",
     )
-    turn_share: float = quantity(
-        "Share of the tightest turns to plan with; the rest is left to the follower", 0.05, 1.0, 1.0
-    )
-    margin_m: float = quantity("Added to both edges of the footprint", 0.0, 10.0, 0.0)
+    turn_share: float = quantity(0.05, 1.0, 1.0)
+    """Share of the tightest turns to plan with; the rest is left to the follower."""
+    margin_m: float = quantity(0.0, 10.0, 0.0)
+    """Added to both edges of the footprint."""
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return where the way is to end.
@@ -68,9 +71,8 @@ class _PlannerFile(Section):
 class _SearchFile(_PlannerFile):
     constructors = (Settings,)
 
-    run_up_m: float = quantity(
-        "Straight beginning of the path, over which the gait gets going", 0.0, 100.0, 0.0
-    )
+    run_up_m: float = quantity(0.0, 100.0, 0.0)
+    """Straight beginning of the path, over which the gait gets going."""
     if TYPE_CHECKING:
         kind: str
 
@@ -92,23 +94,24 @@ class _SearchFile(_PlannerFile):
 class BestFirstFile(_SearchFile):
     """Best-first search, from both sides where that helps."""
 
-    primitives: PrimitivesFile | None = section("Arcs to plan with (default: the planner's own).", None)
-    kind: Literal["best_first"] = section(_KIND)
-    nodes: int = quantity("How many may be expanded", 1, 100_000_000)
-    seconds: float | None = quantity(
-        "Wall time; only without it is a run the same on every machine (default: no limit)",
-        0.001,
-        3600.0,
-        unit="s",
-    )
-    weight: float = quantity("Of the bound; above 1 faster and longer", 1.0, 100.0)
-    levels: int = quantity("Resolutions to try", 1, 5)
-    smooth: bool = section("Shorten the path afterwards.")
-    shape_changes: bool = section(
-        "Plan the way that changes of offset take, as the footprint has it measured, not jumps of curvature.",
-        False,
-    )
-    improve: bool = section("Go on to finer levels for shorter paths while the budget lasts.")
+    primitives: PrimitivesFile | None = None
+    """Arcs to plan with (default: the planner's own)."""
+    kind: Literal["best_first"]
+    """How the way is found."""
+    nodes: int = quantity(1, 100_000_000)
+    """How many may be expanded."""
+    seconds: float | None = quantity(0.001, 3600.0, unit="s")
+    """Wall time; only without it is a run the same on every machine (default: no limit)."""
+    weight: float = quantity(1.0, 100.0)
+    """Of the bound; above 1 faster and longer."""
+    levels: int = quantity(1, 5)
+    """Resolutions to try."""
+    smooth: bool = constructor_default()
+    """Shorten the path afterwards."""
+    shape_changes: bool = False
+    """Plan the way that changes of offset take, as the footprint has it measured, not jumps of curvature."""
+    improve: bool = constructor_default()
+    """Go on to finer levels for shorter paths while the budget lasts."""
 
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
         """See `_SearchFile.search`."""
@@ -122,28 +125,30 @@ class BestFirstFile(_SearchFile):
 class GreedyFile(_SearchFile):
     """The text's search: the best child of either side in turn, for good."""
 
-    kind: Literal["greedy"] = section(_KIND)
-    primitives: PrimitivesFile = section(
-        "Arcs to plan with (default: Section 5.2's: 21, turns of 60 degrees at most, 0.2 m).",
-        PrimitivesFile(count=21, turn_rad=math.pi / 3, length_m=0.2),
-    )
+    kind: Literal["greedy"]
+    """How the way is found."""
+    primitives: PrimitivesFile = PrimitivesFile(count=21, turn_rad=math.pi / 3, length_m=0.2)
+    """Arcs to plan with (default: Section 5.2's: 21, turns of 60 degrees at most, 0.2 m)."""
 
 
 class OmplFile(_SearchFile):
     """RRT-Connect of the Open Motion Planning Library (extra ompl)."""
 
-    kind: Literal["ompl"] = section(_KIND)
-    seconds: float = quantity("Wall time", 0.001, 3600.0, 1.0, unit="s")
+    kind: Literal["ompl"]
+    """How the way is found."""
+    seconds: float = quantity(0.001, 3600.0, 1.0, unit="s")
+    """Wall time."""
 
 
 class GivenFile(_PlannerFile):
     """A path that is given, as in Fig. 56; obstacles are not looked at."""
 
-    kind: Literal["given"] = section(_KIND)
-    turns_rad: Annotated[tuple[Turn, ...], Field(min_length=1, max_length=1000)] = section(
-        "Turn of each step, positive to the left, rad, -3.14159 to 3.14159."
-    )
-    step_m: float = quantity("Length of each step", 0.001, 100.0)
+    kind: Literal["given"]
+    """How the way is found."""
+    turns_rad: Annotated[tuple[Turn, ...], Field(min_length=1, max_length=1000)]
+    """Turn of each step, positive to the left, rad, -3.14159 to 3.14159."""
+    step_m: float = quantity(0.001, 100.0)
+    """Length of each step."""
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return the end of the path."""

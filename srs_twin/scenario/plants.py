@@ -11,7 +11,7 @@ from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
 from srs_twin.mjcf.numerics import Numerics
 from srs_twin.plants.analytical import AnalyticalSnake
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
 
@@ -25,7 +25,8 @@ class _PlantFile(Section):
 
     on_a_floor: ClassVar[tuple[str, ...]]
 
-    gaps: bool = section("Whether the rigid gaps of the segments are part of the body.", True)
+    gaps: bool = True
+    """Whether the rigid gaps of the segments are part of the body."""
     timestep_s: float
     tick_s: float | None = Field(
         default=None,
@@ -53,23 +54,21 @@ class AnalyticalFile(_PlantFile):
     constructors = (AnalyticalSnake,)
     on_a_floor = ("friction", "friction_torque", "slip_speed_m_s")
 
-    timestep_s: float = quantity("Longest step of the integrator", 1e-5, 0.02)
-    model: Literal["complete", "simplified", "compliant"] = section(
-        "complete: bends as the actuators give them; simplified: chords frozen at their straight length "
-        "besides; compliant: bends that load and inertia deflect."
-    )
-    friction_torque: bool = section(
-        "Whether friction's moment about the centre of mass acts; only simplified goes without."
-    )
-    inertia: Literal["point", "connector", "lumped"] = section(
-        "Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: "
-        "the dissertation's, which counts the segments twice."
-    )
-    friction: Literal["axis", "wheel", "viscous", "ellipse"] = section(
-        "Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, "
-        "ellipse: two skids at the track, viscous: a law for tests."
-    )
-    slip_speed_m_s: float = quantity("Slip speed below which friction is smoothed", 1e-6, 0.1)
+    timestep_s: float = quantity(1e-5, 0.02)
+    """Longest step of the integrator."""
+    model: Literal["complete", "simplified", "compliant"] = constructor_default()
+    """complete: bends as the actuators give them; simplified: chords frozen at their straight length
+    besides; compliant: bends that load and inertia deflect."""
+    friction_torque: bool = constructor_default()
+    """Whether friction's moment about the centre of mass acts; only simplified goes without."""
+    inertia: Literal["point", "connector", "lumped"] = constructor_default()
+    """Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: the
+    dissertation's, which counts the segments twice."""
+    friction: Literal["axis", "wheel", "viscous", "ellipse"] = constructor_default()
+    """Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, ellipse:
+    two skids at the track, viscous: a law for tests."""
+    slip_speed_m_s: float = quantity(1e-6, 0.1)
+    """Slip speed below which friction is smoothed."""
 
     @model_validator(mode="after")
     def _torque_is_there(self) -> AnalyticalFile:
@@ -89,11 +88,12 @@ class TwinFile(_PlantFile):
     constructors = (Numerics,)
     on_a_floor = ("wheels",)
 
-    timestep_s: float = quantity("Time step of the integrator", 1e-5, 0.02)
-    wheels: Literal["rolling", "skid"] = section(
-        "What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse)."
-    )
-    hinges_per_segment: int = quantity("Bending hinges a segment", 1, 32)
+    timestep_s: float = quantity(1e-5, 0.02)
+    """Time step of the integrator."""
+    wheels: Literal["rolling", "skid"] = constructor_default()
+    """What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse)."""
+    hinges_per_segment: int = quantity(1, 32)
+    """Bending hinges a segment."""
 
 
 PlantFile = AnalyticalFile | TwinFile
@@ -102,8 +102,10 @@ PlantFile = AnalyticalFile | TwinFile
 class PlantsFile(Section):
     """Which plants run, and how; one that is not named does not run."""
 
-    analytical: AnalyticalFile | None = section("The analytical model; {} for its defaults.", None)
-    twin: TwinFile | None = section("The MuJoCo twin; {} for its defaults.", None)
+    analytical: AnalyticalFile | None = None
+    """The analytical model; {} for its defaults."""
+    twin: TwinFile | None = None
+    """The MuJoCo twin; {} for its defaults."""
 
     @model_validator(mode="after")
     def _some(self) -> PlantsFile:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, quantity
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
 
 
@@ -17,51 +17,32 @@ class SensorFile(Section):
     """What controllers are told of the bends."""
 
     constructors = (make_sensor, Strip, HallSensor)
+    only = {}  # of kind hall, all other keys: below
 
-    kind: Literal["ideal", "hall"] = section(
-        "ideal: the bend as it is; hall: magnet and Hall element on a strip, amplifier, converter, straight "
-        "line (docs/sensor.md).",
-        "ideal",
-    )
-    span_rad: float | None = quantity(
-        "Bends to both sides over which it is trimmed and calibrated (hall; default {default:.4g})",
-        0.1,
-        1.6,
-        None,
-    )
-    distance_mm: float | None = quantity(
-        "From the magnet to the element, along the strip (hall; default {default:g})", 1.0, 50.0, None
-    )
-    orientation: Literal["up", "side"] | None = section("Of the magnet's north (hall; default up).", None)
-    chamber: Literal["semicircular", "rectangular"] | None = section(
-        "Cross-section of the pressure chambers (hall; default semicircular); a rectangular one presses on "
-        "the strip.",
-        None,
-    )
-    noise_uv: float | None = quantity(
-        "RMS noise of the element that the amplifier passes (hall; default {default:g})", 0.0, 1e5, None
-    )
-    bits: int | None = quantity("Of the converter (hall; default {default})", 1, 32, None)
-    bias_v: float | None = quantity(
-        "Drift of the output since the calibration (hall; default {default:g})", -5.0, 5.0, None
-    )
-    gain_error: float | None = quantity(
-        "Drift of the gain since the calibration, as a share of it (hall; default {default:g})",
-        -0.9,
-        10.0,
-        None,
-    )
-
-    @model_validator(mode="after")
-    def _what_belongs_together(self) -> SensorFile:
-        given = [name for name in HALL_ONLY if getattr(self, name) is not None]
-        if given and self.kind != "hall":
-            raise ValueError(f"{given[0]} belongs to kind: hall; set that, or take {given[0]} out")
-        return self
+    kind: Literal["ideal", "hall"] = "ideal"
+    """ideal: the bend as it is; hall: magnet and Hall element on a strip, amplifier, converter, straight
+    line (docs/sensor.md)."""
+    span_rad: float | None = quantity(0.1, 1.6, None)
+    """Bends to both sides over which it is trimmed and calibrated (hall; default {default:.4g})."""
+    distance_mm: float | None = quantity(1.0, 50.0, None)
+    """From the magnet to the element, along the strip (hall; default {default:g})."""
+    orientation: Literal["up", "side"] | None = None
+    """Of the magnet's north (hall; default up)."""
+    chamber: Literal["semicircular", "rectangular"] | None = None
+    """Cross-section of the pressure chambers (hall; default semicircular); a rectangular one presses on
+    the strip."""
+    noise_uv: float | None = quantity(0.0, 1e5, None)
+    """RMS noise of the element that the amplifier passes (hall; default {default:g})."""
+    bits: int | None = quantity(1, 32, None)
+    """Of the converter (hall; default {default})."""
+    bias_v: float | None = quantity(-5.0, 5.0, None)
+    """Drift of the output since the calibration (hall; default {default:g})."""
+    gain_error: float | None = quantity(-0.9, 10.0, None)
+    """Drift of the gain since the calibration, as a share of it (hall; default {default:g})."""
 
     def resolved(self) -> SensorFile:
         """Return the section with all defaults written out."""
-        return self.with_defaults(*HALL_ONLY) if self.kind == "hall" else self
+        return self.with_defaults(*self.only["kind", "hall"]) if self.kind == "hall" else self
 
     def sensor(self, robot: RobotSpec) -> Sensor:
         """Return the sensors of a robot.
@@ -72,19 +53,23 @@ class SensorFile(Section):
         return make_sensor(spec=robot, **self.arguments())
 
 
-HALL_ONLY = tuple(name for name in SensorFile.model_fields if name != "kind")
+SensorFile.only["kind", "hall"] = tuple(key for key in SensorFile.model_fields if key != "kind")
 
 
 class _FaultFile(Section):
-    segment: int = quantity("Which segment, counted from the head", 1, 63)
-    from_s: float = quantity("Since when", 0.0, 3600.0, 0.0)
+    segment: int = quantity(1, 63)
+    """Which segment, counted from the head."""
+    from_s: float = quantity(0.0, 3600.0, 0.0)
+    """Since when."""
 
 
 class DeadSensorFile(_FaultFile):
     """A curvature sensor that tells nothing more."""
 
-    kind: Literal["dead_sensor"] = section("What breaks.")
-    reading_rad: float | None = quantity("What it says instead (default: no reading at all)", -6.3, 6.3, None)
+    kind: Literal["dead_sensor"]
+    """What breaks."""
+    reading_rad: float | None = quantity(-6.3, 6.3, None)
+    """What it says instead (default: no reading at all)."""
 
     def build(self) -> DeadSensor:
         """Return it in SI."""
@@ -95,9 +80,12 @@ class DeadSensorFile(_FaultFile):
 class StuckValveFile(_FaultFile):
     """A chamber's inlet that no longer obeys."""
 
-    kind: Literal["stuck_valve"] = section("What breaks.")
-    chamber: Literal["plus", "minus"] = section("Of which chamber.")
-    stuck: Literal["open", "closed"] = section("open: fills its chamber for ever; closed: vents it.")
+    kind: Literal["stuck_valve"]
+    """What breaks."""
+    chamber: Literal["plus", "minus"]
+    """Of which chamber."""
+    stuck: Literal["open", "closed"]
+    """open: fills its chamber for ever; closed: vents it."""
 
     def build(self) -> StuckValve:
         """Return it in SI."""

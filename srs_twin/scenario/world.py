@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from srs_twin.planning.fields import fig54_world, strewn
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, constructor_default, quantity
 from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
@@ -20,9 +20,12 @@ class StartFile(Section):
 
     constructors = (Pose,)
 
-    x_m: float = quantity("x of the centre of mass", -1000.0, 1000.0, 0.0)
-    y_m: float = quantity("y of the centre of mass", -1000.0, 1000.0, 0.0)
-    heading_rad: float = quantity("Mean heading, counter-clockwise from x", -6.3, 6.3, 0.0)
+    x_m: float = quantity(-1000.0, 1000.0, 0.0)
+    """x of the centre of mass."""
+    y_m: float = quantity(-1000.0, 1000.0, 0.0)
+    """y of the centre of mass."""
+    heading_rad: float = quantity(-6.3, 6.3, 0.0)
+    """Mean heading, counter-clockwise from x."""
 
 
 class ObstacleFile(Section):
@@ -30,9 +33,12 @@ class ObstacleFile(Section):
 
     constructors = (Circle,)
 
-    x_m: float = quantity("x of the centre", -1000.0, 1000.0)
-    y_m: float = quantity("y of the centre", -1000.0, 1000.0)
-    radius_m: float = quantity("Radius", 0.001, 100.0)
+    x_m: float = quantity(-1000.0, 1000.0)
+    """x of the centre."""
+    y_m: float = quantity(-1000.0, 1000.0)
+    """y of the centre."""
+    radius_m: float = quantity(0.001, 100.0)
+    """Radius."""
 
 
 class PolygonFile(Section):
@@ -40,9 +46,8 @@ class PolygonFile(Section):
 
     constructors = (Polygon,)
 
-    corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)] = section(
-        "[x, y] of each corner, m; the last is joined to the first, sides do not cross."
-    )
+    corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)]
+    """[x, y] of each corner, m; the last is joined to the first, sides do not cross."""
 
     @field_validator("corners_m")
     @classmethod
@@ -59,8 +64,10 @@ class BoundsFile(Section):
 
     constructors = (Bounds,)
 
-    x_m: Pair = section("Lowest and highest x, m.")
-    y_m: Pair = section("Lowest and highest y, m.")
+    x_m: Pair
+    """Lowest and highest x, m."""
+    y_m: Pair
+    """Lowest and highest y, m."""
 
     @field_validator("x_m", "y_m")
     @classmethod
@@ -75,11 +82,16 @@ class GoalFile(Section):
 
     constructors = (Goal,)
 
-    x_m: float = quantity("x", -1000.0, 1000.0)
-    y_m: float = quantity("y", -1000.0, 1000.0)
-    heading_rad: float | None = quantity("Heading on arrival (default: any)", -6.3, 6.3, None)
-    radius_m: float = quantity("How near is near enough", 0.001, 100.0, 0.05)
-    heading_tolerance_rad: float = quantity("How near that heading is near enough", 0.0, 3.14)
+    x_m: float = quantity(-1000.0, 1000.0)
+    """x."""
+    y_m: float = quantity(-1000.0, 1000.0)
+    """y."""
+    heading_rad: float | None = quantity(-6.3, 6.3, None)
+    """Heading on arrival (default: any)."""
+    radius_m: float = quantity(0.001, 100.0, 0.05)
+    """How near is near enough."""
+    heading_tolerance_rad: float = quantity(0.0, 3.14)
+    """How near that heading is near enough."""
 
 
 class RandomFile(Section):
@@ -87,17 +99,20 @@ class RandomFile(Section):
 
     constructors = (strewn,)
 
-    kind: Literal["strewn", "fig54"] = section(
-        "strewn: uniformly over a rectangle; fig54: of the 18 sites of planning.fields.", "strewn"
-    )
-    count: int = quantity("Number of circles", 0, 1000)
-    seed: int | None = quantity("Of the draw (default: the scenario's)", 0, 2**32 - 1, None)
-    area: BoundsFile | None = section("Where their centres lie (strewn; default: the bounds).", None)
-    radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = section(
-        "Smallest and largest radius (strewn), m."
-    )
-    gap_m: float = quantity("Least distance between two (strewn)", 0.0, 100.0)
-    clear_m: float = quantity("No circle is so near to start or goal (strewn)", 0.0, 100.0, 0.3)
+    kind: Literal["strewn", "fig54"] = "strewn"
+    """strewn: uniformly over a rectangle; fig54: of the 18 sites of planning.fields."""
+    count: int = quantity(0, 1000)
+    """Number of circles."""
+    seed: int | None = quantity(0, 2**32 - 1, None)
+    """Of the draw (default: the scenario's)."""
+    area: BoundsFile | None = None
+    """Where their centres lie (strewn; default: the bounds)."""
+    radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = constructor_default()
+    """Smallest and largest radius (strewn), m."""
+    gap_m: float = quantity(0.0, 100.0)
+    """Least distance between two (strewn)."""
+    clear_m: float = quantity(0.0, 100.0, 0.3)
+    """No circle is so near to start or goal (strewn)."""
 
     @field_validator("radius_m")
     @classmethod
@@ -129,13 +144,16 @@ class RandomFile(Section):
 class WorldFile(Section):
     """What surrounds the snake."""
 
-    obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = section("Round obstacles.", [])
-    polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = section(
-        "Obstacles with straight sides.", []
-    )
-    random: RandomFile | None = section("More round obstacles, drawn by a seed.", None)
-    bounds: BoundsFile | None = section("The rectangle to stay in.", None)
-    goal: GoalFile | None = section("Where to arrive.", None)
+    obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
+    """Round obstacles."""
+    polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = []
+    """Obstacles with straight sides."""
+    random: RandomFile | None = None
+    """More round obstacles, drawn by a seed."""
+    bounds: BoundsFile | None = None
+    """The rectangle to stay in."""
+    goal: GoalFile | None = None
+    """Where to arrive."""
 
     def surroundings(self, start: Pose, seed: int) -> World:
         """Return what surrounds a snake that lies at `start`.

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from srs_twin.scenario.fields import Section, quantity, section
+from srs_twin.scenario.fields import Section, quantity
 from srs_twin.viewing.plots.sweep_table import MAX_FIELDS, FieldName, FieldValues, Plain, Plot, Published
 
 MAX_POINTS = 1_000_000
@@ -17,8 +17,10 @@ class RangeFile(Section):
 
     start: float = Field(alias="from", ge=-1e12, le=1e12, title="From", description="First value.")
     stop: float = Field(alias="to", ge=-1e12, le=1e12, title="To", description="Last value.")
-    count: int | None = quantity("How many values (grid, list)", 2, 10_000, None)
-    scale: Literal["linear", "log"] = section("How values are spaced; log: by equal ratios.", "linear")
+    count: int | None = quantity(2, 10_000, None)
+    """How many values (grid, list)."""
+    scale: Literal["linear", "log"] = "linear"
+    """How values are spaced; log: by equal ratios."""
 
     @model_validator(mode="after")
     def _ascending(self) -> RangeFile:
@@ -42,13 +44,13 @@ Varied = Annotated[_OneOf, Discriminator(_values_or_range)]
 class SamplingFile(Section):
     """How the values of several fields are put together."""
 
-    kind: Literal["grid", "list", "latin_hypercube", "sobol"] = section(
-        "grid: every value with every other; list: first with first, second with second; latin_hypercube and "
-        "sobol: so many points spread over the ranges.",
-        "grid",
-    )
-    count: int | None = quantity("Points (latin_hypercube; sobol: a power of 2)", 1, MAX_POINTS, None)
-    seed: int | None = quantity("Seed of the points (latin_hypercube, sobol; default 0)", 0, 2**32 - 1, None)
+    kind: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
+    """grid: every value with every other; list: first with first, second with second; latin_hypercube and
+    sobol: so many points spread over the ranges."""
+    count: int | None = quantity(1, MAX_POINTS, None)
+    """Points (latin_hypercube; sobol: a power of 2)."""
+    seed: int | None = quantity(0, 2**32 - 1, None)
+    """Seed of the points (latin_hypercube, sobol; default 0)."""
 
     @model_validator(mode="after")
     def _what_belongs_together(self) -> SamplingFile:
@@ -79,29 +81,24 @@ class SweepFile(Section):
     scenario: str = Field(
         title="Scenario", min_length=1, max_length=4096, description="A shipped name or the path of a file."
     )
-    plants: Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None = section(
-        "Which plants run (default: those that the scenario names); []: none, the scenario is only planned.",
-        None,
-    )
-    periods: float | None = quantity(
-        "Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks",
-        3.0,
-        1000.0,
-        None,
-    )
-    fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = section(
-        "Fields of the scenario that are otherwise than in its file.", {}
-    )
-    vary: Annotated[dict[FieldName, Varied], Field(min_length=1, max_length=MAX_FIELDS)] = section(
-        "Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."
-    )
-    sampling: SamplingFile = section("How the values are put together.", SamplingFile())
-    metrics: Annotated[list[FieldName], Field(min_length=1, max_length=64)] | None = section(
-        "Which metrics become columns (default: all).", None
-    )
-    trajectories: bool = section("Whether every trajectory is kept as well.", False)
-    plots: Annotated[list[Plot], Field(max_length=32)] = section("Pictures.", [])
-    beside: Published | None = section("Published values that stand beside the results.", None)
+    plants: Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None = None
+    """Which plants run (default: those that the scenario names); []: none, the scenario is only planned."""
+    periods: float | None = quantity(3.0, 1000.0, None)
+    """Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks."""
+    fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = {}
+    """Fields of the scenario that are otherwise than in its file."""
+    vary: Annotated[dict[FieldName, Varied], Field(min_length=1, max_length=MAX_FIELDS)]
+    """Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."""
+    sampling: SamplingFile = SamplingFile()
+    """How the values are put together."""
+    metrics: Annotated[list[FieldName], Field(min_length=1, max_length=64)] | None = None
+    """Which metrics become columns (default: all)."""
+    trajectories: bool = False
+    """Whether every trajectory is kept as well."""
+    plots: Annotated[list[Plot], Field(max_length=32)] = []
+    """Pictures."""
+    beside: Published | None = None
+    """Published values that stand beside the results."""
 
 
 def sweep_json_schema() -> dict[str, Any]:

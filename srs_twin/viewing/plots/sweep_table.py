@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from srs_twin.comparison.metrics import relative_difference
 from srs_twin.errors import UnknownNameError
-from srs_twin.scenario.fields import Section, section
+from srs_twin.scenario.fields import Section
 from srs_twin.viewing.html.page import Table
 from srs_twin.viewing.plots.labels import field_label, metric_label
 
@@ -33,11 +33,16 @@ PublishedValues = Annotated[
 class Plot(Section):
     """A picture of the results."""
 
-    kind: Literal["contour", "line", "scatter"] = section("Which kind.")
-    x: FieldName = section("Varied field, or metric (scatter), along x.")
-    y: FieldName | None = section("Varied field along y (contour).", None)
-    metric: FieldName = section("Metric that is drawn, of each plant or of the comparison.")
-    by: FieldName | None = section("Varied field that tells lines or colours apart (line, scatter).", None)
+    kind: Literal["contour", "line", "scatter"]
+    """Which kind."""
+    x: FieldName
+    """Varied field, or metric (scatter), along x."""
+    y: FieldName | None = None
+    """Varied field along y (contour)."""
+    metric: FieldName
+    """Metric that is drawn, of each plant or of the comparison."""
+    by: FieldName | None = None
+    """Varied field that tells lines or colours apart (line, scatter)."""
 
     @model_validator(mode="after")
     def _what_belongs_together(self) -> Plot:
@@ -59,12 +64,10 @@ class Published(Section):
     note: Annotated[str, Field(min_length=1, max_length=1000)] | None = Field(
         None, title="Note", description="What a reader must know to compare (signs, how it was measured)."
     )
-    at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)] = section(
-        "Varied fields, each with its values where something is published; equally many of each."
-    )
-    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)] = section(
-        "Metrics of the plants, each with its published values there; null where there is none."
-    )
+    at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)]
+    """Varied fields, each with its values where something is published; equally many of each."""
+    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)]
+    """Metrics of the plants, each with its published values there; null where there is none."""
 
     @property
     def places(self) -> list[dict[str, Value]]:
