@@ -57,36 +57,34 @@ _SPREADS = {
 }
 
 
-_PER_CHAMBER = "0.1 to 10 for the + and the - chamber of each segment"
-_PER_SEGMENT = "0.1 to 10 for each segment"
-_BENDS = "rad, -1 to 1 for each segment"
-
-
-def _listed(text: str, numbers: str) -> Any:
-    return Field(None, description=f"{text}, {numbers}, head first.")
-
-
-def _drawn(of: str, range_text: str) -> Any:
-    return Field(None, description=f"Standard deviation of {of}, {range_text}.")
-
-
-class ModulesFile(Strict):
+class ModulesFile(Records):
     """How each module departs from the nominal one."""
 
-    gain: Chambers | None = _listed("Bend over pressure, times the nominal", _PER_CHAMBER)
-    tau_fill: Chambers | None = _listed("tau_fill, times the nominal", _PER_CHAMBER)
-    tau_vent: Chambers | None = _listed("tau_vent, times the nominal", _PER_CHAMBER)
-    bias_rad: Bends | None = _listed("Bend without pressure", _BENDS)
-    sensor_gain: Segments | None = _listed("Sensed over actual bend", _PER_SEGMENT)
-    sensor_bias_rad: Bends | None = _listed("What is sensed of a straight segment", _BENDS)
-    gain_spread: Share | None = _drawn("the chambers' gains", "0 to 0.3")
-    tau_spread: Share | None = _drawn("the chambers' tau_fill and tau_vent", "0 to 0.3")
-    bias_spread_rad: Spread | None = _drawn("the bends without pressure", "rad, 0 to 0.5")
-    sensor_gain_spread: Share | None = _drawn("the sensors' gains", "0 to 0.3")
-    sensor_bias_spread_rad: Spread | None = _drawn("the sensors' biases", "rad, 0 to 0.5")
-    seed: Annotated[int, between(0, 2**32 - 1)] | None = Field(
-        None, description="Of what is drawn, 0 to 4294967295 (default: the scenario's seed)."
-    )
+    gain: Chambers | None = None
+    """Bend over pressure, times the nominal, 0.1 to 10 for the + and the - chamber of each segment, head
+    first."""
+    tau_fill: Chambers | None = None
+    """tau_fill, times the nominal, 0.1 to 10 for the + and the - chamber of each segment, head first."""
+    tau_vent: Chambers | None = None
+    """tau_vent, times the nominal, 0.1 to 10 for the + and the - chamber of each segment, head first."""
+    bias_rad: Bends | None = None
+    """Bend without pressure, rad, -1 to 1 for each segment, head first."""
+    sensor_gain: Segments | None = None
+    """Sensed over actual bend, 0.1 to 10 for each segment, head first."""
+    sensor_bias_rad: Bends | None = None
+    """What is sensed of a straight segment, rad, -1 to 1 for each segment, head first."""
+    gain_spread: Share | None = None
+    """Standard deviation of the chambers' gains, 0 to 0.3."""
+    tau_spread: Share | None = None
+    """Standard deviation of the chambers' tau_fill and tau_vent, 0 to 0.3."""
+    bias_spread_rad: Spread | None = None
+    """Standard deviation of the bends without pressure, rad, 0 to 0.5."""
+    sensor_gain_spread: Share | None = None
+    """Standard deviation of the sensors' gains, 0 to 0.3."""
+    sensor_bias_spread_rad: Spread | None = None
+    """Standard deviation of the sensors' biases, rad, 0 to 0.5."""
+    seed: Annotated[int, between(0, 2**32 - 1)] | None = None
+    """Of what is drawn, 0 to 4294967295 (default: the scenario's seed)."""
 
     def draw(self, segments: int, seed: int) -> Modules:
         """Return the modules.
@@ -142,87 +140,97 @@ Number = Record[Any, str]
 class GeometryFile(Records):
     """Lengths of the body."""
 
-    connectors: Number = number(
-        "Number of connectors N (the text's links); one more than segments", 2, 64, int
-    )
-    segment_length_m: Number = number("Length of the part of a segment that bends", 1e-3, 1.0)
-    rigid_gap_m: Number = number(
-        "Length of the part of a segment that stays straight, half of it at each end", 0.0, 1.0
-    )
-    half_track_m: Number = number("Distance of a wheel from the centre line", 1e-4, 1.0)
-    wheel_radius_m: Number = number("Radius of a wheel", 1e-4, 1.0)
-    com_height_m: Number = number("Height of the centre of mass over the floor", 1e-4, 1.0)
-    width_m: Number = number("Width of the soft body; no effect on the motion", 1e-4, 1.0)
+    connectors: Number = number(2, 64, int)
+    """Number of connectors N (the text's links); one more than segments."""
+    segment_length_m: Number = number(1e-3, 1.0)
+    """Length of the part of a segment that bends."""
+    rigid_gap_m: Number = number(0.0, 1.0)
+    """Length of the part of a segment that stays straight, half of it at each end."""
+    half_track_m: Number = number(1e-4, 1.0)
+    """Distance of a wheel from the centre line."""
+    wheel_radius_m: Number = number(1e-4, 1.0)
+    """Radius of a wheel."""
+    com_height_m: Number = number(1e-4, 1.0)
+    """Height of the centre of mass over the floor."""
+    width_m: Number = number(1e-4, 1.0)
+    """Width of the soft body; no effect on the motion."""
 
 
 class MassFile(Records):
     """Masses."""
 
-    connectors_kg: Number = number(
-        "Mass at a connector with its wheels and its share of the body; one for all, or a list, head first",
-        1e-4,
-        100.0,
-        shape=_one_or_each,
-    )
-    wheel_kg: Number = number("Mass of one wheel, part of its connector's", 1e-6, 100.0)
+    connectors_kg: Number = number(1e-4, 100.0, shape=_one_or_each)
+    """Mass at a connector with its wheels and its share of the body; one for all, or a list, head first."""
+    wheel_kg: Number = number(1e-6, 100.0)
+    """Mass of one wheel, part of its connector's."""
 
 
 class FrictionFile(Records):
     """Coulomb coefficients of the wheels on the floor."""
 
-    mu_t: Number = number("Along the heading (drag of a rolling wheel)", 0.0, 10.0)
-    mu_n: Number = number("Across the heading (a wheel that slides sideways)", 0.0, 10.0)
+    mu_t: Number = number(0.0, 10.0)
+    """Along the heading (drag of a rolling wheel)."""
+    mu_n: Number = number(0.0, 10.0)
+    """Across the heading (a wheel that slides sideways)."""
 
 
 class BendingFile(Records):
     """Compliance of one segment."""
 
-    stiffness_nm_per_rad: Number = number("Stiffness of bending", 1e-4, 1e6)
-    damping_time_s: Number = number(
-        "Damping over stiffness; the actuator's tau_mode makes a free module obey Eq. 14 exactly", 1e-6, 100.0
-    )
-    pitch_stiffness_nm_per_rad: Number = number("Stiffness against bending out of the floor plane", 1e-4, 1e6)
-    roll_stiffness_nm_per_rad: Number = number("Stiffness against twisting", 1e-4, 1e6)
-    out_of_plane_damping_time_s: Number = number("Damping over stiffness of pitch and roll", 1e-6, 100.0)
+    stiffness_nm_per_rad: Number = number(1e-4, 1e6)
+    """Stiffness of bending."""
+    damping_time_s: Number = number(1e-6, 100.0)
+    """Damping over stiffness; the actuator's tau_mode makes a free module obey Eq. 14 exactly."""
+    pitch_stiffness_nm_per_rad: Number = number(1e-4, 1e6)
+    """Stiffness against bending out of the floor plane."""
+    roll_stiffness_nm_per_rad: Number = number(1e-4, 1e6)
+    """Stiffness against twisting."""
+    out_of_plane_damping_time_s: Number = number(1e-6, 100.0)
+    """Damping over stiffness of pitch and roll."""
 
 
 class ActuatorFile(Records):
     """Pneumatic response of one module; its gain is bend_rad over at_pressure_kpa."""
 
-    tau_fill_s: Number = number("tau_1 of filling", 1e-6, 100.0)
-    tau_vent_s: Number = number("tau_1 of venting", 1e-6, 100.0)
-    tau_mode_s: Number = number("tau_2, the valve and the fast mechanical mode", 1e-6, 100.0)
-    bend_rad: Number = number("Bend of a free module at rest under at_pressure_kpa", 1e-3, 6.3)
-    at_pressure_kpa: Number = number("Pressure in one chamber that gives bend_rad", 0.1, 2000.0)
-    bend_limit_rad: Number | None = number(
-        "Bend that no pressure exceeds; the law flattens towards it (default: none, linear throughout)",
-        0.1,
-        6.3,
-        optional=True,
-    )
+    tau_fill_s: Number = number(1e-6, 100.0)
+    """tau_1 of filling."""
+    tau_vent_s: Number = number(1e-6, 100.0)
+    """tau_1 of venting."""
+    tau_mode_s: Number = number(1e-6, 100.0)
+    """tau_2, the valve and the fast mechanical mode."""
+    bend_rad: Number = number(1e-3, 6.3)
+    """Bend of a free module at rest under at_pressure_kpa."""
+    at_pressure_kpa: Number = number(0.1, 2000.0)
+    """Pressure in one chamber that gives bend_rad."""
+    bend_limit_rad: Number | None = number(0.1, 6.3, optional=True)
+    """Bend that no pressure exceeds; the law flattens towards it (default: none, linear throughout)."""
 
 
 class ChamberFile(Records):
     """Air space of one chamber."""
 
-    dead_volume_ml: Number = number("Volume of a straight segment's chamber with its tube", 0.1, 10_000.0)
-    air_volume_ml: Number = number("Volume by which a chamber grows to a bend of 90 degrees", 0.1, 10_000.0)
+    dead_volume_ml: Number = number(0.1, 10_000.0)
+    """Volume of a straight segment's chamber with its tube."""
+    air_volume_ml: Number = number(0.1, 10_000.0)
+    """Volume by which a chamber grows to a bend of 90 degrees."""
 
 
 class SupplyFile(Records):
     """Gauge pressures."""
 
-    nominal_kpa: Number = number("What a scenario gets that names no pressure", 0.1, 2000.0)
-    continuous_limit_kpa: Number = number("Most that a chamber may hold", 0.1, 2000.0)
-    pulsed_limit_kpa: Number = number(
-        "Most that may be supplied while chambers alternate (a gait, PWM)", 0.1, 2000.0
-    )
+    nominal_kpa: Number = number(0.1, 2000.0)
+    """What a scenario gets that names no pressure."""
+    continuous_limit_kpa: Number = number(0.1, 2000.0)
+    """Most that a chamber may hold."""
+    pulsed_limit_kpa: Number = number(0.1, 2000.0)
+    """Most that may be supplied while chambers alternate (a gait, PWM)."""
 
 
 class GaitFile(Records):
     """What the robot's gaits have in common."""
 
-    phase_step_rad: Number = number("Lag of a segment's gait behind the one before it (E18)", -6.3, 6.3)
+    phase_step_rad: Number = number(-6.3, 6.3)
+    """Lag of a segment's gait behind the one before it (E18)."""
 
 
 class RobotFile(Strict):

@@ -7,11 +7,15 @@ from a table with another unit is refused.
 
 from __future__ import annotations
 
+import ast
+import inspect
+import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from functools import cache
+from itertools import pairwise
+from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from srs_twin.io.validation import Strict
 
@@ -87,52 +91,80 @@ def between(low: float, high: float) -> Any:
     return Field(ge=low, le=high)
 
 
-@dataclass(frozen=True)
-class _Number:
+@cache
+def _docstrings(module: str) -> dict[str, dict[str, str]]:
+    """Return what stands below the keys of a module's classes: class → key → text in one line."""
+    found: dict[str, dict[str, str]] = {}
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    for cls in (each for each in tree.body if isinstance(each, ast.ClassDef)):
+        for key, below in pairwise(cls.body):
+            if isinstance(key, ast.AnnAssign) and isinstance(below, ast.Expr):
+                text = " ".join(ast.literal_eval(below.value).split())
+                found.setdefault(cls.name, {})[ast.unparse(key.target)] = text
+    return found
+
+
+def docstrings(cls: type[Strict]) -> dict[str, str]:
+    """Return what stands below the keys of a model and of its bases: key → text in one line.
+
+    Read when a schema is asked for: pydantic's `use_attribute_docstrings` takes 0.2 s at every import.
+    """
+    texts: dict[str, str] = {}
+    for base in reversed([each for each in cls.__mro__ if issubclass(each, Strict)]):
+        texts |= _docstrings(base.__module__).get(base.__name__, {})
+    return texts
+
+
+class _Number(NamedTuple):
     """What a section says of a record, before its key is known."""
 
-    text: str
-    bounds: tuple[float, float]
+    low: float
+    high: float
     kind: type
     shape: Callable[[Any], Any]
     optional: bool
 
 
 def number(
-    text: str,
     low: float,
     high: float,
     kind: type = float,
     shape: Callable[[Any], Any] = lambda value: value,
     optional: bool = False,
 ) -> Any:
-    """Return the field of a `Record` in a `Records` section; unit and range go into its description.
+    """Return the field of a `Record` in a `Records` section.
 
     Args:
-        text: what it is; what follows a semicolon stands behind unit and range.
         low: the lowest allowed.
         high: the highest allowed.
         kind: of number, float or int.
         shape: returns what a record may hold, given what a number may be; default one number.
         optional: whether the file may leave it out.
     """
-    return _Number(text, (low, high), kind, shape, optional)
+    return _Number(low, high, kind, shape, optional)
+
+
+def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
+    """Say of each key what its docstring says; unit and range stand before a semicolon."""
+    for key, text in docstrings(cls).items():
+        shown = schema["properties"][key]
+        head, semicolon, more = text.rstrip(".").partition(";")
+        shown["description"] = f"{head}{shown.get('description', '')}{semicolon}{more}."
 
 
 class Records(Strict):
     """A section of a file whose numbers are records."""
 
+    model_config = ConfigDict(json_schema_extra=_describe)
+
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         for key, given in list(vars(cls).items()):
             if isinstance(given, _Number):
-                (low, high), unit = given.bounds, split_unit(key)[1]
-                text, semicolon, more = given.text.partition(";")
-                named = "" if unit == "1" else f", {unit}"
-                words = f"{text}{named}, {low:.10g} to {high:.10g}{semicolon}{more}."
-                value: Any = Annotated[given.kind, between(low, high)]
+                unit, value = split_unit(key)[1], Annotated[given.kind, between(given.low, given.high)]
                 record: Any = Record[given.shape(value), Literal[unit]]  # type: ignore[misc]
                 cls.__annotations__[key] = record | None if given.optional else record
+                words = f"{'' if unit == '1' else f', {unit}'}, {given.low:.10g} to {given.high:.10g}"
                 setattr(cls, key, Field(None if given.optional else ..., description=words))
 
     def in_si(self) -> dict[str, Any]:

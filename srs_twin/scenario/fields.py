@@ -9,18 +9,18 @@ docstring of a key is its description in JSON schemas; of a number, unit and ran
 
 from __future__ import annotations
 
-import ast
 import inspect
-import sys
 from collections.abc import Callable
-from functools import cache, partial
-from itertools import pairwise
-from typing import Any, ClassVar, Self
+from functools import partial
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
 from srs_twin.io.validation import Strict
-from srs_twin.robot.sourced import in_si, in_unit, split_unit
+from srs_twin.robot.sourced import docstrings, in_si, in_unit, split_unit
+
+Line = Annotated[str, Field(min_length=1, max_length=200)]
+PathOrName = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
 def quantity(low: float, high: float, default: Any = ..., *, unit: str | None = None) -> Any:
@@ -42,28 +42,9 @@ def constructor_default() -> Any:
     return partial(Field)
 
 
-@cache
-def _docstrings(module: str) -> dict[str, dict[str, str]]:
-    """Return what stands below the keys of a module's classes: class → key → text in one line.
-
-    Read when a schema is asked for: pydantic's `use_attribute_docstrings` takes 0.2 s at every import.
-    """
-    found: dict[str, dict[str, str]] = {}
-    tree = ast.parse(inspect.getsource(sys.modules[module]))
-    for cls in (each for each in tree.body if isinstance(each, ast.ClassDef)):
-        for key, below in pairwise(cls.body):
-            if isinstance(key, ast.AnnAssign) and isinstance(below, ast.Expr):
-                text = " ".join(ast.literal_eval(below.value).split())
-                found.setdefault(cls.name, {})[ast.unparse(key.target)] = text
-    return found
-
-
 def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
     """Say of each key what its docstring says; of a number also unit, range and default."""
-    texts: dict[str, str] = {}
-    for base in reversed([each for each in cls.__mro__ if issubclass(each, Section)]):
-        texts |= _docstrings(base.__module__).get(base.__name__, {})
-    for key, text in texts.items():
+    for key, text in docstrings(cls).items():
         shown = schema["properties"][key]
         title = text.partition(";")[0].rstrip(".")
         for bounds in (shown, *shown.get("anyOf", ())):
