@@ -94,7 +94,7 @@ def test_each_section_names_its_bounds_and_units_to_editors(section):
         ]
         for number in numbers:
             assert {"minimum", "maximum"} <= number.keys(), key
-            assert shown.get("unit") or key == "tick_s", key
+            assert shown.get("unit"), key
 
 
 def test_every_section_of_a_file_is_a_section():

@@ -35,9 +35,8 @@ def known_metrics(of: str | None = None) -> tuple[str, ...]:
 class Expectation(Section):
     """What a metric must come out as: near a value (rel or abs), below or above one."""
 
-    metric: str = Field(
-        title="Metric", description="Name of the metric.", json_schema_extra={"enum": list(known_metrics())}
-    )
+    metric: Annotated[str, Field(json_schema_extra={"enum": list(known_metrics())})]
+    """Name of the metric."""
     plant: Literal["analytical", "twin"] | None = None
     """Which plant's metric."""
     of: Literal["comparison"] | None = None

@@ -9,17 +9,12 @@ from pydantic import Field, WithJsonSchema
 from srs_twin.scenario.air import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import Section, quantity
+from srs_twin.scenario.fields import Line, Section, quantity
 from srs_twin.scenario.planner import PlannerFile
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.recording import RecordingFile
 from srs_twin.scenario.sensors import FaultFile, SensorFile
 from srs_twin.scenario.world import StartFile, WorldFile
-
-ROBOT_TEXT = (
-    "The snake: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or path} "
-    "with fields to change, or a whole robot."
-)
 
 
 class ComparisonFile(Section):
@@ -33,19 +28,13 @@ class ComparisonFile(Section):
 class ScenarioFile(Section):
     """One experiment with a soft snake."""
 
-    name: str | None = Field(
-        None,
-        title="Name",
-        min_length=1,
-        max_length=200,
-        pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$",
-        description="Name of the results' folder (default: the file's name).",
-    )
-    title: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = None
+    """Name of the results' folder (default: the file's name)."""
+    title: Line | None = None
     """One line for people (default: the name)."""
-    robot: Annotated[Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})] = Field(
-        title="Robot", description=ROBOT_TEXT
-    )
+    robot: Annotated[Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
+    """The snake: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or
+    path} with fields to change, or a whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated time."""
     seed: int = quantity(0, 2**32 - 1, 0)

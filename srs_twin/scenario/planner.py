@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -16,7 +16,7 @@ from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import checked
 from srs_twin.planning.planner import plan_shaped
 from srs_twin.planning.problem import path_of
-from srs_twin.scenario.fields import Section, constructor_default, quantity
+from srs_twin.scenario.fields import PathOrName, Section, constructor_default, quantity
 from srs_twin.world import Goal, Pose, World
 
 _KIND = "How the way is found."
@@ -38,12 +38,8 @@ class PrimitivesFile(Section):
 
 
 class _PlannerFile(Section):
-    footprint: str = Field(
-        title="Footprint",
-        min_length=1,
-        max_length=4096,
-        description="What the body sweeps at each offset: a shipped name or the path of a footprint file.",
-    )
+    footprint: PathOrName
+    """What the body sweeps at each offset: a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
     """Share of the tightest turns to plan with; the rest is left to the follower."""
     margin_m: float = quantity(0.0, 10.0, 0.0)
@@ -115,11 +111,9 @@ class BestFirstFile(_SearchFile):
 
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
         """See `_SearchFile.search`."""
-        return (
-            plan_shaped(problem, self.build(), begin)
-            if self.shape_changes
-            else super().search(problem, begin)
-        )
+        if self.shape_changes:
+            return plan_shaped(problem, self.build(), begin)
+        return super().search(problem, begin)
 
 
 class GreedyFile(_SearchFile):
@@ -165,10 +159,8 @@ class GivenFile(_PlannerFile):
 
 PlannerFile = Annotated[BestFirstFile | GreedyFile | OmplFile | GivenFile, Field(discriminator="kind")]
 PLANNER_FILES: dict[str, type[_PlannerFile]] = {
-    "best_first": BestFirstFile,
-    "greedy": GreedyFile,
-    "ompl": OmplFile,
-    "given": GivenFile,
+    get_args(each.model_fields["kind"].annotation)[0]: each
+    for each in (BestFirstFile, GreedyFile, OmplFile, GivenFile)
 }
 """Kind → keys that a planner of this kind has."""
 

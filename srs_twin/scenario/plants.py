@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
@@ -28,14 +28,9 @@ class _PlantFile(Section):
     gaps: bool = True
     """Whether the rigid gaps of the segments are part of the body."""
     timestep_s: float
-    tick_s: float | None = Field(
-        default=None,
-        ge=1e-5,
-        le=1.0,
-        title="Control tick",
-        description="Control tick in s, 1e-5 to 1; above 0.1 ms a multiple of it, the twin's of timestep_s "
-        "(default: 0.02, on a bench 0.001).",
-    )
+    tick_s: float | None = quantity(1e-5, 1.0, None)
+    """Control tick, above 0.1 ms a multiple of it, the twin's of timestep_s (default: 0.02, on a bench
+    0.001)."""
 
     @field_validator("tick_s")
     @classmethod
@@ -106,6 +101,11 @@ class PlantsFile(Section):
     """The analytical model; {} for its defaults."""
     twin: TwinFile | None = None
     """The MuJoCo twin; {} for its defaults."""
+
+    @property
+    def running(self) -> dict[str, PlantFile]:
+        """The plants that run."""
+        return {kind: getattr(self, kind) for kind in PLANTS if getattr(self, kind) is not None}
 
     @model_validator(mode="after")
     def _some(self) -> PlantsFile:

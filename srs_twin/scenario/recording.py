@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from srs_twin.identification.takes import RecordingReader
-from srs_twin.scenario.fields import Section, constructor_default, quantity
+from srs_twin.scenario.fields import Line, Section, constructor_default, quantity
 
 FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 
@@ -29,7 +29,7 @@ class RecordingFile(Section):
     """Axis of the file that points up."""
     layout: Literal["auto", "single", "head", "pair"] = constructor_default()
     """Where the markers are."""
-    head: Annotated[str, Field(min_length=1, max_length=200)] | None = constructor_default()
+    head: Line | None = constructor_default()
     """Column of the marker at the head; the end towards which it crawls where there is none."""
     longest_gap_s: float = quantity(0.0, 10.0)
     """Longest gap that is filled."""

@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
 from typing import Any
 
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario.file import ROBOT_TEXT, ScenarioFile
+from srs_twin.scenario.file import ScenarioFile
 
 
 def scenario_json_schema() -> dict[str, Any]:
     """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
-    schema, robot = ScenarioFile.model_json_schema(), RobotFile.model_json_schema()
-    parts = robot.pop("$defs")
+    schema = ScenarioFile.model_json_schema()
+    parts = RobotFile.model_json_schema()
     # The names of records spell out their bounds; numbers do.
-    names = {name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(parts, start=1)}
-    definitions = {names[name]: _renamed(part, names) for name, part in parts.items()}
-    robot = _renamed(robot, names)
-    schema["properties"]["robot"] = {
-        "title": "Robot",
-        "description": ROBOT_TEXT,
-        "anyOf": [{"type": "string"}, _override(robot, definitions), robot],
-    }
+    names = {name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(parts["$defs"], start=1)}
+    text = json.dumps(parts)
+    for name, short in names.items():
+        text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{short}"')
+    robot = json.loads(text)
+    definitions = {names[name]: part for name, part in robot.pop("$defs").items()}
+    either = [{"type": "string"}, _override(robot, definitions), robot]
+    schema["properties"]["robot"] |= {"title": "Robot", "anyOf": either}
     schema["$defs"] |= definitions
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
-
-
-def _renamed(node: Any, names: Mapping[str, str]) -> Any:
-    """Point references to the definitions under their new names."""
-    if isinstance(node, list):
-        return [_renamed(each, names) for each in node]
-    if not isinstance(node, dict):
-        return node
-    renamed = {key: _renamed(value, names) for key, value in node.items()}
-    if "$ref" in node:
-        renamed["$ref"] = f"#/$defs/{names[node['$ref'].removeprefix('#/$defs/')]}"
-    return renamed
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from srs_twin.scenario.fields import Section, quantity
+from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.viewing.plots.sweep_table import MAX_FIELDS, FieldName, FieldValues, Plain, Plot, Published
 
 MAX_POINTS = 1_000_000
@@ -71,16 +71,10 @@ class SamplingFile(Section):
 class SweepFile(Section):
     """One scenario over many values of its fields."""
 
-    title: str | None = Field(
-        None,
-        title="Title",
-        min_length=1,
-        max_length=200,
-        description="One line for people (default: the name).",
-    )
-    scenario: str = Field(
-        title="Scenario", min_length=1, max_length=4096, description="A shipped name or the path of a file."
-    )
+    title: Line | None = None
+    """One line for people (default: the name)."""
+    scenario: PathOrName
+    """A shipped name or the path of a file."""
     plants: Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None = None
     """Which plants run (default: those that the scenario names); []: none, the scenario is only planned."""
     periods: float | None = quantity(3.0, 1000.0, None)
