@@ -1,7 +1,4 @@
-"""Do the tests notice? Each fault of faults.yaml is put into a copy of the sources; its tests must fail.
-
-    uv run python benchmarks/faults.py [--only PART_OF_A_NAME]
-"""
+"""Do the tests notice? Each fault of faults.yaml is put into a copy of the sources; its tests must fail."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ import io
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
@@ -22,7 +23,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import SafeRepresenter
 
-from srs_twin.errors import InputFileError
+from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import printable, read_text, shown
 
 Loc = tuple[str | int, ...]
@@ -97,6 +98,14 @@ class Document:
         position = (self.keys if at_key and known == loc else self.values).get(known, (0, 0))
         if position not in self.refused:
             self.problems.append((position, f"{dotted(loc)}: {message}" if loc else message))
+
+    @contextmanager
+    def reporting(self, *loc: str | int) -> Iterator[None]:
+        """Note an `InputError` of a block as a problem with the value at a path."""
+        try:
+            yield
+        except InputError as error:
+            self.report(loc, str(error))
 
     def finish(self, foreign: Iterable[str] = ()) -> None:
         """Raise one error with all problems, in the order of the file.

@@ -23,7 +23,7 @@ from srs_twin.reproduction.claims import COLUMNS, Name, RunRequest, load_list
 from srs_twin.reproduction.runs import Job, Store, points_of, sweep_of
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario import parse_scenario
-from srs_twin.scenario.fields import Section, section
+from srs_twin.scenario.fields import Section
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.plan_view import following_plot, plan_view
 from srs_twin.viewing.plots.runs import (
@@ -41,12 +41,18 @@ from srs_twin.viewing.plots.sweeps import draw
 class Picture(Section):
     """One figure, and what is run for it."""
 
-    figure: Name = section("As the text counts it: 31a.")
-    caption: Name = section("What is shown, and of which runs.")
-    draw: Name = section("Which picture.")
-    of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)] = section("What is run for it.")
-    metric: Name | None = section("Of a sweep: what is drawn, by the sweep's own plot of it.", None)
-    names: list[Name] = section("Of the runs, where several are drawn over each other.", [])
+    figure: Name
+    """As the text counts it: 31a."""
+    caption: Name
+    """What is shown, and of which runs."""
+    draw: Name
+    """Which picture."""
+    of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)]
+    """What is run for it."""
+    metric: Name | None = None
+    """Of a sweep: what is drawn, by the sweep's own plot of it."""
+    names: list[Name] = []
+    """Of the runs, where several are drawn over each other."""
 
 
 def load_pictures(path: Path | None = None) -> tuple[Picture, ...]:

@@ -15,7 +15,7 @@ from srs_twin.recordings.recording import Recording
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.scenario.plants import PLANTS, TwinFile
+from srs_twin.scenario.plants import TwinFile
 
 _LONGER = 1e-6  # s: rounding
 _ROUNDED = 1.001
@@ -60,10 +60,8 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
         if fault.segment > segments:
             text = f"{fault.segment} is not allowed; {robot.name} has {segments} segments"
             document.report(("faults", k, "segment"), text)
-    try:
+    with document.reporting("sensor"):
         file.sensor.sensor(robot.spec())
-    except InputError as error:
-        document.report(("sensor",), str(error))
     # The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`).
     bending, twin = robot.bending, file.plants.twin
     shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
@@ -92,18 +90,13 @@ def check_controller(
         why = "; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"
         text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}{why}"
         document.report(("valves", "layout"), text)
-    try:
-        chambers = file.pneumatics.chambers(spec, supply_pa, layout)
-    except InputError as error:
-        document.report(("pneumatics",), str(error))
-    else:
-        _check_felt(document, file, chambers)
-    for kind in PLANTS:
-        if getattr(file.plants, kind) is not None:
-            try:
-                controller.check(spec, file.tick(kind))
-            except InputError as error:
-                document.report(("controller",), f"on the {kind} plant: {error}")
+    with document.reporting("pneumatics"):
+        _check_felt(document, file, file.pneumatics.chambers(spec, supply_pa, layout))
+    for kind in file.plants.running:
+        try:
+            controller.check(spec, file.tick(kind))
+        except InputError as error:
+            document.report(("controller",), f"on the {kind} plant: {error}")
     return layout, warnings
 
 
@@ -133,10 +126,7 @@ def check_recording(document: Document, file: ScenarioFile, recording: Recording
 
 
 def _check_times(document: Document, file: ScenarioFile) -> None:
-    for kind in PLANTS:
-        plant = getattr(file.plants, kind)
-        if plant is None:
-            continue
+    for kind, plant in file.plants.running.items():
         tick, interval = file.tick(kind), 1 / file.record_hz
         named = f"the {kind} plant's tick"
         key: tuple[str, ...] = ("plants", kind, "tick_s")
@@ -161,9 +151,8 @@ def _check_bench(document: Document, file: ScenarioFile) -> None:
     if "start" in file.model_fields_set:
         text = "what hangs on a bench starts where it is held; take one out"
         document.report(("start",), text, at_key=True)
-    for kind in PLANTS:
-        plant = getattr(file.plants, kind)
-        for key in plant.on_a_floor if plant else ():
+    for kind, plant in file.plants.running.items():
+        for key in plant.on_a_floor:
             if key in plant.model_fields_set:
                 text = "on a bench there is no floor; take it out, or bench: true"
                 document.report(("plants", kind, key), text, at_key=True)
@@ -196,17 +185,15 @@ def _check_replay(document: Document, file: ScenarioFile) -> None:
         document.report(("controller",), "kind: replay has nothing to replay; give recording as well")
     if file.recording is not None and not replays:
         document.report(("recording",), "nobody replays it; set controller.kind: replay", at_key=True)
-    for i, each in enumerate(file.expect):
-        if each.metric in MEASURED_UNITS and file.recording is None:
-            document.report(("expect", i, "metric"), f"{each.metric} needs recording")
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:
-    runs = {kind for kind in PLANTS if getattr(file.plants, kind)}
     for i, each in enumerate(file.expect):
-        if each.plant and each.plant not in runs:
+        if each.metric in MEASURED_UNITS and file.recording is None:
+            document.report(("expect", i, "metric"), f"{each.metric} needs recording")
+        if each.plant and each.plant not in file.plants.running:
             document.report(("expect", i, "plant"), f"{each.plant} does not run here; add it to plants")
-        if each.of and len(runs) < 2:
+        if each.of and len(file.plants.running) < 2:
             document.report(("expect", i, "of"), "a comparison needs both plants; add the other to plants")
 
 

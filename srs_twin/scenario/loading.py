@@ -60,7 +60,8 @@ def _scenario(document: Document, name: str) -> Scenario:
     warnings = overpressure(document, robot) if robot else []
     layout, world, recording, planner = "", World(), None, None
     if file:
-        world = _world(document, file)
+        with document.reporting("world", "random"):
+            world = file.world.surroundings(file.start.build(), file.seed)
         check(document, file)
     if file and robot:
         check_robot(document, file, robot)
@@ -171,14 +172,6 @@ def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | No
     except InputError as error:
         document.report(("recording", key), str(error))
     return None
-
-
-def _world(document: Document, file: ScenarioFile) -> World:
-    try:
-        return file.world.surroundings(file.start.build(), file.seed)
-    except InputError as error:
-        document.report(("world", "random"), str(error))
-        return World()
 
 
 def _planner(document: Document, file: ScenarioFile, world: World) -> RoutePlanner | None:

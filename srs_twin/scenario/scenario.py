@@ -70,8 +70,7 @@ class Scenario:
     @property
     def plants(self) -> Mapping[str, PlantFile]:
         """The plants that the file names, and how they run."""
-        sections = {kind: getattr(self.file.plants, kind) for kind in PLANTS}
-        return {kind: each for kind, each in sections.items() if each is not None}
+        return self.file.plants.running
 
     @property
     def controller(self) -> ControllerFile:
@@ -88,6 +87,12 @@ class Scenario:
         """The layout of the valves, "3/2" or "in_out"."""
         assert self.file.valves.layout is not None, "defaults are written out"
         return self.file.valves.layout
+
+    @property
+    def timing(self) -> dict[str, Any]:
+        """The arguments of `rollout` and `Job` that are the scenario's."""
+        names = ("duration", "pose", "seed", "record_hz")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def measured(self) -> Trajectory | None:

@@ -122,13 +122,19 @@ def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
     given = document.get("scenario")
     if not isinstance(given, str):
         return None, ()
-    try:
-        return load_scenario(given), ()
-    except InputFileError as error:
-        return None, error.lines
-    except InputError as error:
-        document.report(("scenario",), str(error))
-        return None, ()
+    with document.reporting("scenario"):
+        try:
+            return load_scenario(given), ()
+        except InputFileError as error:
+            return None, error.lines
+    return None, ()
+
+
+_OF_PLANTS = {
+    "periods": "nothing runs where plants is []; take it out",
+    "trajectories": "there are none where plants is []",
+    "beside": "is of plants, and plants is []; take it out",
+}
 
 
 class _Loading:
@@ -154,7 +160,9 @@ class _Loading:
         self._check_metrics()
         if file.beside is not None:
             check_beside(self._document, file, file.beside)
-        values, robots = self._sampled(), self._robots()
+        values, robots = None, self._robots()
+        with self._document.reporting("vary"):
+            values = sample(file.vary, file.sampling)
         if values is None or len(self._document.problems) > before:
             return None
         experiment = Experiment(self._scenario, self._plants, file.periods, robots, file.trajectories)
@@ -179,6 +187,7 @@ class _Loading:
         return None if len(self._document.problems) > before else sweep
 
     def _check_names(self) -> None:
+        idle = set(PLANTS) - set(self._plants)
         for section in ("fixed", "vary"):
             for field in getattr(self._file, section):
                 if field.partition(".")[0] in NOT_PHYSICS:
@@ -189,29 +198,20 @@ class _Loading:
                     self._report(section, field, "periods says how long a run is; take one of them out")
                 elif section == "vary" and field in self._file.fixed:
                     self._report(section, field, "is fixed as well; take one of them out")
-                path = parts(field)
-                if (
-                    path[:1] == ("plants",)
-                    and len(path) > 1
-                    and path[1] in PLANTS
-                    and path[1] not in self._plants
-                ):
-                    self._report(section, field, f"{path[1]} does not run here; add it to plants")
+                first, *path = parts(field)
+                if first == "plants" and idle.intersection(path[:1]):
+                    self._report(section, field, f"{path[0]} does not run here; add it to plants")
 
     def _check_planning(self) -> None:
         """Where nothing runs there must be a plan."""
         if self._plants:
             return
         if "planner" not in self._scenario:
-            self._document.report(
-                ("plants",), "none, but the scenario has no planner: there is nothing to do"
-            )
-        if self._file.periods is not None:
-            self._document.report(("periods",), "nothing runs where plants is []; take it out", at_key=True)
-        if self._file.trajectories:
-            self._document.report(("trajectories",), "there are none where plants is []", at_key=True)
-        if self._file.beside is not None:
-            self._document.report(("beside",), "is of plants, and plants is []; take it out", at_key=True)
+            text = "none, but the scenario has no planner: there is nothing to do"
+            self._document.report(("plants",), text)
+        for key, text in _OF_PLANTS.items():
+            if getattr(self._file, key):
+                self._document.report((key,), text, at_key=True)
 
     def _check_metrics(self) -> None:
         known = [*METRIC_UNITS, *LIST_METRIC_UNITS, *(COMPARISON_UNITS if len(self._plants) == 2 else ())]
@@ -236,26 +236,16 @@ class _Loading:
         else:
             self._document.report(loc, str(UnknownNameError("metric", metric, known, METRICS_LISTED)))
 
-    def _sampled(self) -> list[tuple[Value, ...]] | None:
-        try:
-            return sample(self._file.vary, self._file.sampling)
-        except InputError as error:
-            self._document.report(("vary",), str(error))
-            return None
-
     def _robots(self) -> dict[str, Any]:
         """Return the robots that are named, so that the key of a point knows what is in their files."""
         found = {}
         values = self._file.vary.get("robot", ())
         varied = () if isinstance(values, RangeFile) else values
-        for section, name in (
-            ("fixed", self._file.fixed.get("robot")),
-            *(("vary", value) for value in varied),
-        ):
-            if not isinstance(name, str):
-                continue
+        given = [("fixed", self._file.fixed.get("robot")), *(("vary", value) for value in varied)]
+        for section, name in given:
             try:
-                found[name] = load_robot_file(name).model_dump(mode="json")
+                if isinstance(name, str):
+                    found[name] = load_robot_file(name).model_dump(mode="json")
             except InputError as error:
                 self._report(section, "robot", str(error))
         return found
@@ -265,11 +255,14 @@ class _Loading:
         first = dict(zip(sweep.fields, sweep.values[0], strict=True))
         seen: set[str] = set()
         for loc, changes in self._probes(sweep, first):
-            for text in self._problems(changes, sweep):
+            try:
+                parse_scenario(sweep.experiment.document(changes), name="")
+            except InputFileError as error:
                 # What is wrong with every point is said once, where it was written.
-                if text not in seen:
-                    seen.add(text)
-                    self._blame(loc, text)
+                for line in dict.fromkeys(error.lines):
+                    if line not in seen:
+                        self._blame(loc, line.removeprefix(": "))
+                seen.update(error.lines)
 
     def _probes(
         self, sweep: Sweep, first: Mapping[str, Value]
@@ -289,13 +282,6 @@ class _Loading:
             else:
                 for i, value in enumerate(given):
                     yield ("vary", field, i), {**first, field: value}
-
-    def _problems(self, changes: Mapping[str, Value], sweep: Sweep) -> list[str]:
-        try:
-            parse_scenario(sweep.experiment.document(changes), name="")
-        except InputFileError as error:
-            return [line.removeprefix(": ") for line in error.lines]
-        return []
 
     def _blame(self, loc: tuple[str | int, ...], text: str) -> None:
         """Report a problem of a point where its field stands in the file."""
