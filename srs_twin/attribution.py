@@ -276,7 +276,9 @@ def explain(
 
     seen = {some: gap_between(runs[_key(some)], twin) for some in sets}
     found = contributions(names, {some - first: value for some, value in seen.items()})
-    shares = [_first_share(switch, seen[first] - gap) for switch in ladder.first]
+    change = seen[first] - gap
+    alone = Contribution(change, change, change)
+    shares = [_share(switch.name, switch.title, "first", alone) for switch in ladder.first]
     for switch in ladder.switches:
         shares.append(_share(switch.name, switch.title, "averaged", found[switch.name]))
     alike = runs[_key(sets[-1])]
@@ -324,8 +326,7 @@ def _run_all(
     scenario: Scenario, plants: Mapping[str, Callable[[], Plant]], progress: Progress | None
 ) -> dict[str, Trajectory]:
     """Roll every plant out under the scenario's gait, on all processors."""
-    timing = scenario.duration, scenario.pose, scenario.seed, scenario.record_hz
-    jobs = [Job(build, scenario.build_controller, *timing) for build in plants.values()]
+    jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in plants.values()]
     told = None if progress is None else lambda done: progress(done / len(jobs))
     found: dict[str, Trajectory] = {}
     for name, run in zip(plants, run_many(jobs, progress=told), strict=True):
@@ -334,10 +335,6 @@ def _run_all(
             raise run
         found[name] = run
     return found
-
-
-def _first_share(switch: Switch, change: np.ndarray) -> Share:
-    return _share(switch.name, switch.title, "first", Contribution(change, change, change))
 
 
 def _share(name: str, title: str, how: str, found: Contribution) -> Share:

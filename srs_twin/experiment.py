@@ -102,15 +102,7 @@ class PreparedRun:
             watch = _percents(partial(progress, kind) if progress else None, scenario.duration)
             start = time.perf_counter()
             try:
-                trajectories[kind] = rollout(
-                    plant,
-                    controller,
-                    scenario.duration,
-                    pose=scenario.pose,
-                    seed=scenario.seed,
-                    record_hz=scenario.record_hz,
-                    progress=watch,
-                )
+                trajectories[kind] = rollout(plant, controller, **scenario.timing, progress=watch)
                 watch(scenario.duration)
             except DivergedError as error:
                 kept = shown(self.folder / f"{kind}.parquet")

@@ -10,11 +10,10 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError, SrsError
@@ -89,15 +88,8 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
 
     def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
         try:
-            if address:
-                ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
-            else:
-                ray.init(
-                    num_cpus=workers,
-                    include_dashboard=False,
-                    log_to_driver=False,
-                    logging_level=logging.ERROR,
-                )
+            own: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
+            ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **own)
         except (ConnectionError, RuntimeError, ValueError) as error:
             raise InputError(f"Ray cannot be reached at {address or 'this machine'}: {error}") from error
         try:
@@ -171,8 +163,9 @@ class Summary:
         return sum(self.reasons.values())
 
 
-def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> OpenSweep:
-    """Lock a folder for a sweep and see what is there.
+@contextmanager
+def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> Iterator[OpenSweep]:
+    """Lock a folder for a sweep, as a context, and see what is there.
 
     Args:
         sweep: what is to be run.
@@ -183,28 +176,16 @@ def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> OpenSwee
         InputError: the folder cannot be written, is locked, or belongs to another version of the sweep.
     """
     open_folder(folder, (RESULTS, SWEEP, SCENARIO, REPORT, SUMMARY))
-    store = RowStore(folder)
-    try:
-        return OpenSweep(sweep, folder, store, changed=changed)
-    except BaseException:
-        store.close()
-        raise
+    with RowStore(folder) as store:
+        yield OpenSweep(sweep, folder, store, changed=changed)
 
 
 class OpenSweep:
-    """A sweep whose folder is locked; a context manager that unlocks it."""
+    """A sweep whose folder is locked."""
 
     def __init__(self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool) -> None:
         self.sweep, self.folder, self._store = sweep, folder, store
         self._settle(changed=changed)
-
-    def __enter__(self) -> OpenSweep:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._store.close()
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
         """Return the points without a row, or (asked for) with one that failed."""
@@ -261,7 +242,8 @@ class OpenSweep:
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
             beside=None if beside is None else published_table(beside, read),
         )
-        self._report(summary, read, titles)
+        pictures = {title: (self.folder / name).read_bytes() for name, title in titles.items()}
+        write_report(self.folder / REPORT, self.sweep, summary, read, shown_metrics(self.sweep), pictures)
         with atomic_write(self.folder / SUMMARY) as part:
             part.write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
         return summary
@@ -281,11 +263,6 @@ class OpenSweep:
             title, _, _ = figure.get_suptitle().partition("\n")
             titles[name] = f"{name}: {title}"
         return titles
-
-    def _report(self, summary: Summary, rows: SweepTable, titles: Mapping[str, str]) -> None:
-        pictures = {title: (self.folder / name).read_bytes() for name, title in titles.items()}
-        metrics = shown_metrics(self.sweep)
-        write_report(self.folder / REPORT, self.sweep, summary, rows, metrics, pictures)
 
     def _about(self, summary: Summary) -> dict[str, Any]:
         return {

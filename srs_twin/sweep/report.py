@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,13 +53,7 @@ def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     named = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
     if failed.any():
         named = [(*names, "failed" if failed[i] else "done") for names, i in zip(named, order, strict=True)]
-    made = []
-    for few in _few(columns):
-        cells = ([_text(column.numbers[i]) for column in few] for i in order)
-        lines = tuple((*names, *line) for names, line in zip(named, cells, strict=True))
-        shown = (*headings, *(column.heading for column in few))
-        made.append(Table(shown, lines, range(len(shown)), left_out))
-    return made
+    return _tables(headings, zip(named, order, strict=True), columns, _text, left_out)
 
 
 def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
@@ -83,16 +77,9 @@ def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[Table]
     begins = np.searchsorted(group[order], np.arange(len(texts) + 1))
     runs = [order[low:high] for low, high in zip(begins, begins[1:], strict=False)]
     runs = [each[~failed[each]] for each in runs]
-    made = []
-    for few in _few(columns):
-        lines = tuple(
-            (text, str(len(each)), *(_mean(column.numbers[each]) for column in few))
-            for text, each in zip(texts, runs, strict=True)
-        )
-        headings = (field.label, "runs", *(column.heading for column in few))
-        note = " ".join(filter(None, (left_out, not_shown)))
-        made.append(Table(headings, lines, range(len(headings)), note))
-    return made
+    lines = [((text, str(len(each))), each) for text, each in zip(texts, runs, strict=True)]
+    note = " ".join(filter(None, (left_out, not_shown)))
+    return _tables((field.label, "runs"), lines, columns, _mean, note)
 
 
 def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
@@ -109,10 +96,29 @@ def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], s
     return found[:_MOST_COLUMNS], said
 
 
-def _few(columns: Sequence[_Column]) -> Iterator[Sequence[_Column]]:
-    """Yield columns in tables that a page holds; one without columns where there are none."""
+def _tables(
+    headings: tuple[str, ...],
+    lines: Iterable[tuple[tuple[str, ...], Any]],
+    columns: Sequence[_Column],
+    cell: Callable[[Any], str],
+    note: str,
+) -> list[Table]:
+    """Return tables of as many columns as a page holds; one without columns where there are none.
+
+    Args:
+        headings: of what every table begins with.
+        lines: what a line begins with, and which of the numbers of each column are its own.
+        columns: of all tables.
+        cell: writes these numbers.
+        note: below each table.
+    """
+    made, lines = [], list(lines)
     for first in range(0, max(len(columns), 1), _COLUMNS):
-        yield columns[first : first + _COLUMNS]
+        few = columns[first : first + _COLUMNS]
+        rows = tuple((*begin, *(cell(column.numbers[own]) for column in few)) for begin, own in lines)
+        shown = (*headings, *(column.heading for column in few))
+        made.append(Table(shown, rows, range(len(shown)), note))
+    return made
 
 
 def _groups(field: Values) -> tuple[list[str], np.ndarray, str]:

@@ -16,7 +16,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -66,7 +65,7 @@ _ABOUT = TypeAdapter(About)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
-class RowStore:
+class RowStore(contextlib.AbstractContextManager["RowStore"]):
     """The rows of one sweep; a context manager that locks the folder."""
 
     def __init__(self, folder: Path) -> None:
@@ -103,12 +102,7 @@ class RowStore:
         except _DAMAGE as error:
             raise self._refusal(error) from error
 
-    def __enter__(self) -> RowStore:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -63,7 +63,8 @@ def run_point(experiment: Experiment, point: Point) -> Row:
         if not experiment.plants:
             values |= flat_metrics(PLAN, _planned(scenario))
         for plant in experiment.plants:
-            trajectories[plant] = _run(scenario, plant)
+            ready = scenario.build_plant(plant), scenario.build_controller()
+            trajectories[plant] = rollout(*ready, **scenario.timing)
             metrics = plant_metrics(trajectories[plant])
             if scenario.measured is not None:
                 metrics |= MeasuredDifference.of(scenario.measured, trajectories[plant]).metrics
@@ -78,17 +79,6 @@ def run_point(experiment: Experiment, point: Point) -> Row:
     files = {plant: _parquet(each) for plant, each in trajectories.items()} if experiment.trajectories else {}
     wall = time.perf_counter() - start
     return Row(point.key, FAILED if reason else DONE, values, wall, reason, exit_code, files)
-
-
-def _run(scenario: Scenario, plant: str) -> Trajectory:
-    return rollout(
-        scenario.build_plant(plant),
-        scenario.build_controller(),
-        scenario.duration,
-        pose=scenario.pose,
-        seed=scenario.seed,
-        record_hz=scenario.record_hz,
-    )
 
 
 def _planned(scenario: Scenario) -> dict[str, Any]:

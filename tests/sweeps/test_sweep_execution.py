@@ -114,13 +114,15 @@ def test_an_edited_sweep_is_refused_unless_told(tmp_path):
     with pytest.raises(
         InputError, match=r"of another version of this sweep \(the values have changed\); give --changed"
     ):
-        open_sweep(after, tmp_path / "out")
+        with open_sweep(after, tmp_path / "out"):
+            pass
     # 41 to 55 kPa in six steps has every other pressure of three steps.
     ran, summary = execute(after, tmp_path / "out", changed=True)
     assert (ran, summary.done) == (6, 14)
     edited = load_sweep(write(tmp_path, SMALL.replace("duration_s: 2", "duration_s: 3")))
     with pytest.raises(InputError, match=r"the scenario has changed: duration_s 2(\.0)? → 3"):
-        open_sweep(edited, tmp_path / "out")
+        with open_sweep(edited, tmp_path / "out"):
+            pass
     ran, summary = execute(edited, tmp_path / "out", changed=True)
     assert (ran, summary.done) == (8, 8)
 
@@ -148,7 +150,8 @@ def test_two_sweeps_in_one_folder(sweep, tmp_path):
         open_sweep(sweep, tmp_path / "out"),
         pytest.raises(InputError, match="another sweep works in this folder"),
     ):
-        open_sweep(sweep, tmp_path / "out")
+        with open_sweep(sweep, tmp_path / "out"):
+            pass
 
 
 def test_both_plants_are_compared(tmp_path):

@@ -62,7 +62,8 @@ def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):
     assert ran == 4
     (tmp_path / "one.yaml").write_text(shipped.replace("5.23599", "3.5"))  # it turns less tightly
     with pytest.raises(InputError, match=r"contents have changed: one\.yaml\); give --changed"):
-        open_sweep(load_sweep(sweep), tmp_path / "out")
+        with open_sweep(load_sweep(sweep), tmp_path / "out"):
+            pass
     ran, after = rows(load_sweep(sweep), tmp_path / "out", changed=True)
     assert ran == 2
     kept = {key for key, row in before.items() if row["planner.footprint"] == "other.yaml"}
