@@ -327,9 +327,9 @@ def _run_all(
 ) -> dict[str, Trajectory]:
     """Roll every plant out under the scenario's gait, on all processors."""
     jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in plants.values()]
-    told = None if progress is None else lambda done: progress(done / len(jobs))
+    report = None if progress is None else lambda done: progress(done / len(jobs))
     found: dict[str, Trajectory] = {}
-    for name, run in zip(plants, run_many(jobs, progress=told), strict=True):
+    for name, run in zip(plants, run_many(jobs, progress=report), strict=True):
         if isinstance(run, DivergedError):
             run.args = (f"{scenario.name}: why they differ: {name}: {run}",)
             raise run

@@ -182,11 +182,11 @@ class PreparedRun:
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Return what a person should know of a run: faults, and why it ended before its time."""
-    told = [asdict(event) for event in trajectory.events if event.kind == "fault"]
+    events = [asdict(event) for event in trajectory.events if event.kind == "fault"]
     by = trajectory.metadata.get("ended_by")
     if by is not None:
-        told.append({"time": float(trajectory.time[-1]), "kind": "ended", "text": f"the run, by its {by}"})
-    return told
+        events.append({"time": float(trajectory.time[-1]), "kind": "ended", "text": f"the run, by its {by}"})
+    return events
 
 
 def _percents(progress: Callable[[float], None] | None, duration: float) -> Callable[[float], None]:

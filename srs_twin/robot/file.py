@@ -20,7 +20,7 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import Document, Loc
 from srs_twin.io.files import find
 from srs_twin.io.validation import Strict, load_model, validate
-from srs_twin.robot.sourced import Record, Records, between, number, restated
+from srs_twin.robot.sourced import Record, Records, between, number, restated, split_unit
 from srs_twin.robot.spec import (
     WHEEL_SHARE,
     Actuator,
@@ -107,17 +107,11 @@ class ModulesFile(Records):
 
     def contradictions(self, segments: int) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of lists that do not fit the number of segments."""
-        for name in type(self).model_fields:
-            record = getattr(self, name)
-            if (
-                isinstance(record, Record)
-                and isinstance(record.value, list)
-                and len(record.value) != segments
-            ):
-                yield (
-                    ("modules", name, "value"),
-                    f"{len(record.value)} entries for {segments} segments; give {segments}, head first",
-                )
+        for name, record in self:
+            given = record.value if isinstance(record, Record) else None
+            if isinstance(given, list) and len(given) != segments:
+                text = f"{len(given)} entries for {segments} segments; give {segments}, head first"
+                yield ("modules", name, "value"), text
 
 
 PA_PER_KPA = 1000.0
@@ -252,12 +246,13 @@ class RobotFile(Strict):
 
     def records(self) -> dict[str, Record[Any, Any]]:
         """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
-        sections = {name: getattr(self, name) for name in type(self).model_fields}
         return {
-            f"{name}.{key}": getattr(section, key)
-            for name, section in sections.items() if isinstance(section, Strict)
-            for key in type(section).model_fields if isinstance(getattr(section, key), Record)
-        }  # fmt: skip
+            f"{name}.{key}": each
+            for name, section in self
+            if isinstance(section, Records)
+            for key, each in section
+            if isinstance(each, Record)
+        }
 
     def spec(self, seed: int = 0) -> RobotSpec:
         """Return the robot in SI.
@@ -317,20 +312,9 @@ class RobotFile(Strict):
 def units_of(section: str) -> dict[str, str]:
     """Return the units of a section's records by key; nothing for what is no section."""
     field = RobotFile.model_fields.get(section)
-    model = _among(field.annotation, Strict) if field else None
-    if model is None:
-        return {}
-    records = {key: _among(given.annotation, Record) for key, given in model.model_fields.items()}
-    return {
-        key: get_args(record.model_fields["unit"].annotation)[0]
-        for key, record in records.items() if record is not None
-    }  # fmt: skip
-
-
-def _among(annotation: Any, model: type[Strict]) -> type[Strict] | None:
-    """Return the first class of that kind in an annotation such as ``Record[…] | None``."""
-    classes = [each for each in (annotation, *get_args(annotation)) if isinstance(each, type)]
-    return next((each for each in classes if issubclass(each, model)), None)
+    kinds = (get_args(field.annotation) or (field.annotation,)) if field else ()
+    keys: Mapping[str, Any] = next((each.model_fields for each in kinds if issubclass(each, Records)), {})
+    return {key: split_unit(key)[1] for key in keys if key != "seed"}
 
 
 def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:

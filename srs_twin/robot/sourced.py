@@ -95,7 +95,10 @@ def between(low: float, high: float) -> Any:
 def _docstrings(module: str) -> dict[str, dict[str, str]]:
     """Return what stands below the keys of a module's classes: class → key → text in one line."""
     found: dict[str, dict[str, str]] = {}
-    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    try:
+        tree = ast.parse(inspect.getsource(sys.modules[module]))
+    except (OSError, TypeError):
+        return found  # a class that was typed into a shell
     for cls in (each for each in tree.body if isinstance(each, ast.ClassDef)):
         for key, below in pairwise(cls.body):
             if isinstance(key, ast.AnnAssign) and isinstance(below, ast.Expr):
@@ -169,8 +172,7 @@ class Records(Strict):
 
     def in_si(self) -> dict[str, Any]:
         """Return the numbers by key without its unit, in SI."""
-        given = {key: getattr(self, key) for key in type(self).model_fields}
-        return {split_unit(key)[0]: in_si(key, each.value) for key, each in given.items() if each is not None}
+        return {split_unit(key)[0]: in_si(key, each.value) for key, each in self if each is not None}
 
 
 def restated(before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str) -> dict[str, Any]:

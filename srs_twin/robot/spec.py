@@ -322,8 +322,8 @@ class RobotSpec:
         _require(given == wanted, "mass.connectors", given, f"the robot has {wanted} connectors")
         _require(math.isfinite(self.phase_step), "phase_step", self.phase_step, "it must be finite")
         if self.variation is not None:
-            told = len(self.variation.gain)
-            _require(told == self.segments, "modules", told, f"the robot has {self.segments}")
+            given = len(self.variation.gain)
+            _require(given == self.segments, "modules", given, f"the robot has {self.segments}")
 
     @property
     def segments(self) -> int:

@@ -104,8 +104,8 @@ class Section(Strict):
         """
         known = {name for each in of for name in inspect.signature(each).parameters}
         found = {}
-        for key in type(self).model_fields:
-            parameter, value = self.parameter(key), getattr(self, key)
+        for key, value in self:
+            parameter = self.parameter(key)
             if parameter is None or (of and parameter.name not in known):
                 continue
             if not (value is None and parameter.default is not parameter.empty):

@@ -192,8 +192,8 @@ def sample(vary: Given, sampling: SamplingFile) -> list[tuple[Value, ...]]:
     if sampling.kind == "list":
         lengths = {name: len(values) for name, values in zip(vary, lists, strict=True)}
         if len(set(lengths.values())) > 1:
-            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise InputError(f"sampling: list takes as many values of each field, but there are {told}")
+            counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise InputError(f"sampling: list takes as many values of each field, but there are {counts}")
         return list(zip(*lists, strict=True))
     count = 1
     for values in lists:

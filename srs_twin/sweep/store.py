@@ -61,6 +61,13 @@ class About:
 
 
 _DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # a message of SQLite may quote what is damaged
+_FULL = "cannot be written ({}); what was finished is kept, start again to go on"
+_FOREIGN = "not the rows of a sweep ({}); give another --out"
+_REFUSALS = {
+    sqlite3.SQLITE_BUSY: "another sweep works in this folder; wait for it or give another --out",
+    **dict.fromkeys((sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR), _FULL),
+    **dict.fromkeys((sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR), _FOREIGN),
+}
 _ABOUT = TypeAdapter(About)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
@@ -175,18 +182,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             raise self._refusal(error) from error
 
     def _refusal(self, error: Exception) -> InputError:
-        where, code = shown(self._path), getattr(error, "sqlite_errorcode", 0) & 0xFF
-        if code == sqlite3.SQLITE_BUSY:
-            return InputError(
-                f"{where}: another sweep works in this folder; wait for it or give another --out"
-            )
-        if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-            return InputError(
-                f"{where}: cannot be written ({error}); what was finished is kept, start again to go on"
-            )
-        if code in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR):
-            return InputError(f"{where}: not the rows of a sweep ({error}); give another --out")
-        return InputError(f"{where}: cannot be used ({error}); give another --out")
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        text = _REFUSALS.get(code, "cannot be used ({}); give another --out")
+        return InputError(f"{shown(self._path)}: {text.format(error)}")
 
 
 RESULTS = "results.parquet"
