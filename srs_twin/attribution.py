@@ -13,6 +13,7 @@ smaller and how its effect then shrinks give what it contributes in all.
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -85,11 +86,13 @@ class Switch(NamedTuple):
         name: short name.
         title: what it is, from → to.
         differs: whether the twin of this scenario has it otherwise.
+        options: arguments of the analytical model that switch it; later switches' go before earlier ones'.
     """
 
     name: str
     title: str
-    differs: bool = True
+    differs: bool
+    options: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -129,10 +132,10 @@ class Ladder:
         self._scenario = scenario
         self._model = scenario.file.plants.analytical or AnalyticalFile()
         self._twin = scenario.file.plants.twin or TwinFile()
-        every = self._all_switches()
-        self.first = [each for each in every if each.differs and each.name == FROZEN]
-        self.switches = [each for each in every if each.differs and each.name != FROZEN]
-        self.same = [each.name for each in every if not each.differs]
+        self._every = self._all_switches()
+        self.first = [each for each in self._every if each.differs and each.name == FROZEN]
+        self.switches = [each for each in self._every if each.differs and each.name != FROZEN]
+        self.same = [each.name for each in self._every if not each.differs]
         self.refinements = self._refinements()
 
     def _all_switches(self) -> list[Switch]:
@@ -141,16 +144,21 @@ class Ladder:
         point = model.friction not in LAW_OF.values()
         springs = model.model != "compliant"
         damped = springs and lag != spec.actuator.tau_mode
-        inertia = f"inertia of a connector about itself: {model.inertia} → compact"
+        friction, gaps = f"friction law: {model.friction} → {law}", f"rigid gaps: {model.gaps} → {twin.gaps}"
+        track = "contacts: one point a connector → two at the track"
         frozen = "chords frozen, and friction torque where it is left out → arcs"
+        bends = "bends: as given → springs that load and inertia deflect"
+        inertia = f"inertia of a connector about itself: {model.inertia} → compact"
+        half, torque = spec.geometry.half_track, {"friction_torque": True}
+        by_law = {"friction": law, "track": 0.0 if point else half}
         return [
-            Switch("friction law", f"friction law: {model.friction} → {law}", model.friction != law),
-            Switch("wheel track", "contacts: one point a connector → two at the track", point),
-            Switch("rigid gaps", f"rigid gaps: {model.gaps} → {twin.gaps}", model.gaps != twin.gaps),
-            Switch(FROZEN, frozen, model.model == "simplified"),
-            Switch("compliance", "bends: as given → springs that load and inertia deflect", springs),
-            Switch("damping", f"damping c/k: τ₂ → {1e3 * lag:g} ms", damped),
-            Switch("connector inertia", inertia, model.inertia != "connector"),
+            Switch("friction law", friction, model.friction != law, by_law),
+            Switch("wheel track", track, point, {"track": half}),
+            Switch("rigid gaps", gaps, model.gaps != twin.gaps, {"gaps": twin.gaps}),
+            Switch(FROZEN, frozen, model.model == "simplified", torque | {"model": "complete"}),
+            Switch("compliance", bends, springs, torque | {"model": "compliant"}),
+            Switch("damping", f"damping c/k: τ₂ → {1e3 * lag:g} ms", damped, {}),
+            Switch("connector inertia", inertia, model.inertia != "connector", {"inertia": "connector"}),
         ]
 
     def _refinements(self) -> list[Refinement]:
@@ -187,22 +195,9 @@ class Ladder:
             on: names of switches.
             options: further changes.
         """
-        model, spec = self._model, self._scenario.robot
-        changes: dict[str, Any] = {}
-        if "friction law" in on or "wheel track" in on:
-            at_track = "wheel track" in on or model.friction in LAW_OF.values()
-            changes["track"] = spec.geometry.half_track if at_track else 0.0
-        if "friction law" in on:
-            changes["friction"] = LAW_OF[self._twin.wheels]
-        if "rigid gaps" in on:
-            changes["gaps"] = self._twin.gaps
-        if FROZEN in on:
-            changes |= {"model": "complete", "friction_torque": True}
-        if "compliance" in on:
-            changes |= {"model": "compliant", "friction_torque": True}
-        if "connector inertia" in on:
-            changes["inertia"] = "connector"
-        if "damping" not in on and model.model != "compliant":
+        spec = self._scenario.robot
+        changes = dict(ChainMap(*(each.options for each in reversed(self._every) if each.name in on)))
+        if "damping" not in on and self._model.model != "compliant":
             spec = replace(spec, bending=replace(spec.bending, damping_time=spec.actuator.tau_mode))
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
 

@@ -378,14 +378,11 @@ def run_batch(
             progress(tick * batch.tick)
         if all(batch.errors):
             break
-    return [_result(recorder, error) for recorder, error in zip(recorders, batch.errors, strict=True)]
-
-
-def _result(recorder: Recorder, error: DivergedError | None) -> Trajectory | DivergedError:
-    if error is None:
-        return recorder.trajectory()
-    error.trajectory = recorder.trajectory()
-    return error
+    found = [recorder.trajectory() for recorder in recorders]
+    for trajectory, error in zip(found, batch.errors, strict=True):
+        if error is not None:
+            error.trajectory = trajectory
+    return [error or trajectory for trajectory, error in zip(found, batch.errors, strict=True)]
 
 
 def _refuse_sharing(jobs: Sequence[Job]) -> None:

@@ -61,6 +61,17 @@ class About:
 
 
 _DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # a message of SQLite may quote what is damaged
+# Exclusive first: the log then needs no shared memory, and network drives will do.
+_OPENING = (
+    "PRAGMA locking_mode=EXCLUSIVE",
+    "PRAGMA journal_mode=WAL",
+    "PRAGMA synchronous=NORMAL",
+    "PRAGMA trusted_schema=OFF",
+    "BEGIN EXCLUSIVE",
+    "CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS rows (key TEXT PRIMARY KEY, status TEXT, row TEXT NOT NULL)",
+    "COMMIT",
+)
 _FULL = "cannot be written ({}); what was finished is kept, start again to go on"
 _FOREIGN = "not the rows of a sweep ({}); give another --out"
 _REFUSALS = {
@@ -90,22 +101,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         try:
             self._base = sqlite3.connect(self._path, timeout=0, isolation_level=None)
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_BYTES)
-            # Exclusive first: the log then needs no shared memory, and network drives will do.
-            for line in (
-                "locking_mode=EXCLUSIVE",
-                "journal_mode=WAL",
-                "synchronous=NORMAL",
-                "trusted_schema=OFF",
-            ):
-                self._base.execute(f"PRAGMA {line}")
-            self._base.execute("BEGIN EXCLUSIVE")
-            self._base.execute(
-                "CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL)"
-            )
-            self._base.execute(
-                "CREATE TABLE IF NOT EXISTS rows (key TEXT PRIMARY KEY, status TEXT, row TEXT NOT NULL)"
-            )
-            self._base.execute("COMMIT")
+            for line in _OPENING:
+                self._base.execute(line)
         except _DAMAGE as error:
             raise self._refusal(error) from error
 
@@ -213,9 +210,8 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
     columns: dict[str, pa.Array] = {"key": pa.array([row.key for row in rows], pa.string())}
     for name in sweep.fields:
         columns[name] = _column([changes[row.key][name] for row in rows])
-    columns["status"] = pa.array([row.status for row in rows], pa.string())
-    columns["reason"] = pa.array([row.reason for row in rows], pa.string())
-    columns["exit_code"] = pa.array([row.exit_code for row in rows], pa.int8())
+    for name, kind in (("status", pa.string()), ("reason", pa.string()), ("exit_code", pa.int8())):
+        columns[name] = pa.array([getattr(row, name) for row in rows], kind)
     for metric in _metrics(sweep, rows):
         columns[metric] = pa.array([row.values.get(metric) for row in rows], pa.float64())
     columns["wall_s"] = pa.array([row.wall_s for row in rows], pa.float64())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from srs_twin.errors import DivergedError
 from srs_twin.io.documents import parse_yaml
 from srs_twin.parallel import Done
+from srs_twin.sweep import open_sweep
 from srs_twin.sweep.task import run_point
 
 SMALL = """\
@@ -27,6 +28,14 @@ def diverges(experiment, points):
     """Fail every second point."""
     for done in here(experiment, points):
         yield Done(done.number, None, DivergedError("twin", 1.0, "boom")) if done.number % 2 else done
+
+
+def execute(sweep, folder, engine=here, *, points=None, changed=False, **options):
+    """Run what is missing (the first of it); return how many points that was, and the summary."""
+    with open_sweep(sweep, folder, changed=changed) as opened:
+        missing = opened.missing(**options)[:points]
+        opened.run(engine, missing)
+        return len(missing), opened.finish()
 
 
 def write(folder, text=SMALL, name="small.yaml"):

@@ -7,10 +7,10 @@ import re
 import pytest
 from conftest import ROOT
 from ruamel.yaml import YAML
-from small import SMALL, here, write
+from small import SMALL, execute, write
 
 from srs_twin.io.documents import parse_yaml
-from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep import load_sweep
 from srs_twin.viewing.plots.sweep_table import Plot, Published, SweepTable, published_table
 from srs_twin.viewing.plots.sweeps import draw
 
@@ -58,11 +58,8 @@ def test_published_values_decide_no_row(tmp_path):
         sweep = load_sweep(write(tmp_path, text))
         keys = keys or [point.key for point in sweep.points]
         assert [point.key for point in sweep.points] == keys
-        with open_sweep(sweep, tmp_path / "out") as opened:
-            missing = opened.missing()
-            assert len(missing) == ran
-            opened.run(here, missing)
-            summary = opened.finish()
+        done, summary = execute(sweep, tmp_path / "out")
+        assert done == ran
         report = (tmp_path / "out" / "report.html").read_text("utf-8")
         assert (summary.beside is not None) == ("Table 10" in report) == ("beside" in text)
     assert "<td>0.3</td>" not in report

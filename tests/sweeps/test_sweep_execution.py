@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from small import SMALL, diverges, here, write
+from small import SMALL, diverges, execute, here, write
 
 from srs_twin import Trajectory, rollout
 from srs_twin.comparison.metrics import plant_metrics
@@ -22,13 +22,6 @@ from srs_twin.sweep.task import Row
 @pytest.fixture
 def sweep(tmp_path):
     return load_sweep(write(tmp_path))
-
-
-def execute(sweep, folder, engine=here, **options):
-    with open_sweep(sweep, folder, changed=options.pop("changed", False)) as opened:
-        missing = opened.missing(**options)
-        opened.run(engine, missing)
-        return len(missing), opened.finish()
 
 
 def test_one_row_a_point_with_the_metrics_of_its_run(sweep, tmp_path):

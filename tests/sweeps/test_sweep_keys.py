@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from conftest import ROOT
-from small import SMALL, here, write
+from small import SMALL, execute, write
 
 import srs_twin
 from srs_twin.errors import InputError
@@ -45,11 +45,8 @@ READ_BY_A_RUN = {
 
 def rows(sweep, folder, *, changed=False):
     """Return how many points were run, and the results by key."""
-    with open_sweep(sweep, folder, changed=changed) as opened:
-        missing = opened.missing()
-        opened.run(here, missing)
-        opened.finish()
-    return len(missing), {row["key"]: row for row in pq.read_table(folder / "results.parquet").to_pylist()}
+    ran, _ = execute(sweep, folder, changed=changed)
+    return ran, {row["key"]: row for row in pq.read_table(folder / "results.parquet").to_pylist()}
 
 
 def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):

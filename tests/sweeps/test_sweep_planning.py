@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pyarrow.parquet as pq
 import pytest
-from small import here, write
+from small import execute, here, write
 
 from srs_twin.errors import InputFileError
 from srs_twin.planning import Primitives, Problem, load_footprint, plan
@@ -29,9 +29,8 @@ PICTURE = "plots: [{kind: line, x: world.random.count, metric: plan_found, by: p
 
 
 def table(text, folder):
-    with open_sweep(load_sweep(write(folder, text)), folder / "out") as opened:
-        opened.run(here, opened.missing())
-        return pq.read_table(folder / "out/results.parquet").to_pylist() if opened.finish() else []
+    execute(load_sweep(write(folder, text)), folder / "out")
+    return pq.read_table(folder / "out/results.parquet").to_pylist()
 
 
 def test_rows_are_the_plans_of_the_planners_themselves(tmp_path):

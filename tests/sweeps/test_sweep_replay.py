@@ -6,14 +6,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from conftest import ROOT
-from small import here, write
+from small import execute, write
 
 from srs_twin import rollout
 from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.errors import InputFileError
 from srs_twin.scenario import parse_scenario
-from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep import load_sweep
 
 WALK = ROOT / "calibration/examples/my_snake/walk_check.csv"
 GAPS = [0.018, 0.021, 0.026]
@@ -48,9 +48,7 @@ METRICS = "metrics: [measured_shape_rms_m, measured_path_rms_m, measured_bend_rm
 
 
 def results(sweep, folder):
-    with open_sweep(sweep, folder) as opened:
-        opened.run(here, opened.missing())
-        opened.finish()
+    execute(sweep, folder)
     return pq.read_table(folder / "results.parquet").to_pydict()
 
 

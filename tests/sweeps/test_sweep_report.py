@@ -10,11 +10,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from small import SMALL, diverges, here, write
+from small import SMALL, diverges, execute, here, write
 
 from srs_twin.errors import DivergedError
 from srs_twin.parallel import Done
-from srs_twin.sweep import load_sweep, open_sweep
+from srs_twin.sweep import load_sweep
 from srs_twin.sweep.report import MOST_RUNS, means_by, run_tables
 from srs_twin.viewing.plots.sweep_table import SweepTable
 
@@ -63,9 +63,7 @@ class Page(HTMLParser):
 def left(tmp_path, text, engine=here, points=None):
     """Run a sweep and return the page that it leaves, its table and the summary."""
     out = tmp_path / "out"
-    with open_sweep(load_sweep(write(tmp_path, text)), out) as opened:
-        opened.run(engine, opened.missing()[:points])
-        summary = opened.finish()
+    _, summary = execute(load_sweep(write(tmp_path, text)), out, engine, points=points)
     return Page((out / "report.html").read_text("utf-8")), pq.read_table(out / "results.parquet"), summary
 
 
