@@ -127,6 +127,7 @@ def test_without_a_folder_one_process_says_it_once_and_workers_do_not(tmp_path):
     assert done.stderr.count(SAID) == 1 and "Error" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_command_goes_on_and_says_it_in_a_line(tmp_path, srs_twin_process):
     """As far as one gets without compiling anything, which takes half a minute."""
     done = srs_twin_process("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NOWHERE)

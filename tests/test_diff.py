@@ -178,6 +178,7 @@ def test_the_tolerance_is_that_of_its_docstring(a, rel):
     assert not Tolerance().allows(True, 1) and not Tolerance().allows(None, 0.0)
 
 
+@pytest.mark.slow
 def test_another_arithmetic_stays_within_the_default_tolerances(tmp_path):
     """The C library's other variants of sin and exp: last digits differ, no metric moves."""
     (tmp_path / "sweep.yaml").write_text(SWEEP)

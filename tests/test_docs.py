@@ -178,7 +178,13 @@ def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
             assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", SCRIPTED, ids=name_of)
+def scripted():
+    """Pages whose Python is run; the README's by default."""
+    for page in SCRIPTED:
+        yield pytest.param(page, marks=[] if page is README else [pytest.mark.slow])
+
+
+@pytest.mark.parametrize("page", list(scripted()), ids=name_of)
 def test_python_runs_as_a_script(page, tmp_path):
     page.run_script(tmp_path)
 

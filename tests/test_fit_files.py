@@ -48,6 +48,7 @@ def test_what_is_written_is_read_back(tmp_path: Path):
     assert [p.name for p in (tmp_path / "fits").iterdir()] == ["bench.yaml"]
 
 
+@pytest.mark.slow
 def test_the_same_fit_gives_the_same_bytes(tmp_path: Path):
     one, other = (write_fit(bench.__wrapped__(), tmp_path / f"{k}.yaml").read_bytes() for k in range(2))
     assert one == other

@@ -93,6 +93,7 @@ def test_delay_and_noise_cost_little():
         assert np.sqrt((beside(plan, way) ** 2).mean()) < 0.012
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     gain=st.floats(0.6, 1.6), drift=st.floats(-0.5, 0.5), aside=st.floats(-0.1, 0.1),

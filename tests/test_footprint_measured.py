@@ -196,6 +196,7 @@ def test_a_change_at_once_costs_nothing():
     assert max(found.left, found.right) < crawl.geometry.width
 
 
+@pytest.mark.slow
 @settings(max_examples=5, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(phase=st.floats(0, 6.3), x=st.floats(-3, 3), angle=st.floats(-3, 3))
 def test_transients_do_not_depend_on_place_or_phase_and_are_mirrored(phase, x, angle):
@@ -243,6 +244,7 @@ def turning() -> SteadyPath:
     return twin(0.3)
 
 
+@pytest.mark.slow
 def test_finer_time_steps_of_the_twin_draw_near_to_one_footprint(turning):
     """Friction that stops a slip within a few steps makes it an error of first order (docs/planning.md)."""
     whole = TwinSnake(load_robot("gen2")).timestep

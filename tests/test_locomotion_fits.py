@@ -102,6 +102,7 @@ def test_the_twin_as_the_plant():
     assert found["bending.stiffness_nm_per_rad"].value == pytest.approx(0.38, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_twin_tells_stiffness_and_gap_from_afar_in_few_runs():
     """From 15 % off: bends lead, for path and heading of the twin say nothing from some per cent on."""
     truth = {"bending.stiffness_nm_per_rad": 0.38, "geometry.rigid_gap_m": 0.022}
@@ -116,6 +117,7 @@ def test_the_twin_tells_stiffness_and_gap_from_afar_in_few_runs():
     assert found.converged and told[-1] < 60
 
 
+@pytest.mark.slow
 def test_validation_runs_are_only_looked_at():
     fitted, kept = straight_and_curved()[:2], straight_and_curved()[2:]
     names = ["friction.mu_t", "geometry.rigid_gap_m"]

@@ -358,7 +358,7 @@ def limited(l_per_min: float, **options: float) -> OrificePneumatics:
     return OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow, **options)
 
 
-@pytest.mark.parametrize("inertia", ["point", "connector"])
+@pytest.mark.parametrize("inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"])
 @pytest.mark.parametrize("l_per_min", [2.0, 20.0])
 def test_starved_chambers_and_yielding_bends_take_turns_often_enough(l_per_min, inertia, monkeypatch):
     """At 1 ms the two swung against each other, up to 180 kPa from a supply of 48, and no one noticed."""

@@ -15,23 +15,23 @@ from srs_twin.scenario.expectation import verdict
 DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 
 
-# One of each kind is run by default: these take longest.
-SLOW = {
-    *("follow_fig56", "follow_gen4_a", "follow_gen4_b", "gen3_turn", "gen4_turn"),
-    *("ilc_curve", "ilc_curve_without", "ilc_growth", "ilc_straight_without", "ilc_table8"),
-    *("module_hold_leak_iterative", "module_sine_025hz_direct", "module_sine_025hz_iterative"),
-    *("module_sine_1hz_direct", "module_sine_1hz_iterative", "module_sine_6hz_direct"),
-    *("module_sine_6hz_iterative", "module_square_2hz_iterative"),
-    *("plan_fig54_3", "plan_fig54_5", "sensor_rectangular"),
+# By default one of each kind that is quickly run; ILC: test_learning_scenarios.py.
+BRIEF = {
+    "follow_fig57",
+    "gen2_straight",
+    "module_step_direct",
+    "module_step_iterative",
+    "plan_fig53",
+    "sensor_far",
 }
 SHIPPED = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
+    pytest.param(name, marks=[] if name in BRIEF else [pytest.mark.slow])
     for name in sorted(shipped_names("scenario"))
 ]
 
 
-def test_what_is_slow_is_shipped():
-    assert set(shipped_names("scenario")) >= SLOW
+def test_what_runs_by_default_is_shipped():
+    assert set(shipped_names("scenario")) >= BRIEF
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -79,6 +79,7 @@ def as_documented(name, plants):
             assert unit * numbers[metric] == pytest.approx(mean, abs=4 * deviation)
 
 
+@pytest.mark.slow
 def test_generation_2_is_the_fastest(shipped_run):
     # Table 10 and Section 3.4.2, by the analytical model.
     speed = {}

@@ -128,6 +128,7 @@ def test_ctrl_c_keeps_what_is_finished(srs_twin, tmp_path):
     assert pq.read_table(tmp_path / "out" / "results.parquet").num_rows == 48
 
 
+@pytest.mark.slow
 def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
     process = started(tmp_path)
     run = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path)

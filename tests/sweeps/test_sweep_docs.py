@@ -50,7 +50,14 @@ def test_the_files_that_are_promised_are_left(tmp_path):
     assert all((tmp_path / "out" / name).exists() for name in summary.files)
 
 
-@pytest.mark.parametrize("words", [("example.py",), ("-c", EXAMPLE), ("-",)], ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words",
+    [
+        pytest.param(("example.py",), id="script"),
+        pytest.param(("-c", EXAMPLE), id="-c", marks=pytest.mark.slow),
+        pytest.param(("-",), id="stdin", marks=pytest.mark.slow),
+    ],
+)
 def test_the_example_runs_without_a_main_guard(words, tmp_path):
     (tmp_path / "example.py").write_text(EXAMPLE)
     write(tmp_path)
@@ -60,6 +67,7 @@ def test_the_example_runs_without_a_main_guard(words, tmp_path):
     assert re.fullmatch(r"[0-9a-f]{64}\n", run.stdout), "by this process, and by no worker"
 
 
+@pytest.mark.slow
 def test_the_example_runs_in_a_notebook(tmp_path):
     write(tmp_path)
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(EXAMPLE)])

@@ -59,6 +59,7 @@ def test_the_digest_does_not_know_how_long_planning_took(tmp_path):
     assert digest(rows) == digest(slower) != digest(longer)
 
 
+@pytest.mark.slow
 def test_a_planner_that_is_not_installed_fails_its_rows_and_can_be_left_out(tmp_path, srs_twin_process):
     text = WORLDS.replace("best_first]", "ompl]").replace("[0, 1, 2]", "[0]")
     (tmp_path / "ompl.py").write_text("raise ImportError('not installed')\n")
