@@ -19,10 +19,13 @@ any shape will do, and compiled by the kernels.
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 import numpy as np
 
-LAWS = ("axis", "wheel", "viscous", "ellipse")
-"""Names, in the order in which the kernels number them."""
+Law = Literal["axis", "wheel", "viscous", "ellipse"]
+LAWS: tuple[Law, ...] = get_args(Law)
+"""A law is its function below and its name here; kernels and files take it from there."""
 
 AT_TRACK = ("wheel", "ellipse")
 """Laws that act in two points a connector, at ± half the track; the others act in one, on its centre line."""

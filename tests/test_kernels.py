@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.integrate import solve_ivp
 
+from srs_twin import friction
 from srs_twin.friction import LAWS
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.plants import analytical
 from srs_twin.plants.analytical import kernels, kinematics
-from srs_twin.plants.analytical.floor import fill_forces, floor_forces, floor_friction
+from srs_twin.plants.analytical.floor import connector_friction, fill_forces, floor_forces, floor_friction
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
 from srs_twin.pneumatics import Trace
 
@@ -235,6 +237,25 @@ def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
     assert net[2] == pytest.approx((place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14)
     given = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
     assert power == pytest.approx(-given, rel=1e-12) and power > 0
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("track", [0.0, 0.02])
+def test_each_floor_takes_the_law_of_its_name(law, track):
+    """A law that the kernels do not know must not fall through to another."""
+
+    @njit
+    def compiled(along, across, spin, floor):
+        return connector_friction(along, across, spin, 2.0, floor)
+
+    along, across, spin = 0.2, -0.1, 3.0
+    contacts = (0.0,) if track == 0 else (-track, track)
+    force, moment = np.zeros(2), 0.0
+    for arm in contacts:
+        pushed = getattr(friction, law)(along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05)[:2]
+        force, moment = force + pushed, moment + arm * pushed[0]
+    found = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
+    assert found[:3] == pytest.approx([*force, moment], rel=1e-12)
 
 
 def test_posed_body_moves_at_the_rates_it_says():

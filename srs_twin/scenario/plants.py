@@ -9,6 +9,7 @@ from pydantic import field_validator, model_validator
 
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
+from srs_twin.friction import Law
 from srs_twin.mjcf.numerics import Numerics
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.scenario.fields import Section, constructor_default, quantity
@@ -59,7 +60,7 @@ class AnalyticalFile(_PlantFile):
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
     """Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: the
     dissertation's, which counts the segments twice."""
-    friction: Literal["axis", "wheel", "viscous", "ellipse"] = constructor_default()
+    friction: Law = constructor_default()
     """Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, ellipse:
     two skids at the track, viscous: a law for tests."""
     slip_speed_m_s: float = quantity(1e-6, 0.1)

@@ -32,7 +32,6 @@ class FloorFriction(NamedTuple):
     Attributes:
         case: as many None as the number of contacts and law in `_CASES`: numba tells tuples by their length,
             so a kernel is compiled for the case of its floor alone.
-        law: number of the friction law in `friction.LAWS`.
         track: distance of each of two contacts from the centre line, m; 0: one contact a connector.
         mu_t: coefficient along.
         mu_n: coefficient across.
@@ -40,17 +39,10 @@ class FloorFriction(NamedTuple):
     """
 
     case: tuple[None, ...]
-    law: int
     track: float
     mu_t: float
     mu_n: float
     slip: float
-
-
-_axis = compiled(friction.axis)
-_wheel = compiled(friction.wheel)
-_viscous = compiled(friction.viscous)
-_ellipse = compiled(friction.ellipse)
 
 
 @compiled
@@ -73,30 +65,16 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
     )
 
 
-_LAWS = (_axis, _wheel, _viscous, _ellipse)
+_LAWS = tuple(compiled(getattr(friction, name)) for name in LAWS)
 _CASES = tuple((contacts, law) for contacts in (_one_contact, _two_contacts) for law in _LAWS)
 
 
 def floor_friction(law: str, track: float, mu_t: float, mu_n: float, slip: float) -> FloorFriction:
     """Return a floor with one of `friction.LAWS`; other arguments as the attributes."""
-    number = LAWS.index(law)
-    case = number + len(LAWS) * (track != 0.0)
-    return FloorFriction((None,) * case, number, track, mu_t, mu_n, slip)
+    case = LAWS.index(law) + len(LAWS) * (track != 0.0)
+    return FloorFriction((None,) * case, track, mu_t, mu_n, slip)
 
 
-def _in_case(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Return what `connector_friction` does, in loops that are compiled without a branch."""
-    contacts, law = _CASES[len(floor.case)]
-    return contacts(law, along, across, spin, weight, floor)
-
-
-@overload(_in_case, jit_options={"forceinline": True})
-def _in_case_of_type(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
-    return lambda along, across, spin, weight, floor: contacts(law, along, across, spin, weight, floor)
-
-
-@compiled
 def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Return force and moment of a connector's contacts, and their slopes.
 
@@ -112,21 +90,15 @@ def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-u
     Returns:
         Force along (t) and across (n), moment (m); slopes tt, tn, tm, nn, nm, mm.
     """
-    if floor.track == 0.0:
-        if floor.law == 0:
-            return _one_contact(_axis, along, across, spin, weight, floor)
-        if floor.law == 1:
-            return _one_contact(_wheel, along, across, spin, weight, floor)
-        if floor.law == 2:
-            return _one_contact(_viscous, along, across, spin, weight, floor)
-        return _one_contact(_ellipse, along, across, spin, weight, floor)
-    if floor.law == 0:
-        return _two_contacts(_axis, along, across, spin, weight, floor)
-    if floor.law == 1:
-        return _two_contacts(_wheel, along, across, spin, weight, floor)
-    if floor.law == 2:
-        return _two_contacts(_viscous, along, across, spin, weight, floor)
-    return _two_contacts(_ellipse, along, across, spin, weight, floor)
+    contacts, law = _CASES[len(floor.case)]
+    return contacts(law, along, across, spin, weight, floor)
+
+
+@overload(connector_friction, jit_options={"forceinline": True})
+def _in_kernels(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    """Compile for the case of a floor's type: without a branch."""
+    contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
+    return lambda along, across, spin, weight, floor: contacts(law, along, across, spin, weight, floor)
 
 
 @compiled
@@ -153,7 +125,7 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         spin = yaw + turning[i]
         vx, vy = forth - yaw * py + rate_x[i], aside + yaw * px + rate_y[i]
         along, across = vx * c + vy * s, vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm = _in_case(along, across, spin, mass[i] * GRAVITY, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass[i] * GRAVITY, floor)
         # How velocity along and across depend on the yaw rate; by d'Alembert the arms of the forces.
         t_arm, n_arm = px * s - py * c, px * c + py * s
         fx += t * c - n * s
@@ -183,7 +155,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         c, s = body[COS, i], body[SIN, i]
         vx, vy = u[0] - u[2] * body[Y, i] + body[VX, i], u[1] + u[2] * body[X, i] + body[VY, i]
         along, across, spin = vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i]
-        found = _in_case(along, across, spin, mass[i] * GRAVITY, floor)
+        found = connector_friction(along, across, spin, mass[i] * GRAVITY, floor)
         force[i, 0], force[i, 1], force[i, 2] = found[0], found[1], found[2]
 
 
