@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.cli.batch import Case, Ended
+from srs_twin.cli.batch import Case, CaseResult
 from srs_twin.cli.junit import report_path, write_junit
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
 from srs_twin.experiment import RunResult
@@ -50,7 +50,7 @@ def case(name, *, metrics=None, errors=(), ended=True):
     """A scenario with three expectations and what came of it."""
     found = Case(name, SimpleNamespace(name=name, expect=EXPECT), Path("runs") / name)
     result = None if metrics is None else RunResult(name, found.folder, {}, metrics)
-    found.ended = Ended(result, errors, 1.5) if ended else None
+    found.ended = CaseResult(result, errors, 1.5) if ended else None
     return found
 
 
@@ -104,7 +104,7 @@ def test_every_kind_of_end(tmp_path):
         case("died", errors=(WorkerDiedError(-9, 3),)),
         case("unexplained", metrics=METRICS, errors=(flew,)),
         case("later", ended=False),
-        Case("./bad.yaml", ended=Ended(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
+        Case("./bad.yaml", ended=CaseResult(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
         Case("./never_read.yaml"),
     ]
     write_junit(tmp_path / "r.xml", cases)
@@ -135,7 +135,7 @@ def test_every_kind_of_end(tmp_path):
 def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
     known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
     scenario = SimpleNamespace(name="ran", expect=(*EXPECT, *known))
-    ended = Ended(RunResult("ran", Path("runs/ran"), {}, METRICS), (), 1.5)
+    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS), (), 1.5)
     for fails, of_known in (
         (frozenset({"missed"}), ["passed", "skipped", "passed"]),
         (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
@@ -158,7 +158,7 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
 def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     scenario = SimpleNamespace(name=name, expect=())
-    write_junit(path, [Case("x", scenario, ended=Ended(None, (InputError(words),)))])
+    write_junit(path, [Case("x", scenario, ended=CaseResult(None, (InputError(words),)))])
     (suite,) = ElementTree.parse(path).getroot()
     message = suite.find("testcase/error").get("message")
     if all(ord(c) >= 32 and c not in "\ufffe\uffff" for c in name + words):
@@ -166,7 +166,7 @@ def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, nam
 
 
 def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
-    bad = Ended(None, (InputError("\x1b[31mred\x00 \ud800 \ufffe <&\"'> é 🐍"),))
+    bad = CaseResult(None, (InputError("\x1b[31mred\x00 \ud800 \ufffe <&\"'> é 🐍"),))
     write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", ended=bad)])
     (name,) = read(tmp_path / "r.xml")
     assert name == "a\\udcff"

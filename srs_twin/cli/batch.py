@@ -26,7 +26,7 @@ RUNS = Path("runs")
 
 
 @dataclass(frozen=True)
-class Ended:
+class CaseResult:
     """What came of a scenario, small enough to travel between processes.
 
     Attributes:
@@ -71,7 +71,7 @@ class Case:
     source: str
     scenario: Scenario | None = None
     folder: Path = Path()
-    ended: Ended | None = None
+    ended: CaseResult | None = None
 
     @property
     def name(self) -> str:
@@ -85,7 +85,7 @@ def simulate(
     *,
     plants: Sequence[str] | None = None,
     explain: bool = False,
-) -> Ended:
+) -> CaseResult:
     """Run a scenario, here or in a worker process.
 
     Args:
@@ -106,12 +106,12 @@ def simulate(
     try:
         result = prepare(scenario, folder, plants=plants).execute(progress, **asked)
     except InputError as error:
-        return Ended(None, (error,), time.perf_counter() - start)
+        return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.unexplained)
     for each in errors:
         each.trajectory = each.history = None  # the file that it names holds them
     result = replace(result, trajectories={}, diverged=(), unexplained=())
-    return Ended(result, errors, time.perf_counter() - start)
+    return CaseResult(result, errors, time.perf_counter() - start)
 
 
 def failing(*, check: bool, strict: bool) -> frozenset[str]:
@@ -225,13 +225,13 @@ def _ending(case: Case) -> Iterator[None]:
         yield
     except InputError as error:
         say(str(error))
-        case.ended = Ended(None, (error,))
+        case.ended = CaseResult(None, (error,))
 
 
 Finished = Generator[Case, None, None]
 
 
-def _run(cases: Sequence[Case], task: Callable[..., Ended], jobs: int | None, quiet: bool) -> Finished:
+def _run(cases: Sequence[Case], task: Callable[..., CaseResult], jobs: int | None, quiet: bool) -> Finished:
     """Run scenarios here or in worker processes; yield each when it and all before it have ended."""
     from srs_twin.parallel import each, processors
 
@@ -249,7 +249,7 @@ def _run(cases: Sequence[Case], task: Callable[..., Ended], jobs: int | None, qu
     ):
         for done in run:
             case = cases[done.number]
-            case.ended = done.result or Ended(None, (_named(case, done.error),))
+            case.ended = done.result or CaseResult(None, (_named(case, done.error),))
             counting(failed=bool(case.ended.errors))
             with counting.aside():
                 while shown < len(cases) and cases[shown].ended is not None:
