@@ -40,8 +40,6 @@ from srs_twin.viewing.plots.sweep_table import (
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Columns = Mapping[str, Iterable[Any]]
-
 FORMATS = (".png", ".svg")
 _MOST_LINES = 12
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
@@ -49,17 +47,9 @@ _ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "
 _SPACES: dict[str, Any] = {"handletextpad": 0.4, "columnspacing": 1.2, "handlelength": 2.8}
 _WIDTH, _HEIGHT, _TOP, _BOTTOM = 9.0, 4.2, 0.75, 0.5
 _KEY = 1.3  # right margin with a colour bar or a legend in it
-_MARK: dict[str, Any] = {
-    "linestyle": "none",
-    "markersize": 4.5,
-    "markeredgewidth": 1.1,
-    "markerfacecolor": "none",
-}
+_MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markerfacecolor": "none", "zorder": 4}
 # Colours of marks: neither a plant's nor one of the scales of values.
-_MARKS: dict[str, Any] = {
-    "failed": {"marker": "x", "color": "#CC3311", "zorder": 4},
-    "no value": {"marker": "o", "color": "0.35", "zorder": 4},
-}
+_MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
 
 
 def draw(
@@ -111,11 +101,10 @@ def _title(plot: Plot, rows: SweepTable, owners: list[str]) -> str:
         notes = [f"each value the mean over {', '.join(map(field_label, others))}"] if others else []
     failed = int(rows.failed.sum())
     notes += [f"{failed} of {len(rows.failed)} runs failed"] if failed else []
-    lacking = sum(
-        int((np.isnan(rows.metric(plot.metric, owner).numbers) & ~rows.failed).sum()) for owner in owners
-    )
+    values = [rows.metric(plot.metric, owner).numbers for owner in owners]
+    lacking = sum(int((np.isnan(each) & ~rows.failed).sum()) for each in values)
     notes += [f"{lacking} values missing"] if lacking else []
-    known = np.concatenate([rows.metric(plot.metric, owner).numbers for owner in owners])
+    known = np.concatenate(values)
     different = np.unique(known[np.isfinite(known)])
     notes += [f"every value is {different[0]:.4g}"] if len(different) == 1 else []
     against = "against" if plot.kind == "scatter" else "over"
@@ -176,7 +165,9 @@ def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, what: str, *, across: bo
     """
     if len(x):
         transform = axes.get_xaxis_transform() if across else axes.transData
-        axes.plot(x, y, **_MARK, **_MARKS[what], transform=transform, clip_on=not across, label=what)
+        marker, color = _MARKS[what]
+        look = {"marker": marker, "color": color, "markeredgewidth": 1.1, **_MARK}
+        axes.plot(x, y, **look, transform=transform, clip_on=not across, label=what)
 
 
 def say(axes: Axes, failed: np.ndarray) -> None:
