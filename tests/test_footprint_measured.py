@@ -25,7 +25,7 @@ from srs_twin.identification.footprint import (
     steady_path,
     study,
 )
-from srs_twin.identification.paths import SETTLED, Change, Poses, SteadyPath, together, transient, widest
+from srs_twin.identification.paths import SETTLED, Change, Poses, SteadyPath, mean_path, transient, widest
 from srs_twin.planning.footprint import Footprint, Transient, checked
 
 PERIODS = 6
@@ -101,7 +101,7 @@ def test_a_snake_that_gets_nowhere_or_backward_has_no_footprint():
 
 def test_repeats_are_put_together_as_means_and_farthest_edges():
     a, b = SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2), SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1)
-    path, spread = together([a, b])
+    path, spread = mean_path([a, b])
     assert astuple(path) == pytest.approx((0.15, 1.5, 0.05, 0.04, 0.3, 0.2))
     assert astuple(spread) == pytest.approx((0.05, 0.5, 0.01, 0.01, 0.1, 0.05))
 

@@ -216,14 +216,14 @@ _PART = 0.05
 """Of a direction of length 1: parameters with a smaller share have no part in it."""
 
 
-def wanted_beyond(unknown: Unknown, z: float) -> str:
+def bound_reason(unknown: Unknown, z: float) -> str:
     """Return why an unknown has no number whose coordinate z ends at a bound."""
     lower = z - unknown.coordinate(unknown.low) < unknown.coordinate(unknown.high) - z
     bound, side = (unknown.low, "least") if lower else (unknown.high, "most")
     return f"the data want it at the {side} that is allowed, {bound:g} {unknown.unit}, or beyond"
 
 
-def hidden_because(
+def hidden_reason(
     unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability, place: int
 ) -> str:
     """Return why a parameter inside its bounds has no number.
@@ -250,7 +250,7 @@ def cancels(
     """Return the directions in which the residuals do not change: name → share, the largest above 0.
 
     Args:
-        unknowns: as in `hidden_because`.
+        unknowns: as in `hidden_reason`.
         inside: likewise.
         known: likewise.
     """

@@ -19,7 +19,7 @@ from srs_twin.control.commands import Steered
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, together, transient, widest
+from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, mean_path, transient, widest
 from srs_twin.planning.footprint import Transient
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
@@ -294,7 +294,7 @@ class Study:
     def _steady(self, offset: float, runs: Sequence[Trajectory]) -> tuple[SteadyPath, SteadyPath]:
         """Return the path at an offset and its spread."""
         try:
-            return together([steady_path(self.drive, run, self.periods) for run in runs])
+            return mean_path([steady_path(self.drive, run, self.periods) for run in runs])
         except InputError as error:
             raise InputError(f"offset {offset:g}: {error}") from error
 

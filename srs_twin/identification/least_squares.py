@@ -32,11 +32,11 @@ from srs_twin.identification.estimate import (
     Parameter,
     Residual,
     Verdict,
+    bound_reason,
     cancels,
     correlation_time,
-    hidden_because,
+    hidden_reason,
     identifiability,
-    wanted_beyond,
 )
 from srs_twin.identification.unknowns import Unknown
 
@@ -136,11 +136,11 @@ class Search:
         if self._searching and self._left <= 0:
             raise _StoppedError
         fitted = [each for each in self.residuals(z) if each.role == "fit"]
-        every = _together(fitted)
+        every = _weighted(fitted)
         self._note(z, every)
         if self._searching and self._best.converged:
             raise _StoppedError
-        return every if only is None else _together([each for each in fitted if only(each)])
+        return every if only is None else _weighted([each for each in fitted if only(each)])
 
     def _note(self, z: np.ndarray, weighted: np.ndarray) -> None:
         """Count a run, and remember the best of them."""
@@ -235,7 +235,7 @@ class _StoppedError(Exception):
     """A search has run the model as often as it may, or nothing is left to explain."""
 
 
-def _together(residuals: Sequence[Residual]) -> np.ndarray:
+def _weighted(residuals: Sequence[Residual]) -> np.ndarray:
     found = [each.values / each.scale for each in residuals]
     return np.concatenate(found) if found else np.zeros(0)
 
@@ -325,9 +325,9 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
         place = int(np.searchsorted(inside, i))
         why = ""
         if bound[i]:
-            why = wanted_beyond(unknown, z[i])
+            why = bound_reason(unknown, z[i])
         elif known.hidden(place):
-            why = hidden_because(unknowns, inside, known, place)
+            why = hidden_reason(unknowns, inside, known, place)
         if why:
             found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
         else:

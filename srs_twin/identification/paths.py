@@ -165,7 +165,7 @@ class SteadyPath:
         return cls(speed, curvature, *reach)
 
 
-def together(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
+def mean_path(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
     """Return one path for repeated measurements, and by how much they differ: half their range.
 
     Speed and curvature are means, edges and ends the farthest reached.

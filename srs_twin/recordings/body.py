@@ -84,6 +84,8 @@ class CapturedMarkers:
         time: shape (frames,), s.
         points: interpolated where a marker was not seen, shape (frames, markers, 2), m.
         columns: from which column of the file each sample came, −1 where it was not seen, (frames, markers).
+        rejected: how many samples of them were outliers.
+        other: how many samples of the file were of nothing on the robot.
     """
 
     table: MarkerTable
@@ -91,6 +93,8 @@ class CapturedMarkers:
     time: np.ndarray
     points: np.ndarray
     columns: np.ndarray
+    rejected: int
+    other: int
 
     @property
     def missing(self) -> np.ndarray:

@@ -22,7 +22,7 @@ from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.gaps import LEAST_FRAMES
 from srs_twin.recordings.logs import SIDES, ValveLog
-from srs_twin.recordings.recording import Recording, naming
+from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.trajectories import numbered
 from srs_twin.robot.spec import RobotSpec
 
@@ -199,7 +199,7 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         )
     if offset is None:
         clock, driven = driven_bends(log, spec)
-        with naming(log.source):
+        with named_in_errors(log.source):
             found = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
     elif np.isfinite(offset):
         found = Offset(float(offset), 0.0, 1.0, False)

@@ -43,7 +43,7 @@ def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     return np.argsort(time, kind="stable"), notes
 
 
-def in_order(time: np.ndarray) -> FrameGrid:
+def frame_grid(time: np.ndarray) -> FrameGrid:
     """Bring rows into the order of their times.
 
     Args:
@@ -140,7 +140,7 @@ def runs(missing: np.ndarray) -> np.ndarray:
     return edges.reshape(-1, 2)
 
 
-def longest_whole(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
+def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
     """Return the longest stretch in which every track begins and ends seen and no gap is longer than allowed.
 
     Args:

@@ -32,8 +32,8 @@ from srs_twin.recordings.csv_table import (
     read_file,
     read_table,
 )
-from srs_twin.recordings.gaps import LEAST_FRAMES, at_frames, filled, in_order, longest_whole, time_order
-from srs_twin.recordings.recording import Recording, naming
+from srs_twin.recordings.gaps import LEAST_FRAMES, at_frames, filled, frame_grid, longest_complete, time_order
+from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.summary import LogSummary
 from srs_twin.recordings.trajectories import measured, moving_slope, numbered, pose_columns
 from srs_twin.robot.spec import RobotSpec
@@ -88,12 +88,12 @@ def read_bends(
         allowed = f"at most {_LARGEST:.4g} (bend_1_deg, where they are degrees)"
         what = f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed; {allowed}"
         raise table.error(chosen[k], what, row)
-    with naming(table.file.name):
-        frames = in_order(time)
+    with named_in_errors(table.file.name):
+        frames = frame_grid(time)
     # Gaps are those of tracks in a plane; bends lie on its first axis.
     bend = at_frames(bend, frames)
     tracks = np.stack([bend, np.where(np.isnan(bend), np.nan, 0.0)], axis=-1)
-    kept = longest_whole(frames.time, tracks, longest_gap_s)
+    kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
         raise table.file.error(
             f"no {LEAST_FRAMES} rows on end in which all bends are known; give longest_gap_s"

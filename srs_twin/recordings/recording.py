@@ -11,22 +11,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, one_of
-from srs_twin.recordings.body import CapturedMarkers, tracked_body
+from srs_twin.recordings.body import CapturedMarkers, TrackedBody, tracked_body
 from srs_twin.recordings.floor import UPS, FloorPlane, on_floor
 from srs_twin.recordings.gaps import (
     LEAST_FRAMES,
     WAYS,
+    FrameGrid,
     at_frames,
     filled,
-    in_order,
-    longest_whole,
+    frame_grid,
+    longest_complete,
     outliers,
     runs,
 )
 from srs_twin.recordings.layout import LAYOUTS, check_scale, robot_markers
 from srs_twin.recordings.motion_files import read_markers
 from srs_twin.recordings.summary import LogSummary, MarkerCounts
-from srs_twin.recordings.tracking import MOST, MarkerTable, follow, packed
+from srs_twin.recordings.tracking import MOST, MarkerTable, follow, pack_slots
 from srs_twin.recordings.trajectories import body_trajectory
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -61,7 +62,7 @@ class Recording:
 
 
 @contextmanager
-def naming(file: str) -> Iterator[None]:
+def named_in_errors(file: str) -> Iterator[None]:
     """Put a file's name before the messages of a block; names that are unknown are not the file's fault."""
     try:
         yield
@@ -107,64 +108,57 @@ def read_motion(
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
     table = read_markers(path)
-    with naming(table.name):
-        return _recording(table, spec, up, layout, head, longest_gap_s, fill, gait_frequency_hz)
+    with named_in_errors(table.name):
+        geometry = spec.geometry
+        frames = frame_grid(table.time)
+        floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
+        plane, high = _without_high(floor)
+        slots, columns = _slots(table, at_frames(plane, frames))
+        gap_frames = max(1, round(longest_gap_s / frames.period))
+        check_scale(slots, geometry.pitch, spec.segments, spec.name)
+        tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
+        layout, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout)
+        left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
+        points = tracks[:, chosen]
+        jumps = outliers(points, _JUMP * geometry.pitch)
+        points[jumps] = np.nan
+        kept = longest_complete(frames.time, points, longest_gap_s)
+        if kept.stop - kept.start < LEAST_FRAMES:
+            together = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
+            raise InputError(
+                f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps "
+                f"up to {longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all "
+                f"markers seen on {together:.0f} % of them); give longest_gap_s"
+            )
+        time = frames.time[kept]
+        origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
+        whole, other = filled(time, points[kept], fill), high + left_out + dropped
+        markers = CapturedMarkers(table, layout, time, whole, origin, int(jumps.sum()), other)
+        body = tracked_body(markers, spec, head)
+        summary = _summary(frames, floor, markers, body)
+        return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
 
 
-def _recording(
-    table: MarkerTable,
-    spec: RobotSpec,
-    up: str,
-    layout: str,
-    head: str | None,
-    longest_gap_s: float,
-    fill: str,
-    gait_frequency_hz: float | None,
-) -> Recording:
-    """Return the recording of a table; arguments as in `read_motion`."""
-    geometry = spec.geometry
-    frames = in_order(table.time)
-    floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
-    seen = int((~np.isnan(at_frames(floor.plane, frames)[..., 0])).sum())
-    plane, high = _without_high(floor)
-    slots, columns = _slots(table, at_frames(plane, frames))
-    gap_frames = max(1, round(longest_gap_s / frames.period))
-    check_scale(slots, geometry.pitch, spec.segments, spec.name)
-    tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
-    layout, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout)
-    left_out = np.delete(tracks, chosen, axis=1)
-    points = tracks[:, chosen]
-    jumps = outliers(points, _JUMP * geometry.pitch)
-    points[jumps] = np.nan
-    kept = longest_whole(frames.time, points, longest_gap_s)
-    if kept.stop - kept.start < LEAST_FRAMES:
-        together = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
-        raise InputError(
-            f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps up "
-            f"to {longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers "
-            f"seen on {together:.0f} % of them); give longest_gap_s"
-        )
-    time = frames.time[kept]
-    origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
-    markers = CapturedMarkers(table, layout, time, filled(time, points[kept], fill), origin)
-    body = tracked_body(markers, spec, head)
+def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody) -> LogSummary:
+    """Return what became of the samples of a file."""
+    table, time, columns = markers.table, markers.time, markers.columns
     gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
     counts = MarkerCounts(
         header_frames=table.header_frames,
         frames_missing=int((frames.rows < 0).sum()),
         columns=len(table.labels),
-        layout=layout,
+        layout=markers.layout,
         head=body.head,
         up=floor.up,
-        samples_seen=seen,
-        samples_other=high + int((~np.isnan(left_out[..., 0])).sum()) + dropped,
-        samples_rejected=int(jumps.sum()),
+        samples_seen=int((~np.isnan(at_frames(floor.plane, frames)[..., 0])).sum()),
+        samples_other=markers.other,
+        samples_rejected=markers.rejected,
         longest_filled_s=float(max(gaps, default=0.0)),
-        moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in origin.T),
+        moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in columns.T),
         spacing_m=tuple(float(each) for each in body.spacing),
         residual_m=float(np.sqrt((body.residual**2).mean())),
     )
-    summary = LogSummary(
+    return LogSummary(
         source=table.name,
         sha256=table.sha256,
         kind=table.kind,
@@ -177,7 +171,6 @@ def _recording(
         corrections=(*table.corrections, *frames.corrections, *floor.corrections, *body.corrections),
         markers=counts,
     )
-    return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
 
 
 def _without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
@@ -192,7 +185,7 @@ def _slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """Return markers in slots; columns with connectors' names stay where they are."""
     count = len(table.connectors)
     if not count:
-        return packed(plane)
+        return pack_slots(plane)
     if count > MOST:
         raise InputError(f"{count} markers; at most {MOST} are followed")
     return plane, np.broadcast_to(np.arange(count), (len(plane), count))

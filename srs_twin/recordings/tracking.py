@@ -92,7 +92,7 @@ def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.where((partly | far)[..., None], np.nan, points), tuple(said)
 
 
-def packed(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in as few slots as there were columns in use at the same time.
 
     Args:
@@ -131,7 +131,7 @@ def packed(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return slots, columns
 
 
-def untangled(points: np.ndarray, columns: np.ndarray, gate: float) -> tuple[np.ndarray, np.ndarray]:
+def untangle(points: np.ndarray, columns: np.ndarray, gate: float) -> tuple[np.ndarray, np.ndarray]:
     """Return slots in which markers stay as far as that is plain, and where each sample came from.
 
     Args:
@@ -262,11 +262,11 @@ def follow(
     gate = min(GATE * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
     pieces = tracklets(points, gate, longest)
     if len(pieces) > _TANGLED:
-        points, columns = untangled(points, columns, gate)
+        points, columns = untangle(points, columns, gate)
         pieces = tracklets(points, gate, longest)
     if len(pieces) > MOST_PIECES:
         raise InputError(f"{_JUMPING} ({len(pieces)} pieces of their ways; at most {MOST_PIECES} are joined)")
-    known = _KnownTracks(points, longest, reach)
+    known = _Tracker(points, longest, reach)
     short = [each for each in pieces if len(each.frames) < _SHORT]
     if sum(len(each.frames) for each in short) > _RARE * np.count_nonzero(columns >= 0):
         # Few frames a second: markers go far from frame to frame, and pieces are short without being wrong.
@@ -284,7 +284,7 @@ def follow(
     return tracks, np.where(slots < 0, -1, origin), dropped
 
 
-class _KnownTracks:
+class _Tracker:
     """Tracks up to the frame that has been reached."""
 
     def __init__(self, points: np.ndarray, longest: int, reach: float) -> None:
