@@ -87,9 +87,8 @@ class Pulls:
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
                 raise InputError(f"{self.name}: pulls {way} must be a list of lengths in m, 0 or more")
             if len(pulls) == 1:
-                raise InputError(
-                    f"{self.name}: one pull {way} does not show its scatter; give 2 or more, or none"
-                )
+                what = f"one pull {way} does not show its scatter"
+                raise InputError(f"{self.name}: {what}; give 2 or more, or none")
 
     @property
     def factor(self) -> float:
@@ -274,9 +273,8 @@ class Coasting:
         first = int(np.argmax(speed)) if start is None else int(np.searchsorted(time, start))
         time, com = time[first:], com[first:]
         if len(time) < _LEAST_SAMPLES:
-            raise InputError(
-                f"{name}: {len(time)} samples after the throw; {_LEAST_SAMPLES} or more are wanted"
-            )
+            wanted = f"{_LEAST_SAMPLES} or more are wanted"
+            raise InputError(f"{name}: {len(time)} samples after the throw; {wanted}")
         if speed[first] < _LEAST_SPEED:
             raise InputError(
                 f"{name}: it moves at {speed[first]:.2g} m/s at most; a throw of "
@@ -328,9 +326,7 @@ def fit_coasting(
     share = spin_share(spec) if wheel_inertia else 0.0
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
-        mu_t, mu_n = (values[name] for name in _NAMES)
-        found = [_missed(run, k, values, law, (mu_t, mu_n), share) for k, run in enumerate(runs)]
-        return [each for both in found for each in both]
+        return [each for k, run in enumerate(runs) for each in _missed(run, k, values, law, share)]
 
     thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k)]
     held = {"spin_share": share}
@@ -351,17 +347,10 @@ def _throw(run: Coasting, k: int) -> list[Unknown]:
     ]
 
 
-def _missed(
-    run: Coasting,
-    k: int,
-    values: Mapping[str, float],
-    law: str,
-    friction: tuple[float, float],
-    share: float,
-) -> list[Residual]:
+def _missed(run: Coasting, k: int, values: Mapping[str, float], law: str, share: float) -> list[Residual]:
     """Return residuals of throw k by direction; where it began is their mean, and taken out."""
     thrown = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
-    mu_t, mu_n = friction
+    mu_t, mu_n = (values[name] for name in _NAMES)
     off = run.place - slide(thrown, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
     return [
         Residual(f"{run.name} {way}", "m", column - column.mean(), _NOISE)
@@ -371,12 +360,11 @@ def _missed(
 
 def _validated(found: Estimate, validation: Sequence[Coasting], law: str, share: float) -> Estimate:
     """Return the estimate with residuals of throws that it has not seen, each thrown as suits it best."""
-    mu_t, mu_n = (found.values[name] for name in _NAMES)
     added: list[Residual] = []
     for run in validation:
 
         def residuals(values: Mapping[str, float], run: Coasting = run) -> list[Residual]:
-            return _missed(run, 0, values, law, (mu_t, mu_n), share)
+            return _missed(run, 0, {**found.values, **values}, law, share)
 
         thrown = _throw(run, 0)
         seen = least_squares(residuals, thrown).residuals if thrown else residuals({})

@@ -236,8 +236,11 @@ def transient(
     seen = (trajectory.time >= change.time - 1e-9) & (trajectory.time <= settled + 1e-9)
     body, way = body_sides(trajectory, geometry)[seen], after.speed * (trajectory.time[seen] - change.time)
     _, left = begin.then(Poses.arc(after.curvature, way)).coordinates(body, after.curvature)
-    counted = ~_still_before(begin, body, before)
-    beyond = [np.where(counted, out, 0.0).max() for out in (left - after.left, -left - after.right)]
+    # Not what the old arc sweeps up to the change, a body before it at most.
+    at, aside = begin.coordinates(body, before.curvature)
+    swept = (aside <= before.left) & (aside >= -before.right)
+    swept &= (at <= before.ahead) & (at >= -before.ahead - before.behind)
+    beyond = [np.where(swept, 0.0, out).max() for out in (left - after.left, -left - after.right)]
     left_by, right_by = (max(float(each), 0.0) for each in beyond)
     length, place = after.speed * (settled - change.time), jumped.place
     turned = float(np.angle(np.exp(1j * jumped.heading)))
@@ -282,11 +285,3 @@ def _back(trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyP
     """Return where a steady path was, or will be, at a time (s), from each pose in a window."""
     times, poses = averaged_path(trajectory, window)
     return poses.then(Poses.arc(path.curvature, path.speed * (time - times)))
-
-
-def _still_before(begin: Poses, body: np.ndarray, path: SteadyPath) -> np.ndarray:
-    """Say which points are in what the steady path sweeps up to the change, a body before it at most."""
-    along, left = begin.coordinates(body, path.curvature)
-    inside = (left <= path.left) & (left >= -path.right)
-    near: np.ndarray = (along <= path.ahead) & (along >= -path.ahead - path.behind)
-    return inside & near

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,14 +147,12 @@ def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
         raise InputError(f"{name}: {NO_MARKERS}")
     driver = Replay(commands(recording, name), trajectory.metadata.get("gait_frequency_hz"))
     logged = pressures(recording)
-    if logged is None:
-        return GaitRun(trajectory, driver, supply_pa, name)
-    time, values = logged
-
-    def chambers(spec: RobotSpec) -> Pneumatics:
-        return RecordedPressures(spec, time, values, supply_pa=supply_pa)
-
+    chambers = logged and partial(_recorded, *logged, supply_pa)
     return GaitRun(trajectory, driver, supply_pa, name, chambers)
+
+
+def _recorded(time: np.ndarray, values: np.ndarray, supply_pa: float, spec: RobotSpec) -> Pneumatics:
+    return RecordedPressures(spec, time, values, supply_pa=supply_pa)
 
 
 def only_bends(trajectory: Trajectory) -> bool:

@@ -337,29 +337,24 @@ def read_table(file: RecordedFile, known: Mapping[str, Mapping[str, float]]) -> 
     (cells,) = file.head(1)
     for separator, called in ((";", "semicolons"), ("\t", "tabs")):
         if len(cells) == 1 and separator in cells[0]:
-            raise file.error(
-                f"cells are separated by {called}; save it with commas, and points in numbers", 1
-            )
+            remedy = "save it with commas, and points in numbers"
+            raise file.error(f"cells are separated by {called}; {remedy}", 1)
     columns = [_column(file, place, text, known) for place, text in enumerate(cells)]
-    seen: dict[tuple[str, int, str], str] = {}
-    for column in columns:
-        if column is None:
-            continue
-        key = (column.name, column.number, column.letter)
-        if key in seen:
-            raise file.error(f"{cells[column.place]}: the same as column '{seen[key]}'", 1, column.place + 1)
-        seen[key] = cells[column.place]
+    seen: dict[tuple[str, int, str], CsvColumn] = {}
+    for each in filter(None, columns):
+        first = seen.setdefault((each.name, each.number, each.letter), each)
+        if first is not each:
+            said = f"{cells[each.place]}: the same as column '{cells[first.place]}'"
+            raise file.error(said, 1, each.place + 1)
     unused = [cell.strip()[:40] for cell, column in zip(cells, columns, strict=True) if column is None]
-    return CsvTable(file, tuple(each for each in columns if each), len(cells), tuple(unused))
+    return CsvTable(file, tuple(seen.values()), len(cells), tuple(unused))
 
 
 def _column(
     file: RecordedFile, place: int, text: str, known: Mapping[str, Mapping[str, float]]
 ) -> CsvColumn | None:
     match = _NAME.fullmatch(text)
-    if match is None:
-        return None
-    name, number, letter, trailing, bracketed = match.groups()
+    name, number, letter, trailing, bracketed = match.groups() if match else [""] * 5
     unit = (trailing or bracketed or "").lower()
     if name.lower() not in known and trailing and number is None:
         name, unit = f"{name}_{trailing}", ""  # no unit: the name's own last word
