@@ -25,8 +25,8 @@ from srs_twin.sweep.points import Experiment, Point, Sweep
 from srs_twin.sweep.report import REPORT, write_report
 from srs_twin.sweep.store import (
     RESULTS,
-    About,
     RowStore,
+    SweepIdentity,
     digest,
     shown_columns,
     shown_metrics,
@@ -283,7 +283,7 @@ class OpenSweep:
         keys = digest([Row(point.key, DONE) for point in self.sweep.points])
         rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
         rest = json.loads(json.dumps((*rest, source_digests(POINTS), self._files())))
-        now, before = About(keys, *rest), self._store.about()
+        now, before = SweepIdentity(keys, *rest), self._store.identity()
         if before is not None and before.keys != now.keys:
             if not changed:
                 raise InputError(
@@ -293,7 +293,7 @@ class OpenSweep:
                 )
             self._store.keep(point.key for point in self.sweep.points)
         if before != now:
-            self._store.tell(now)
+            self._store.keep_identity(now)
 
     def _files(self) -> dict[str, str]:
         """Return the files that any point reads → SHA-256 of their contents."""
@@ -311,7 +311,7 @@ def _row(point: Point, done: Done[Row]) -> Row:
     return Row(point.key, FAILED, reason=printable(" ".join(str(done.error).split())), exit_code=code)
 
 
-def _difference(before: About, now: About) -> str:
+def _difference(before: SweepIdentity, now: SweepIdentity) -> str:
     """Say in a few words how two versions of a sweep differ."""
     said = []
     if changed := list(_changes(before.versions, now.versions, "")):

@@ -40,7 +40,7 @@ Parsed = TypeVar("Parsed")
 
 
 @dataclass(frozen=True)
-class About:
+class SweepIdentity:
     """Which sweep rows belong to, as plain data of JSON.
 
     Attributes:
@@ -79,7 +79,7 @@ _REFUSALS = {
     **dict.fromkeys((sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR), _FULL),
     **dict.fromkeys((sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR), _FOREIGN),
 }
-_ABOUT = TypeAdapter(About)
+_IDENTITY = TypeAdapter(SweepIdentity)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
@@ -119,18 +119,18 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
                 self._path.unlink()
         remove_empty(self._missing)
 
-    def about(self) -> About | None:
-        """Return what `tell` kept, None where it never did.
+    def identity(self) -> SweepIdentity | None:
+        """Return what `keep_identity` kept, None where it never did.
 
         Raises:
             InputError: something else stands there.
         """
         found = self._read("SELECT value FROM about WHERE name = 'sweep'")
-        return self._parsed(_ABOUT, found[0][0]) if found else None
+        return self._parsed(_IDENTITY, found[0][0]) if found else None
 
-    def tell(self, about: About) -> None:
+    def keep_identity(self, identity: SweepIdentity) -> None:
         """Keep which sweep the rows belong to."""
-        self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", json.dumps(asdict(about)))
+        self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", json.dumps(asdict(identity)))
 
     def add(self, row: Row) -> None:
         """Keep a row; one of the same key is replaced."""

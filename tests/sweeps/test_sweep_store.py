@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.sweep.store import FILE, About, RowStore
+from srs_twin.sweep.store import FILE, RowStore, SweepIdentity
 from srs_twin.sweep.task import DONE, FAILED, Row
 
 pytestmark = pytest.mark.fast
@@ -70,7 +70,7 @@ def test_the_folder_is_locked(tmp_path):
 @pytest.mark.parametrize("table", ["about", "rows"])
 def test_junk_is_not_taken_for_a_sweep(tmp_path, junk, table):
     with RowStore(tmp_path) as store:
-        store.tell(About("a", {}, [], {}))
+        store.keep_identity(SweepIdentity("a", {}, [], {}))
         store.add(ROWS[0])
     base = sqlite3.connect(tmp_path / FILE)
     with base:
@@ -81,13 +81,13 @@ def test_junk_is_not_taken_for_a_sweep(tmp_path, junk, table):
         RowStore(tmp_path) as store,
         pytest.raises(InputError, match="rows.sqlite: not the rows of a sweep; give another --out"),
     ):
-        store.about() if table == "about" else list(store.rows())
+        store.identity() if table == "about" else list(store.rows())
     assert (tmp_path / FILE).read_bytes() == before
 
 
 def test_what_a_store_made_does_not_stay_without_a_row(tmp_path):
     with RowStore(tmp_path / "new/folder") as store:
-        store.tell(About("a", {}, [], {}))
+        store.keep_identity(SweepIdentity("a", {}, [], {}))
     assert not list(tmp_path.iterdir())
     for row in ROWS[:2]:
         with RowStore(tmp_path / "new") as store:

@@ -58,12 +58,10 @@ class Plot(Section):
 class Published(Section):
     """What was published of the metrics, at some values of the varied fields."""
 
-    source: str = Field(
-        title="Source", min_length=1, max_length=60, description="Where it is published (Table 8)."
-    )
-    note: Annotated[str, Field(min_length=1, max_length=1000)] | None = Field(
-        None, title="Note", description="What a reader must know to compare (signs, how it was measured)."
-    )
+    source: Annotated[str, Field(min_length=1, max_length=60)]
+    """Where it is published (Table 8)."""
+    note: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
+    """What a reader must know to compare (signs, how it was measured)."""
     at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)]
     """Varied fields, each with its values where something is published; equally many of each."""
     metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)]
