@@ -13,10 +13,10 @@ from scipy.integrate import solve_ivp
 from srs_twin import friction
 from srs_twin.friction import LAWS
 from srs_twin.geometry import body_shape, relative_headings
-from srs_twin.plants import analytical
 from srs_twin.plants.analytical import kernels, kinematics
 from srs_twin.plants.analytical.floor import connector_friction, fill_forces, floor_forces, floor_friction
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
+from srs_twin.plants.analytical.steps import advance, bend_within
 from srs_twin.pneumatics import Trace
 
 GRAVITY = 9.81
@@ -71,7 +71,7 @@ def run(
         (np.empty((0, kernels.STATES)), np.empty((0, 3))),
     )
     steps, marks = np.full(count, step), np.empty(0, dtype=int)
-    done, parts = analytical.advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
+    done, parts = advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
     assert done == count
     return state, parts
 
@@ -348,6 +348,6 @@ def test_bends_between_the_stages_are_cubics():
     bends, rates = np.array([cubic(t) for t in at]), np.array([rate(t) for t in at])
     for share in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
         q, r = np.empty((2, 2))
-        analytical.bend_within(share, h, bends, rates, q, r)
+        bend_within(share, h, bends, rates, q, r)
         assert q == pytest.approx(cubic(share * h), abs=1e-14)
         assert r == pytest.approx(rate(share * h), abs=1e-13)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.plants.analytical import Steps
 from srs_twin.plants.analytical.kernels import GAMMA
+from srs_twin.plants.analytical.steps import Steps
 
 pytestmark = pytest.mark.fast
 

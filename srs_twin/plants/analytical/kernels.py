@@ -12,8 +12,7 @@ of connector i's wheels. Using the moment of momentum L as the state needs no qÌ
 cost no accuracy. This is Eq. 11 contracted with eáµ€ (segment torques cancel).
 The friction is stiff, so the three velocities are solved implicitly with the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977), Newton's method in each stage. Friction has a convex potential; its
-slope along a step tells whether the step was too long. The step control of `analytical` says how long steps
-are.
+slope along a step tells whether the step was too long; `steps` says how long they are.
 
 What the segments must exert for the bends to move as given (`inverse_dynamics`) is found Newton and Euler's
 way: first from head to tail, how the connectors accelerate while the head does not and the mean heading turns
