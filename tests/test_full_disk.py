@@ -137,8 +137,10 @@ def test_the_command_says_it_in_one_line_and_exits_with_2(room):
         timeout=300,
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == (
-        "out: the run's files cannot be written there (File too large); an earlier run's are as they were\n"
+    # Where kernels are compiled here for the first time, their machine code finds no room either.
+    (said,) = [line for line in done.stderr.splitlines() if "machine code cannot be kept" not in line]
+    assert said == (
+        "out: the run's files cannot be written there (File too large); an earlier run's are as they were"
     )
     assert contents(room / "out") == before
 
