@@ -159,14 +159,8 @@ SCRIPTED = [page for page in PAGES if page.script]
 README = BY_PATH[ROOT / "README.md"]
 
 
-def commanded():
-    """Pages whose commands are run; those but the first steps take long."""
-    for page in COMMANDED:
-        slow = page.name != "docs/quickstart.md"
-        yield pytest.param(page, marks=[pytest.mark.slow] if slow else [])
-
-
-@pytest.mark.parametrize("page", list(commanded()), ids=name_of)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", COMMANDED, ids=name_of)
 def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
     """As a reader would: save what is to be saved, type what is to be typed."""
     page.save_files(tmp_path)

@@ -23,7 +23,17 @@ MODELS = {
     "no torque": {"model": "simplified", "friction_torque": False},
     "compliant": {"model": "compliant"},
 }
-ALL = pytest.mark.parametrize("options", MODELS.values(), ids=MODELS)
+
+
+def slow_but(quick, cases):
+    """Cases by name: but for the quick ones they are slow; kernels are compiled for each model and law."""
+    return [
+        pytest.param(case, id=name, marks=[] if name in quick else [pytest.mark.slow])
+        for name, case in cases.items()
+    ]
+
+
+ALL = pytest.mark.parametrize("options", slow_but(("complete", "compliant"), MODELS))
 
 
 def driven(plant: AnalyticalSnake | TwinSnake, duration: float, hz: float) -> SnakeState:
@@ -41,7 +51,12 @@ def power(h: SnakeState) -> np.ndarray:
 
 @ALL
 @pytest.mark.parametrize(
-    ("law", "mu"), [("viscous", {"mu_t": 1.0, "mu_n": 15.0}), ("axis", {}), ("wheel", {})]
+    ("law", "mu"),
+    [
+        ("viscous", {"mu_t": 1.0, "mu_n": 15.0}),
+        pytest.param("axis", {}, marks=pytest.mark.slow),
+        pytest.param("wheel", {}, marks=pytest.mark.slow),
+    ],
 )
 def test_work_is_the_torques_power_added_up(options, law, mu):
     """To second order in the step: the kernels add up what friction takes, not what segments give."""
@@ -66,12 +81,14 @@ def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
     return (spec.mass.array()[:, None] * velocity**2).sum(axis=(1, 2)) / 2
 
 
-@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-@pytest.mark.parametrize("name", ["complete", "simplified", "no torque", "compliant"])
-def test_friction_only_takes(name, law):
+@pytest.mark.parametrize("law", [pytest.param("axis", marks=pytest.mark.slow), "wheel", "ellipse"])
+@pytest.mark.parametrize(
+    "options", [each for each in slow_but(("complete", "compliant"), MODELS) if each.id != "lumped"]
+)
+def test_friction_only_takes(options, law):
     """Work less kinetic energy never falls."""
     spec, step = robot(), 2e-4
-    plant = AnalyticalSnake(spec, friction=law, timestep=step, supply_pa=SUPPLY, **MODELS[name])
+    plant = AnalyticalSnake(spec, friction=law, timestep=step, supply_pa=SUPPLY, **options)
     h = driven(plant, 1.0, 1 / step)
     taken = h.work - kinetic(h, spec, step)
     # Differences of places do not see where a valve's switch puts a kink into the velocities.

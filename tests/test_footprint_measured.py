@@ -278,6 +278,7 @@ def footprint_of(measured) -> Footprint:
     return Footprint("measured", "", measured.offsets, *columns[:4], *reach, measured.transients)
 
 
+@pytest.mark.slow
 def test_a_whole_footprint_is_one_for_the_planner():
     done: list[int] = []
     found = measure(

@@ -171,6 +171,7 @@ def test_a_full_disk_behind_stdout_is_no_fault_of_ours(words, buffered, tmp_path
     assert (done.returncode, done.stderr) == (2, said)
 
 
+@pytest.mark.slow
 def test_what_was_computed_stays_though_it_cannot_be_printed(room):
     script = Path(sys.executable).with_name("srs-twin")
     with open("/dev/full", "wb") as full:

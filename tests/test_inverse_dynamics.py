@@ -46,6 +46,7 @@ def by_rows(
     return needed[3:] + mass[3:, :3] @ whole
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

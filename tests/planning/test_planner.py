@@ -174,6 +174,7 @@ def walled(**changes) -> Problem:
     )
 
 
+@pytest.mark.slow
 def test_a_goal_walled_in_is_proven_unreachable():
     wall = ring(1.5, 0, 0.4, 14, 0.08)
     problem = walled(world=World(wall, Bounds((-1, 3), (-1, 1))))
@@ -195,6 +196,7 @@ def test_a_polygon_wall_from_side_to_side_is_proven_unreachable():
     assert plan(replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))).found
 
 
+@pytest.mark.slow
 def test_a_niche_too_small_to_turn_in_is_unreachable_at_a_resolution_that_is_named():
     """The goal lies at a wall that has to be approached at right angles, and looks along it."""
     left, right = (Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3))) for x in (1.3, 1.6))

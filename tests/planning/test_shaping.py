@@ -104,6 +104,7 @@ def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
     assert answer.seconds >= max(each.seconds for each in made) > 0
 
 
+@pytest.mark.slow
 def test_where_no_shaped_path_is_free_the_plan_says_so():
     tight = World((Circle(0.5, 0.25, 0.1), Circle(0.5, -0.25, 0.1), Circle(1.0, 0.02, 0.1)), FIELD.bounds)
     answer = plan_shaped(

@@ -52,6 +52,7 @@ def verdicts(fault, names, folder):
     return {(row.claim.id, column): each.verdict for row in found for column, each in row.outcomes.items()}
 
 
+@pytest.mark.slow
 def test_without_a_fault_they_are_green(tmp_path):
     assert set(verdicts(none, ROWS, tmp_path).values()) == {"met"}
 
@@ -60,9 +61,9 @@ def test_without_a_fault_they_are_green(tmp_path):
     ("fault", "row"),
     [
         (swapped, "gen2-top-speed.middle"),
-        (reversed_wave, "gen2-top-speed.middle"),
+        pytest.param(reversed_wave, "gen2-top-speed.middle", marks=pytest.mark.slow),
         (slow, "act-step-gen4.tau1"),
-        (flipped, "gen3-symmetry.left"),
+        pytest.param(flipped, "gen3-symmetry.left", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_turns_rows_red(fault, row, tmp_path):
