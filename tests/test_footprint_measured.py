@@ -64,6 +64,7 @@ def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, aside):
         assert (found.ahead, found.behind) == pytest.approx((ahead, behind), abs=1e-4)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     curvature=st.floats(-5, 5), speed=st.floats(0.05, 0.3), phase=st.floats(0, 6.3),

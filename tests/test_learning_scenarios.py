@@ -44,6 +44,7 @@ def scenario(**controller: Any) -> Any:
     )
 
 
+@pytest.mark.slow
 def test_the_command_line_runs_a_file(tmp_path, srs_twin):
     (tmp_path / "turn.yaml").write_text(FILE, "utf-8")
     done = srs_twin("run", "turn.yaml", "--check", "--out", "out", cwd=tmp_path)

@@ -66,6 +66,7 @@ def test_with_given_bends_no_run_knows_mass_stiffness_or_damping():
     assert found["friction.mu_t"].value is not None
 
 
+@pytest.mark.slow
 def test_a_heavier_tail_is_told_where_the_others_are_known():
     """Only the common scale of the masses cancels."""
     data = runs(COMPLETE, {"mass.connectors_kg_5": 0.06}, [(2.0, 0.0), (1.5, 0.2)], seconds=2.0)
@@ -94,6 +95,7 @@ def test_of_a_yielding_body_the_common_scale_cancels():
         assert known_mass[name].verdict == "identified"
 
 
+@pytest.mark.slow
 def test_the_twin_as_the_plant():
     truth = {"friction.mu_t": 0.05, "bending.stiffness_nm_per_rad": 0.38}
     data = runs(TWIN, truth, [(2.0, 0.1)], seconds=0.5)

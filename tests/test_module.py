@@ -243,7 +243,10 @@ def test_the_analytical_moment_is_that_of_lagrange():
 
 
 @ways
-@pytest.mark.parametrize(("reference", "duration"), [(STEP, 0.8), (SINE, 1.0)], ids=["step", "sine"])
+@pytest.mark.parametrize(
+    ("reference", "duration"),
+    [pytest.param(STEP, 0.8, id="step"), pytest.param(SINE, 1.0, id="sine", marks=pytest.mark.slow)],
+)
 def test_both_benches_agree_within_a_tenth(way, reference, duration):
     runs = [rollout(bench(kind, way), WAYS[way][0](reference), duration, record_hz=1000) for kind in PLANTS]
     ours, theirs = (plant_metrics(run) for run in runs)

@@ -176,7 +176,9 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
     return np.array(rows)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [name if "compressor" in name else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
 def test_integration_agrees_with_another_integrator_and_converges(case):
     spec, times = robot(), np.linspace(0.005, 0.3, 60)
     errors = []

@@ -137,7 +137,8 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
     assert run.returncode == 2 and "another sweep works in this folder" in run.stderr
 
 
-@pytest.mark.parametrize(("count", "runs"), [(2, 16), pytest.param(20, 60, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "runs"), [(2, 16), (20, 60)])
 def test_kills(srs_twin, tmp_path, count, runs):
     """None lost, none twice, none torn: benchmarks/kills.py does it with 200."""
     sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=runs))
