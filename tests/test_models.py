@@ -232,7 +232,7 @@ def test_a_shipped_model_that_is_not_current_is_reported(root, monkeypatch, caps
         stream.write("\n")
     monkeypatch.setattr(files, "data_root", lambda: tmp_path)
     with pytest.raises(typer.Exit) as stop:
-        models.check(["gen2"])
+        models.check(models=["gen2"])
     assert stop.value.exit_code == 2
     said = capsys.readouterr().err
     assert said.endswith("scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n")

@@ -24,7 +24,7 @@ from srs_twin.cli import (
     sweep,
     view,
 )
-from srs_twin.cli.options import option
+from srs_twin.cli.options import option, with_options
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -35,20 +35,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("run")(run.run)
-app.command("compare")(run.compare)
-app.command("plan")(plan.plan)
-app.command("replay")(replay.replay)
-app.command("sweep")(sweep.sweep)
-app.command("reproduce")(reproduce.reproduce)
-app.command("view")(view.view)
-app.command("play")(play.play)
-app.command("render")(render.render)
+app.command()(with_options(run.run))
+app.command()(with_options(run.compare))
+app.command()(with_options(plan.plan))
+app.command()(with_options(replay.replay))
+app.command()(with_options(sweep.sweep))
+app.command()(with_options(reproduce.reproduce))
+app.command()(with_options(view.view))
+app.command()(with_options(play.play))
+app.command()(with_options(render.render))
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
-app.command("diff")(diff.diff)
-app.command("schema")(schema.schema)
-app.command("doctor")(doctor.doctor)
+app.command()(with_options(diff.diff))
+app.command()(with_options(schema.schema))
+app.command()(with_options(doctor.doctor))
 
 
 def command() -> Any:

@@ -66,16 +66,18 @@ def friction(
     files: FilesArgument,
     robot: RobotOption,
     validate: ValidateOption = None,
-    law: Annotated[str, option("--law NAME", "Of sliding throws: wheel, axis or ellipse (skids).")] = "wheel",
-    wheel_inertia: Annotated[
-        bool, option("--wheel-inertia/--no-wheel-inertia", "Whether throws spin wheels up.")
-    ] = True,
+    law: Annotated[str, option("--law NAME")] = "wheel",
+    wheel_inertia: Annotated[bool, option("--wheel-inertia/--no-wheel-inertia")] = True,
     markers: ReadingOptions = _AS_FOUND,
     fit: FitOptions = _BESIDE,
 ) -> None:
     """Find mu_t and mu_n from pulls or from throws.
 
     Pulls are a table of deflections of a spring car, throws recordings.
+
+    Options:
+        law: Of sliding throws: wheel, axis or ellipse (skids).
+        wheel_inertia: Whether throws spin wheels up.
     """
     place = FitDestination.of(context, "friction", robot, fit)
     from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
@@ -114,13 +116,16 @@ def actuator(
     pressure: PressureOption = None,
     find: FindOption = None,
     offset: OffsetOption = None,
-    starts: Annotated[int, option("--starts N", "Searches.", min=1, max=100)] = 1,
+    starts: Annotated[int, option("--starts N", min=1, max=100)] = 1,
     markers: ReadingOptions = _AS_FOUND,
     fit: FitOptions = _BESIDE,
 ) -> None:
     """Find time constants, gains and biases of free segments.
 
     From recordings of step responses, or gains alone from tables of held pressures.
+
+    Options:
+        starts: Searches.
     """
     place = FitDestination.of(context, "actuator", robot, fit)
     from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
@@ -155,20 +160,24 @@ def locomotion(
     validate: ValidateOption = None,
     pressure: PressureOption = None,
     find: FindOption = _LOCOMOTION,
-    plant: Annotated[str, option("--plant NAME", "Stands for the robot: analytical or twin.")] = "analytical",
-    model: Annotated[str | None, option("--model NAME", "Analytical model. [default: complete]")] = None,
+    plant: Annotated[str, option("--plant NAME")] = "analytical",
+    model: Annotated[str | None, option("--model NAME")] = None,
     law: FloorOption = None,
-    against: Annotated[str, option("--against WHAT", "What is compared: averages, shapes or both.")] = "both",
-    starts: Annotated[
-        int | None,
-        option("--starts N", "Searches. [default: 3; 1 where the twin's shapes lead]", min=1, max=100),
-    ] = None,
+    against: Annotated[str, option("--against WHAT")] = "both",
+    starts: Annotated[int | None, option("--starts N", min=1, max=100)] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
     markers: ReadingOptions = _AS_FOUND,
     fit: FitOptions = _BESIDE,
 ) -> None:
-    """Find friction, gap, masses or stiffness from crawling runs."""
+    """Find friction, gap, masses or stiffness from crawling runs.
+
+    Options:
+        plant: Stands for the robot: analytical or twin.
+        model: Analytical model. [default: complete]
+        against: What is compared: averages, shapes or both.
+        starts: Searches. [default: 3; 1 where the twin's shapes lead]
+    """
     place = FitDestination.of(context, "locomotion", robot, fit)
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
     from srs_twin.identification.takes import RecordingReader, gait_run, starts_at_rest
@@ -193,15 +202,23 @@ def locomotion(
 
 
 @app.command()
+@with_options
 def robot(
-    fits: Annotated[list[str], argument("FIT", "Fit files of one robot; later ones count.")],
-    name: Annotated[str, option("--name NAME", "Of the new robot and its file.")],
-    out: Annotated[str | None, option("--out FILE.yaml", "[default: robots/NAME.yaml]")] = None,
-    weak: Annotated[bool, option("--weak/--no-weak", "Take what is only weakly identified as well.")] = True,
+    fits: Annotated[list[str], argument("FIT")],
+    name: Annotated[str, option("--name NAME")],
+    out: Annotated[str | None, option("--out FILE.yaml")] = None,
+    weak: Annotated[bool, option("--weak/--no-weak")] = True,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a robot file: where fits began, with what they found."""
+    """Write a robot file: where fits began, with what they found.
+
+    Options:
+        fits: Fit files of one robot; later ones count.
+        name: Of the new robot and its file.
+        out: [default: robots/NAME.yaml]
+        weak: Take what is only weakly identified as well.
+    """
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
 
     path = Path(out) if out else Path("robots") / f"{name}.yaml"
@@ -262,30 +279,39 @@ def _needless(given: object, option: str, why: str) -> None:
 
 
 @app.command()
+@with_options
 def footprint(
     robot: RobotArgument,
-    controller: Annotated[str, option("--controller NAME", "gait (open loop) or ilc (learning).")] = "gait",
-    frequency: Annotated[float | None, option("--frequency HZ", "Of the gait. [default: 2, ilc 1.5]")] = None,
+    controller: Annotated[str, option("--controller NAME")] = "gait",
+    frequency: Annotated[float | None, option("--frequency HZ")] = None,
     pressure: PressureOption = None,
-    target: Annotated[float, option("--target RAD", "Bend that ilc aims at.")] = 0.7,
-    plant: Annotated[str, option("--plant NAME", "twin or analytical.")] = "twin",
-    offsets: Annotated[
-        str | None, option("--offsets LIST", "As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]")
-    ] = None,
-    transients: Annotated[bool, option("--transients/--no-transients", "Measure changes of offset.")] = True,
-    periods: Annotated[int, option("--periods N", "Gait periods measured of each run.")] = 6,
-    phases: Annotated[int, option("--phases N", "Runs an offset, each begun at another phase.")] = 4,
+    target: Annotated[float, option("--target RAD")] = 0.7,
+    plant: Annotated[str, option("--plant NAME")] = "twin",
+    offsets: Annotated[str | None, option("--offsets LIST")] = None,
+    transients: Annotated[bool, option("--transients/--no-transients")] = True,
+    periods: Annotated[int, option("--periods N")] = 6,
+    phases: Annotated[int, option("--phases N")] = 4,
     threads: Annotated[int | None, at_once("--threads -j N")] = None,
-    out: Annotated[str, option("--out DIR", "Folder of the file.")] = FOOTPRINTS,
-    name: Annotated[
-        str | None, option("--name NAME", "Of the footprint and its file. [default: ROBOT_CONTROLLER]")
-    ] = None,
+    out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
+    name: Annotated[str | None, option("--name NAME")] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Measure what a robot sweeps at each offset, for the planner.
 
     With transients also what it sweeps as the offset changes.
+
+    Options:
+        controller: gait (open loop) or ilc (learning).
+        frequency: Of the gait. [default: 2, ilc 1.5]
+        target: Bend that ilc aims at.
+        plant: twin or analytical.
+        offsets: As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
+        transients: Measure changes of offset.
+        periods: Gait periods measured of each run.
+        phases: Runs an offset, each begun at another phase.
+        out: Folder of the file.
+        name: Of the footprint and its file. [default: ROBOT_CONTROLLER]
     """
     wanted = None if offsets is None else _numbers(offsets)
     from srs_twin.identification.footprint import Drive

@@ -20,20 +20,26 @@ _SHOWN = 40
 
 
 def diff(
-    a: Annotated[str, argument("A", "Reference: a folder of results, or one file.")],
-    b: Annotated[str, argument("B", "Results that are held against it.")],
-    rel: Annotated[float | None, option("--rel NUMBER", "Relative tolerance. [default: 1e-6]")] = None,
-    abs_: Annotated[float | None, option("--abs NUMBER", "Absolute tolerance. [default: 1e-9]")] = None,
-    tolerances: Annotated[
-        str | None, option("--tolerances FILE", "Tolerances by metric, a YAML file (docs/ci.md).")
-    ] = None,
-    junit: Annotated[str | None, option("--junit FILE", "Also write what moved as JUnit XML.")] = None,
+    a: Annotated[str, argument("A")],
+    b: Annotated[str, argument("B")],
+    rel: Annotated[float | None, option("--rel NUMBER")] = None,
+    abs_: Annotated[float | None, option("--abs NUMBER")] = None,
+    tolerances: Annotated[str | None, option("--tolerances FILE")] = None,
+    junit: Annotated[str | None, option("--junit FILE")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare results number by number; exit with 1 when one moved.
 
     A and B are what `run`, `compare`, `replay`, `sweep` or `reproduce` left: metrics.json, results.parquet,
     reproduce.json, or folders that hold such files.
+
+    Options:
+        a: Reference: a folder of results, or one file.
+        b: Results that are held against it.
+        rel: Relative tolerance. [default: 1e-6]
+        abs_: Absolute tolerance. [default: 1e-9]
+        tolerances: Tolerances by metric, a YAML file (docs/ci.md).
+        junit: Also write what moved as JUnit XML.
     """
     from srs_twin.comparison.diff import Tolerances, load_tolerances, read_results
     from srs_twin.comparison.diff import diff as difference

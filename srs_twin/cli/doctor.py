@@ -22,10 +22,14 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    out: Annotated[str, option("--out DIR", "Where results would go, to see if they can.")] = "runs",
+    out: Annotated[str, option("--out DIR")] = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Say what works on this machine, and what to do about the rest."""
+    """Say what works on this machine, and what to do about the rest.
+
+    Options:
+        out: Where results would go, to see if they can.
+    """
     from srs_twin.doctor.checks import failing
     from srs_twin.doctor.examination import examine
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.options import argument, option
+from srs_twin.cli.options import argument, option, with_options
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -17,11 +17,17 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 
 
 @app.command()
+@with_options
 def export(
-    names: Annotated[list[str] | None, argument("NAME", "Robots, or files of robots; default all.")] = None,
-    out: Annotated[str, option("--out DIR", "Where models/<robot>/ go.")] = "models",
+    names: Annotated[list[str] | None, argument("NAME")] = None,
+    out: Annotated[str, option("--out DIR")] = "models",
 ) -> None:
-    """Write robots as MJCF, each in a folder of its own."""
+    """Write robots as MJCF, each in a folder of its own.
+
+    Options:
+        names: Robots, or files of robots; default all.
+        out: Where models/<robot>/ go.
+    """
     from srs_twin.io.files import open_folder, printable, shipped_names
     from srs_twin.mjcf.export import SCENE, export_robot
     from srs_twin.robot.spec import load_robot
@@ -36,12 +42,16 @@ def export(
 
 
 @app.command()
+@with_options
 def check(
-    models: Annotated[list[str] | None, argument("FILE|NAME", "MJCF files or robots; default all.")] = None,
+    models: Annotated[list[str] | None, argument("FILE|NAME")] = None,
 ) -> None:
     """Compile models and give each a second of random control.
 
     Shipped ones must be what an export of their robots would write.
+
+    Options:
+        models: MJCF files or robots; default all.
     """
     from srs_twin.io.files import printable, shipped_names, shown
     from srs_twin.mjcf.check import check_mjcf

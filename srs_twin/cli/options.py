@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, is_dataclass
 from functools import wraps
@@ -13,15 +14,21 @@ import typer
 FITS = "calibration/fits"
 
 
-def option(words: str, help: str, **more: Any) -> Any:
-    """Return an option of a command, written as help shows it: "--robot -r ROBOT"; a flag: "--check"."""
+def option(words: str, help: str | None = None, **more: Any) -> Any:
+    """Return an option of a command.
+
+    Args:
+        words: as help shows it: "--robot -r ROBOT"; a flag: "--check".
+        help: what it is; None: said in the docstring, see `with_options`.
+        more: as `typer.Option` takes it.
+    """
     flags = [word for word in words.split() if word.startswith("-")]
     value = [word for word in words.split() if not word.startswith("-")]
     return typer.Option(*flags, metavar=" ".join(value) or None, help=help, **more)
 
 
-def argument(name: str, help: str) -> Any:
-    """Return an argument of a command."""
+def argument(name: str, help: str | None = None) -> Any:
+    """Return an argument of a command; `help` as in `option`."""
     return typer.Argument(metavar=name, help=help)
 
 
@@ -59,14 +66,19 @@ FloorOption = Annotated[str | None, option("--law NAME", _FLOOR)]
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """How markers are read; see `RecordingReader`."""
+    """How markers are read; see `RecordingReader`.
 
-    up: Annotated[str, option("--up AXIS", "Axis of the files that points up.")] = "auto"
-    layout: Annotated[str, option("--layout NAME", "Markers: auto, single, head or pair.")] = "auto"
-    head: Annotated[str | None, option("--head MARKER", "At the head. [default: where it crawls to]")] = None
-    longest_gap: Annotated[
-        float | None, option("--longest-gap S", "Longest gap that is filled. [default: 0.2]")
-    ] = None
+    Options:
+        up: Axis of the files that points up.
+        layout: Markers: auto, single, head or pair.
+        head: At the head. [default: where it crawls to]
+        longest_gap: Longest gap that is filled. [default: 0.2]
+    """
+
+    up: Annotated[str, option("--up AXIS")] = "auto"
+    layout: Annotated[str, option("--layout NAME")] = "auto"
+    head: Annotated[str | None, option("--head MARKER")] = None
+    longest_gap: Annotated[float | None, option("--longest-gap S")] = None
 
     def given(self) -> dict[str, Any]:
         """Return what was given, by the names of `RecordingReader`."""
@@ -76,18 +88,27 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Where a fit goes, and whether to be quiet."""
+    """Where a fit goes, and whether to be quiet.
 
-    name: Annotated[str | None, option("--name NAME", "Of the fit and its file. [default: ROBOT_WHAT]")] = (
-        None
-    )
-    out: Annotated[str | None, option("--out FILE.yaml", f"Its file. [default: {FITS}/NAME.yaml]")] = None
-    overwrite: Annotated[bool, option("--overwrite", "Replace the fit of another command.")] = False
+    Options:
+        name: Of the fit and its file. [default: ROBOT_WHAT]
+        out: Its file. [default: calibration/fits/NAME.yaml]
+        overwrite: Replace the fit of another command.
+    """
+
+    name: Annotated[str | None, option("--name NAME")] = None
+    out: Annotated[str | None, option("--out FILE.yaml")] = None
+    overwrite: Annotated[bool, option("--overwrite")] = False
     quiet: QuietOption = False
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command in which a parameter that is a class of options has become these options."""
+    """Return a command whose options are complete.
+
+    A parameter that is a class of options becomes these options. What the section "Options:" of the
+    command's or the class's docstring says of an option becomes its help.
+    """
+    about, texts = _documented(command)
     hints = get_type_hints(command, include_extras=True)
     groups = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
     parameters: list[inspect.Parameter] = []
@@ -96,8 +117,12 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         if name in groups:
             of = list(inspect.signature(groups[name]).parameters.values())
             annotations = get_type_hints(groups[name], include_extras=True)
+            texts |= _documented(groups[name])[1]
         keyword = inspect.Parameter.KEYWORD_ONLY
         parameters += [each.replace(kind=keyword, annotation=annotations[each.name]) for each in of]
+    for each in parameters:
+        for info in getattr(each.annotation, "__metadata__", ()):
+            info.help = info.help or texts.get(each.name)
 
     @wraps(command)
     def run(**given: Any) -> None:
@@ -105,5 +130,13 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
             given[name] = kind(**{field: given.pop(field) for field in inspect.signature(kind).parameters})
         command(**given)
 
+    run.__doc__, run.__annotations__ = about, {}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
+
+
+def _documented(described: object) -> tuple[str, dict[str, str]]:
+    """Return a docstring without its section "Options:", and the text of each of these."""
+    about, _, listed = (inspect.getdoc(described) or "").partition("\n\nOptions:\n")
+    texts = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", listed, re.MULTILINE)
+    return about, {name: " ".join(text.split()) for name, text in texts}

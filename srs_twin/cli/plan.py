@@ -25,12 +25,14 @@ PLAN, PICTURE = "plan.json", "plan.png"
 def plan(
     scenario: ScenarioArgument,
     out: OneOutOption = None,
-    check: Annotated[
-        bool, option("--check", "Exit with 1 when an expectation of the plan fails, or no plan is found.")
-    ] = False,
+    check: Annotated[bool, option("--check")] = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Plan the way of a scenario; nothing is simulated."""
+    """Plan the way of a scenario; nothing is simulated.
+
+    Options:
+        check: Exit with 1 when an expectation of the plan fails, or no plan is found.
+    """
     from srs_twin.cli.table import WORDS
     from srs_twin.comparison.following import plan_metrics
     from srs_twin.io.files import open_folder

@@ -19,25 +19,33 @@ if TYPE_CHECKING:
     from srs_twin.experiment import FinishedRun
     from srs_twin.viewing.mujoco.render import Size
 
-_OUT = "Where the picture goes; of several runs, a folder. [default: the run's folder]"
 VIDEO, PICTURE = ".mp4", ".png"
 _SMALLEST, _LARGEST = 64, 4096  # pixels
 
 
 def render(
-    runs: Annotated[list[str], argument("RUN", "Run folders, or names in runs/.")],
-    video: Annotated[
-        str | None, option("--video FILE.mp4", "A video; of several runs, their folder.")
-    ] = None,
-    image: Annotated[str | None, option("--image t=2.5", "A picture of that moment, s.")] = None,
-    strobe: Annotated[bool, option("--strobe", "A picture from above of several moments.")] = False,
-    out: Annotated[str | None, option("--out FILE.png", _OUT)] = None,
-    size: Annotated[str, option("--size WxH", "Pixels; of --strobe the width counts.")] = "1280x720",
-    fps: Annotated[int, option("--fps N", "Pictures a second of a video.", min=1, max=120)] = 30,
-    speed: Annotated[float, option("--speed X", "Of a video; 0.25: slow motion.", min=0.001, max=1000)] = 1.0,
+    runs: Annotated[list[str], argument("RUN")],
+    video: Annotated[str | None, option("--video FILE.mp4")] = None,
+    image: Annotated[str | None, option("--image t=2.5")] = None,
+    strobe: Annotated[bool, option("--strobe")] = False,
+    out: Annotated[str | None, option("--out FILE.png")] = None,
+    size: Annotated[str, option("--size WxH")] = "1280x720",
+    fps: Annotated[int, option("--fps N", min=1, max=120)] = 30,
+    speed: Annotated[float, option("--speed X", min=0.001, max=1000)] = 1.0,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw finished runs with MuJoCo, no screen needed."""
+    """Draw finished runs with MuJoCo, no screen needed.
+
+    Options:
+        runs: Run folders, or names in runs/.
+        video: A video; of several runs, their folder.
+        image: A picture of that moment, s.
+        strobe: A picture from above of several moments.
+        out: Where the picture goes; of several runs, a folder. [default: the run's folder]
+        size: Pixels; of --strobe the width counts.
+        fps: Pictures a second of a video.
+        speed: Of a video; 0.25: slow motion.
+    """
     if sum((video is not None, image is not None, strobe)) != 1:
         raise InputError("give one of --video FILE.mp4, --image t=2.5 and --strobe")
     if video is not None and out is not None:

@@ -20,7 +20,6 @@ from srs_twin.cli.options import (
     StrictOption,
     argument,
     option,
-    with_options,
 )
 from srs_twin.errors import InputError, one_of
 
@@ -32,34 +31,40 @@ _BENCH_HZ = 1000  # bends follow valves within milliseconds
 _AS_FOUND = ReadingOptions()
 
 
-@with_options
 def replay(
-    motion: Annotated[str, argument("MOTION", "What cameras saw, or bends on a bench.")],
-    robot: Annotated[str, option("--robot -r ROBOT", "A shipped robot or a file.")],
-    valves: Annotated[
-        str | None, option("--valves LOG", "Valves or pressures. [default: NAME.valves.csv beside it]")
-    ] = None,
-    fit: Annotated[list[str] | None, option("--fit FIT", "A fit of this robot; repeatable.")] = None,
-    expect: Annotated[
-        str | None, option("--expect FILE.yaml", "Expectations, as a scenario has them: `expect: …`.")
-    ] = None,
+    motion: Annotated[str, argument("MOTION")],
+    robot: Annotated[str, option("--robot -r ROBOT")],
+    valves: Annotated[str | None, option("--valves LOG")] = None,
+    fit: Annotated[list[str] | None, option("--fit FIT")] = None,
+    expect: Annotated[str | None, option("--expect FILE.yaml")] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
-    bench: Annotated[bool, option("--bench", "It hung in air, held at its head; also one module.")] = False,
+    bench: Annotated[bool, option("--bench")] = False,
     pressure: PressureOption = None,
-    plants: Annotated[str, option("--plants LIST", "analytical, twin or both.")] = "analytical,twin",
-    model: Annotated[str, option("--model NAME", "Of the analytical plant.")] = "complete",
+    plants: Annotated[str, option("--plants LIST")] = "analytical,twin",
+    model: Annotated[str, option("--model NAME")] = "complete",
     law: FloorOption = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
     markers: ReadingOptions = _AS_FOUND,
-    out: Annotated[str | None, option("--out DIR", "Folder for the files. [default: runs/MOTION]")] = None,
+    out: Annotated[str | None, option("--out DIR")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Drive both plants as the robot was driven, beside what it did.
 
     How far each is from it is measured. The folder's scenario.resolved.yaml is the same replay as a
     scenario, for `srs-twin run`.
+
+    Options:
+        motion: What cameras saw, or bends on a bench.
+        robot: A shipped robot or a file.
+        valves: Valves or pressures. [default: NAME.valves.csv beside it]
+        fit: A fit of this robot; repeatable.
+        expect: Expectations, as a scenario has them: `expect: …`.
+        bench: It hung in air, held at its head; also one module.
+        plants: analytical, twin or both.
+        model: Of the analytical plant.
+        out: Folder for the files. [default: runs/MOTION]
     """
     from srs_twin.io.files import results_name
     from srs_twin.scenario import parse_scenario

@@ -26,21 +26,24 @@ _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
 
 def reproduce(
-    only: Annotated[
-        list[str] | None, option("--only ID", "Row, or the rows that begin with it; may be repeated.")
-    ] = None,
-    quick: Annotated[bool, option("--quick", "The quick rows only: laws first, short runs.")] = False,
-    out: Annotated[Path, option("--out DIR", "Folder of the results and of the runs that are kept.")] = OUT,
+    only: Annotated[list[str] | None, option("--only ID")] = None,
+    quick: Annotated[bool, option("--quick")] = False,
+    out: Annotated[Path, option("--out DIR")] = OUT,
     jobs: JobsOption = None,
-    no_figures: Annotated[bool, option("--no-figures", "Draw no figures, and run nothing for them.")] = False,
-    write_baseline: Annotated[
-        bool, option("--write-baseline", "Let what comes out be the baseline of later runs.")
-    ] = False,
+    no_figures: Annotated[bool, option("--no-figures")] = False,
+    write_baseline: Annotated[bool, option("--write-baseline")] = False,
     quiet: QuietOption = False,
 ) -> None:
     """Judge every claim of the dissertation for each plant.
 
     Runs what the claims need, judges every row, and compares what comes out with the baseline.
+
+    Options:
+        only: Row, or the rows that begin with it; may be repeated.
+        quick: The quick rows only: laws first, short runs.
+        out: Folder of the results and of the runs that are kept.
+        no_figures: Draw no figures, and run nothing for them.
+        write_baseline: Let what comes out be the baseline of later runs.
     """
     from srs_twin.parallel import start_server
 

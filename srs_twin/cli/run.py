@@ -16,9 +16,6 @@ from srs_twin.cli.options import (
     option,
 )
 
-_OUT = "Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]"
-_JUNIT = "Write a JUnit report: expectations, divergences, bad input."
-
 
 def compare(
     scenario: ScenarioArgument,
@@ -26,22 +23,32 @@ def compare(
     check: CheckOption = False,
     strict: StrictOption = False,
     quiet: QuietOption = False,
-    explain: Annotated[bool, option("--explain", "Say why they differ: each assumption's share.")] = False,
+    explain: Annotated[bool, option("--explain")] = False,
 ) -> None:
-    """Run a scenario on both plants and measure the difference."""
+    """Run a scenario on both plants and measure the difference.
+
+    Options:
+        explain: Say why they differ: each assumption's share.
+    """
     cases, fails, both = cases_of([scenario]), failing(check=check, strict=strict), ("analytical", "twin")
     run_all(cases, out=out, fails=fails, quiet=quiet, plants=both, explain=explain)
 
 
 def run(
-    scenarios: Annotated[list[str], argument("SCENARIO", "Shipped scenarios, files, folders of files.")],
-    out: Annotated[str | None, option("--out DIR", _OUT)] = None,
+    scenarios: Annotated[list[str], argument("SCENARIO")],
+    out: Annotated[str | None, option("--out DIR")] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
-    junit: Annotated[str | None, option("--junit FILE.xml", _JUNIT)] = None,
+    junit: Annotated[str | None, option("--junit FILE.xml")] = None,
     jobs: JobsOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Run scenarios on the plants they name."""
+    """Run scenarios on the plants they name.
+
+    Options:
+        scenarios: Shipped scenarios, files, folders of files.
+        out: Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]
+        junit: Write a JUnit report: expectations, divergences, bad input.
+    """
     cases, fails = cases_of(scenarios), failing(check=check, strict=strict)
     run_all(cases, out=out, fails=fails, quiet=quiet, jobs=jobs, junit=junit)

@@ -14,9 +14,13 @@ _KINDS = ("scenario", "sweep")
 
 
 def schema(
-    kind: Annotated[str, argument("KIND", "Of which files: scenario or sweep.")] = "scenario",
+    kind: Annotated[str, argument("KIND")] = "scenario",
 ) -> None:
-    """Print the JSON Schema of scenario files, or of sweep files."""
+    """Print the JSON Schema of scenario files, or of sweep files.
+
+    Options:
+        kind: Of which files: scenario or sweep.
+    """
     if kind not in _KINDS:
         raise UnknownNameError("kind of file", kind, _KINDS)
     if kind == "sweep":

@@ -27,26 +27,28 @@ _MOST_BESIDE = 30  # rows of published values; more are for the report
 
 
 def sweep(
-    given: Annotated[str, argument("SWEEP", "A shipped sweep or a file.")],
-    out: Annotated[str | None, option("--out DIR", "Folder of results. [default: runs/sweeps/SWEEP]")] = None,
-    engine: Annotated[str, option("--engine NAME", "Who runs the points: local or ray.")] = "local",
+    given: Annotated[str, argument("SWEEP")],
+    out: Annotated[str | None, option("--out DIR")] = None,
+    engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, at_once("--workers N")] = None,
-    address: Annotated[
-        str | None, option("--address HOST:PORT", "Of a Ray cluster. [default: a Ray of this machine's own]")
-    ] = None,
-    retry_failed: Annotated[bool, option("--retry-failed", "Run again what failed.")] = False,
-    changed: Annotated[
-        bool, option("--changed", "Go on in a folder of an earlier version; keep what still belongs.")
-    ] = False,
-    without: Annotated[
-        list[str] | None,
-        option("--without FIELD=VALUE", "Leave out the points with this value; may be repeated."),
-    ] = None,
+    address: Annotated[str | None, option("--address HOST:PORT")] = None,
+    retry_failed: Annotated[bool, option("--retry-failed")] = False,
+    changed: Annotated[bool, option("--changed")] = False,
+    without: Annotated[list[str] | None, option("--without FIELD=VALUE")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Run a scenario over grids, lists or samples of its fields.
 
     What an earlier start left in the folder is kept, and it goes on from there.
+
+    Options:
+        given: A shipped sweep or a file.
+        out: Folder of results. [default: runs/sweeps/SWEEP]
+        engine: Who runs the points: local or ray.
+        address: Of a Ray cluster. [default: a Ray of this machine's own]
+        retry_failed: Run again what failed.
+        changed: Go on in a folder of an earlier version; keep what still belongs.
+        without: Leave out the points with this value; may be repeated.
     """
     chosen = _engine(engine, workers, address)
     from srs_twin.sweep import load_sweep, open_sweep

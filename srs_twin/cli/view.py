@@ -16,13 +16,17 @@ from srs_twin.errors import InputError
 
 
 def view(
-    runs: Annotated[
-        list[str], argument("RUN", "Run folders, recordings, or names in runs/; several stand side by side.")
-    ],
-    web: Annotated[bool, option("--web", "Serve it for a browser on this machine, until Ctrl-C.")] = False,
-    port: Annotated[int | None, option("--port N", "Of the page. [default: free]", min=1, max=65535)] = None,
+    runs: Annotated[list[str], argument("RUN")],
+    web: Annotated[bool, option("--web")] = False,
+    port: Annotated[int | None, option("--port N", min=1, max=65535)] = None,
 ) -> None:
-    """Open the recordings of runs."""
+    """Open the recordings of runs.
+
+    Options:
+        runs: Run folders, recordings, or names in runs/; several stand side by side.
+        web: Serve it for a browser on this machine, until Ctrl-C.
+        port: Of the page. [default: free]
+    """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
         raise InputError("--port is for --web")
