@@ -8,23 +8,19 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import (
-    DEBUG,
-    calibrate,
-    diff,
-    doctor,
-    models,
-    plan,
-    play,
-    render,
-    replay,
-    reproduce,
-    run,
-    schema,
-    sweep,
-    view,
-)
+from srs_twin.cli import DEBUG, calibrate, models
+from srs_twin.cli.diff import diff
+from srs_twin.cli.doctor import doctor
 from srs_twin.cli.options import option, with_options
+from srs_twin.cli.plan import plan
+from srs_twin.cli.play import play
+from srs_twin.cli.render import render
+from srs_twin.cli.replay import replay
+from srs_twin.cli.reproduce import reproduce
+from srs_twin.cli.run import compare, run
+from srs_twin.cli.schema import schema
+from srs_twin.cli.sweep import sweep
+from srs_twin.cli.view import view
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -35,20 +31,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(with_options(run.run))
-app.command()(with_options(run.compare))
-app.command()(with_options(plan.plan))
-app.command()(with_options(replay.replay))
-app.command()(with_options(sweep.sweep))
-app.command()(with_options(reproduce.reproduce))
-app.command()(with_options(view.view))
-app.command()(with_options(play.play))
-app.command()(with_options(render.render))
+for verb in (run, compare, plan, replay, sweep, reproduce, view, play, render, diff, schema, doctor):
+    app.command()(with_options(verb))
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
-app.command()(with_options(diff.diff))
-app.command()(with_options(schema.schema))
-app.command()(with_options(doctor.doctor))
 
 
 def command() -> Any:
