@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.cli import console, new_table
 from srs_twin.comparison.compare import MEASURES
-from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, difference, published
+from srs_twin.comparison.metrics import published, result_rows
 from srs_twin.scenario.expectation import verdict
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -65,25 +65,14 @@ def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     Args:
         metrics: what stands in metrics.json.
     """
-    plants, comparison = metrics["plants"], metrics["comparison"] or {}
-    stated = published(metrics["expectations"])
-    nothing = [""] * len(plants)
-    found = []
-
-    def add(key: str, texts: Sequence[str], apart: str) -> None:
-        value, _ = stated.get(key, (None, ""))
-        unit = (METRIC_UNITS | COMPARISON_UNITS)[key]
-        found.append([_heading(key), unit, *texts, apart, _number(value)])
-
-    for key in _chosen(plants):
-        values = [each.get(key) for each in plants.values()]
-        if any(value is not None for value in values):
-            add(key, [_number(value) for value in values], difference(metrics, key))
-    if (factor := comparison.get("gap_factor", 1.0)) != 1.0:
-        found.insert(1, ["… by the gap factor", "1", f"× {factor:.4g}", *nothing[1:], "", ""])
-    for key in _COMPARISON:
-        if comparison.get(key) is not None:
-            add(key, nothing, _number(comparison[key]))
+    plants, stated = metrics["plants"], published(metrics["expectations"])
+    found = [
+        [_heading(name), unit, *texts, apart, _number(stated.get(name, (None,))[0])]
+        for name, unit, texts, apart in result_rows(metrics, [*_chosen(plants), *_COMPARISON], _number)
+    ]
+    if (factor := (metrics["comparison"] or {}).get("gap_factor", 1.0)) != 1.0:
+        nothing = [""] * (len(plants) + 1)
+        found.insert(1, ["… by the gap factor", "1", f"× {factor:.4g}", *nothing])
     return found
 
 

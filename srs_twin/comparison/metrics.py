@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -107,6 +107,27 @@ COMPARISON_UNITS = units_of("""
     bend_rms_rad bend_rms_rel heading_rms_rad
 """) | {"yaw_rate_abs": "rad/s"}
 """Metrics of `compare`, each one number; they stand here so that naming them needs nothing else."""
+
+
+def result_rows(
+    metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
+) -> Iterator[tuple[str, str, list[str], str]]:
+    """Yield the rows of a table of results: metric, unit, a cell a plant, difference.
+
+    Args:
+        metrics: what stands in metrics.json.
+        names: metrics of plants and of the comparison; what has no value is left out.
+        text: writes a value.
+    """
+    units, plants = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS, metrics["plants"].values()
+    for name in names:
+        values = [plant.get(name) for plant in plants]
+        between = (metrics.get("comparison") or {}).get(name) if name in COMPARISON_UNITS else None
+        if between is not None:
+            yield name, units[name], [""] * len(plants), text(between)
+        elif any(value is not None for value in values):
+            yield name, units[name], list(map(text, values)), difference(metrics, name)
+
 
 _GAIT_METRICS = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m

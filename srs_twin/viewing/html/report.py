@@ -15,8 +15,8 @@ from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
     LIST_METRIC_UNITS,
     METRIC_UNITS,
-    difference,
     published,
+    result_rows,
 )
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
@@ -93,25 +93,14 @@ def write_report(
 
 def _results(metrics: Mapping[str, Any]) -> Table:
     """Return the table of metrics: one column a plant, the difference, and what was published."""
-    plants: Mapping[str, Mapping[str, Any]] = metrics["plants"]
-    stated = published(metrics.get("expectations") or ())
+    plants, stated = metrics["plants"], published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
     headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(stated)]
     rows = []
-
-    def add(name: str, unit: str, values: Sequence[Any], apart: str) -> None:
-        value, source = stated.get(name, (None, None))
-        said = f"{_text(value)} ({source})" if source else ""
+    names = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
+    for name, unit, values, apart in result_rows(metrics, names, _text):
+        said = f"{_text(stated[name][0])} ({stated[name][1]})" if name in stated else ""
         rows.append([metric_title(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
-
-    for name, unit in (METRIC_UNITS | LIST_METRIC_UNITS).items():
-        values = [measured.get(name) for measured in plants.values()]
-        if any(value is not None for value in values):
-            add(name, unit, [_text(value) for value in values], difference(metrics, name))
-    for name, unit in COMPARISON_UNITS.items():
-        value = (metrics.get("comparison") or {}).get(name)
-        if value is not None:
-            add(name, unit, [""] * len(plants), _text(value))
     return Table(headings, rows, range(2, len(headings)))
 
 
