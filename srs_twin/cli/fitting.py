@@ -19,7 +19,7 @@ from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
-    from srs_twin.identification.estimate import Estimate, Parameter, Role
+    from srs_twin.identification.estimate import Estimate, Role
     from srs_twin.identification.fit_file import Data, FitFile, Method
 
 
@@ -61,20 +61,16 @@ def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Co
 
 def show(estimate: Estimate) -> None:
     """Print what was found."""
-    headings = ("parameter", "value", "95 % interval", "unit", "verdict")
-    print_table(headings, map(_row, estimate.parameters), left=(0, 3, 4))
+    from srs_twin.viewing.html.fit_report import parameter_table
+
+    table = parameter_table(estimate.parameters)
+    print_table(table.headings[:-1], (row[:-1] for row in table.rows), left=(0, 3, 4))
     terminal = console()
     reasons = (f"{each.name}: {each.why}" for each in estimate.parameters if each.why)
     for line in (*reasons, *correlations(estimate), *cancelling(estimate), _residuals(estimate)):
         terminal.print(line, soft_wrap=True)  # a path that is cut is no path
     if not estimate.converged:
         terminal.print("the search did not come to an end")
-
-
-def _row(each: Parameter) -> tuple[str, ...]:
-    if each.value is None:
-        return each.name, "–", "", each.unit, each.verdict
-    return each.name, f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}", each.unit, each.verdict
 
 
 def correlations(estimate: Estimate) -> Iterator[str]:

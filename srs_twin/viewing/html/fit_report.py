@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from srs_twin.identification.estimate import Estimate, Residual
-    from srs_twin.identification.fit_file import FitFile
+    from srs_twin.identification.estimate import Estimate, Parameter, Residual
+    from srs_twin.identification.fit_file import FitFile, ParameterEntry
 
 
 _MOST_PANELS = 10
@@ -42,7 +42,7 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
         "viewing/html/fit.html",
         title=fit.title,
         subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
-        parameters=_parameters(fit),
+        parameters=parameter_table(fit.parameters),
         quality=found,
         residuals=list(_pictures(estimate.residuals)),
         command=fit.command,
@@ -93,11 +93,12 @@ def _data_of(residual: Residual) -> str:
     return residual.name.rpartition(" ")[0] or residual.name
 
 
-def _parameters(fit: FitFile) -> Table:
+def parameter_table(parameters: Sequence[Parameter | ParameterEntry]) -> Table:
+    """Return what was found of each parameter, and why, in the last column, where it was not found well."""
     rows = []
-    for each in fit.parameters:
+    for each in parameters:
         numbers = ["–", ""]
-        if each.value is not None and each.low is not None and each.high is not None:
+        if each.value is not None:
             numbers = [f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}"]
         rows.append([each.name, *numbers, each.unit, each.verdict, each.why])
     headings = ["parameter", "value", "95 % interval", "unit", "verdict", "why"]
