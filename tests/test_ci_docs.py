@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from typer.exceptions import TyperException
 
 from srs_twin.cli.app import command
-from srs_twin.doctor.examination import TRIALS
+from srs_twin.doctor.examination import REMEDIES, VIEWERS
 from srs_twin.viewing.mujoco.opengl import PACKAGES
 
 pytestmark = pytest.mark.fast
@@ -123,7 +123,7 @@ def test_containerfile_copies_what_is_there_and_runs_as_nobody_special():
 
 def test_containerfile_installs_what_the_doctor_asks_for():
     remedies = [f"apt-get install {names} (Debian" for names in PACKAGES.values()]
-    remedies += [trial.remedy for trial in TRIALS if trial.name == "without a screen"]
+    remedies.append(REMEDIES[VIEWERS]["without a screen"])
     asked = {
         name
         for remedy in remedies

@@ -18,10 +18,9 @@ from conftest import ROOT, on_interrupt
 from srs_twin.cli import main
 from srs_twin.doctor import checks, examination, probes
 from srs_twin.doctor.checks import Answer, Check, ended, failing, free_memory, processor_share
-from srs_twin.doctor.examination import ask
+from srs_twin.doctor.examination import REMEDIES, VIEWERS, ask, check_of
 from srs_twin.io.files import shipped_names
 
-TRIALS = {trial.name: trial for trial in examination.TRIALS}
 CPU_S = 5.0
 """Twice what a quiet machine needs: processors that share a core count more time for the same work."""
 
@@ -80,20 +79,19 @@ def test_what_works_needs_no_remedy(check):
     assert (check.status, check.remedy) == ("ok", "")
 
 
-def test_a_trial_keeps_what_its_probe_says_and_adds_a_remedy():
-    trial = TRIALS["kernels"]
-    assert trial.check(Answer("ok", "fine")) == Check("simulation", "kernels", "ok", "fine", "", True)
-    assert trial.check(Answer("broken", "torn")).remedy.startswith("install numba and llvmlite anew")
-    assert trial.check(Answer("broken", "torn", "glue it")).remedy == "glue it"
+def test_a_check_keeps_what_its_probe_says_and_adds_a_remedy():
+    assert check_of("kernels", Answer("ok", "fine")) == Check("simulation", "kernels", "ok", "fine", "", True)
+    assert check_of("kernels", Answer("broken", "torn")).remedy.startswith("install numba and llvmlite anew")
+    assert check_of("kernels", Answer("broken", "torn", "glue it")).remedy == "glue it"
 
 
 def test_slow_is_undecided_and_fails_nothing():
     for code in (-signal.SIGALRM, -signal.SIGKILL):
-        check = TRIALS["kernels"].check(ended(code))
+        check = check_of("kernels", ended(code))
         assert (check.status, check.necessary, "slow" in check.detail) == ("undecided", True, True)
         assert "run `srs-twin doctor` again" in check.remedy
         assert failing([check]) == []
-    crashed = TRIALS["kernels"].check(ended(-signal.SIGILL))
+    crashed = check_of("kernels", ended(-signal.SIGILL))
     assert (crashed.status, crashed.detail) == ("broken", "was killed by SIGILL") and failing([crashed])
 
 
@@ -170,8 +168,8 @@ def test_viewers_that_do_not_draw_or_serve(monkeypatch, tmp_path):
     monkeypatch.setattr(probes, "_rerun", lambda: [sys.executable, "-c", script])
     assert fault(probes.without_a_screen)[:2] == ("missing", "cannot draw (Failed to get render context)")
     assert fault(probes.in_a_browser)[:2] == ("broken", "its page was not served on 127.0.0.1")
-    assert "mesa-vulkan-drivers" in TRIALS["without a screen"].remedy
-    assert "report.html" in TRIALS["in a browser"].remedy
+    assert "mesa-vulkan-drivers" in REMEDIES[VIEWERS]["without a screen"]
+    assert "report.html" in REMEDIES[VIEWERS]["in a browser"]
 
 
 def test_what_is_known_without_trying(monkeypatch):

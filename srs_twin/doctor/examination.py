@@ -10,7 +10,6 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from srs_twin import __version__
@@ -29,59 +28,31 @@ _DRIVER = (
     "install a driver: apt-get install libegl1 libgl1-mesa-dri (Debian, Ubuntu; draws on the processor); "
     "with an NVIDIA card in a container start that with NVIDIA_DRIVER_CAPABILITIES=all"
 )
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A probe, and what to do where it fails without knowing a remedy itself."""
-
-    topic: str
-    name: str
-    remedy: str
-    necessary: bool = False
-
-    def check(self, answer: Answer) -> Check:
-        """Return its check, given what came of it."""
-        remedy = "" if answer.status == "ok" else answer.remedy or self.remedy
-        return Check(self.topic, self.name, answer.status, answer.detail, remedy, self.necessary)
-
-
-TRIALS = (
-    Trial(
-        checks.INSTALLATION,
-        "imports",
-        f"install it anew ({_REINSTALL}); where a system library is missing, "
-        "the error names it; one about OpenGL: `unset MUJOCO_GL`",
-        True,
-    ),
-    Trial(SIMULATION, "shipped data", f"install srs-twin anew: {_REINSTALL}", True),
-    Trial(SIMULATION, "kernels", f"install numba and llvmlite anew: {_REINSTALL}", True),
-    Trial(SIMULATION, "MuJoCo", f"install MuJoCo anew: {_REINSTALL}", True),
-    Trial(RENDERING, "egl", _DRIVER),
-    Trial(RENDERING, "osmesa", "apt-get install --reinstall libosmesa6, or use egl"),
-    Trial(
-        RENDERING,
-        "glfw",
-        "needs a screen; without one `export MUJOCO_GL=egl`, or put `xvfb-run -a` before the command",
-    ),
-    Trial(
-        VIEWERS, "rerun", "pip install --force-reinstall 'rerun-sdk>=0.41,<0.42', or `uv sync --reinstall`"
-    ),
-    Trial(
-        VIEWERS,
-        "in a window",
-        "open report.html of a run in a browser, or serve the recording: `srs-twin view RUN --web`",
-    ),
-    Trial(
-        VIEWERS,
-        "without a screen",
-        "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), or any other Vulkan driver",
-    ),
-    Trial(
-        VIEWERS, "in a browser", "install rerun-sdk anew; report.html of a run needs nothing but a browser"
-    ),
-)
-"""In the order in which they are shown."""
+REMEDIES = {
+    checks.INSTALLATION: {
+        "imports": f"install it anew ({_REINSTALL}); where a system library is missing, "
+        "the error names it; one about OpenGL: `unset MUJOCO_GL`"
+    },
+    SIMULATION: {
+        "shipped data": f"install srs-twin anew: {_REINSTALL}",
+        "kernels": f"install numba and llvmlite anew: {_REINSTALL}",
+        "MuJoCo": f"install MuJoCo anew: {_REINSTALL}",
+    },
+    RENDERING: {
+        "egl": _DRIVER,
+        "osmesa": "apt-get install --reinstall libosmesa6, or use egl",
+        "glfw": "needs a screen; without one `export MUJOCO_GL=egl`, or put `xvfb-run -a` before the command",
+    },
+    VIEWERS: {
+        "rerun": "pip install --force-reinstall 'rerun-sdk>=0.41,<0.42', or `uv sync --reinstall`",
+        "in a window": "open report.html of a run in a browser, or serve the recording: "
+        "`srs-twin view RUN --web`",
+        "without a screen": "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), "
+        "or any other Vulkan driver",
+        "in a browser": "install rerun-sdk anew; report.html of a run needs nothing but a browser",
+    },
+}
+"""Topic → probe → what to do where it fails without knowing a remedy itself; in the order of the output."""
 
 BUDGET_S = 60.0
 """Wall time of one probe, s. It needs less than 1 s of a processor, of which a busy machine gives a part."""
@@ -128,7 +99,16 @@ def _tried(modules: Sequence[str], budget_s: float) -> list[Check]:
     known = untried(os.environ, sys.platform)
     answers = ask(modules, [name for name in PROBES if name not in known], budget_s=budget_s) | known
     answers.setdefault("in a window", answers["glfw"])
-    return [trial.check(answers[trial.name]) for trial in TRIALS if trial.name in answers]
+    names = [name for remedies in REMEDIES.values() for name in remedies]
+    return [check_of(name, answers[name]) for name in names if name in answers]
+
+
+def check_of(name: str, answer: Answer) -> Check:
+    """Return the check that a probe decides, given what came of it."""
+    topic = next(topic for topic, remedies in REMEDIES.items() if name in remedies)
+    remedy = "" if answer.status == "ok" else answer.remedy or REMEDIES[topic][name]
+    necessary = topic in (checks.INSTALLATION, SIMULATION)
+    return Check(topic, name, answer.status, answer.detail, remedy, necessary)
 
 
 def untried(env: Mapping[str, str], system: str) -> dict[str, Answer]:
