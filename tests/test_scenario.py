@@ -7,6 +7,7 @@ import inspect
 import json
 import math
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hypothesis import given
@@ -18,6 +19,8 @@ from srs_twin.io.files import data_root, shipped_names
 from srs_twin.robot.spec import load_robot
 from srs_twin.scenario import Expectation, load_scenario, parse_scenario, scenario_json_schema
 from srs_twin.scenario.expectation import known_metrics, verdict
+from srs_twin.scenario.fields import Section
+from srs_twin.scenario.file import ScenarioFile
 
 pytestmark = pytest.mark.fast
 
@@ -502,6 +505,63 @@ def test_a_resolved_document_loads_as_an_equal_scenario(data):
     again.finish()
     assert again.data == s.document
     assert parse_scenario(again.data, name="another") == s
+
+
+TOGETHER = {
+    "sensor": {"sensor": {"kind": "hall"}},
+    "pneumatics": {"pneumatics": {"kind": "orifice", "flow_limit_l_per_min": 100.0}, "plants": plants()},
+    "comparison": {"plants": {"analytical": {"gaps": False}, "twin": {}}},
+}
+"""What the keys of a section need besides."""
+SET = {
+    ("supply", "pressure_kpa"): 31.0,
+    ("sensor", "span_rad"): 1.1,
+    ("sensor", "distance_mm"): 12.0,
+    ("pneumatics", "line_begins_kpa"): 20.0,
+    ("world", "obstacles"): [{"x_m": 3.0, "y_m": 2.0, "radius_m": 0.25}],
+    ("world", "polygons"): [{"corners_m": [[3.0, 3.0], [4.0, 3.0], [4.0, 5.0]]}],
+    ("world", "random"): {"count": 2, "seed": 5, "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]}},
+    ("world", "bounds"): {"x_m": [-9.0, 9.0], "y_m": [-9.0, 9.0]},
+    ("world", "goal"): {"x_m": 1.0, "y_m": 2.0, "heading_rad": 0.5},
+    ("plants", "analytical"): {"gaps": False, "model": "simplified", "friction_torque": False},
+    ("plants", "twin"): {"gaps": False, "timestep_s": 0.0005, "wheels": "skid", "hinges_per_segment": 3},
+}
+"""Values of keys that do not follow from their bounds."""
+SECTIONS = {key: f.default for key, f in ScenarioFile.model_fields.items() if isinstance(f.default, Section)}
+
+
+def other_than_default(field):
+    """Return a value that a key may have besides its default: of a choice the last, of numbers a low one."""
+    kinds = field.annotation, *get_args(field.annotation)
+    choices = [choice for kind in kinds for choice in get_args(kind)]
+    if texts := [choice for choice in choices if isinstance(choice, str) and choice != field.default]:
+        return texts[-1]
+    if isinstance(field.default, bool):
+        return not field.default
+    low, high = (next(getattr(m, end) for m in field.metadata if hasattr(m, end)) for end in ("ge", "le"))
+    number = low + (min(high, low + 1) - low) / 4
+    return math.ceil(number + 1) if int in (field.annotation, *choices) else number
+
+
+@pytest.mark.parametrize(
+    ("section", "key"), [(name, key) for name, each in SECTIONS.items() for key in type(each).model_fields]
+)
+def test_every_key_of_a_section_survives_that_defaults_are_written_out(section, key):
+    field = type(SECTIONS[section]).model_fields[key]
+    value = SET[section, key] if (section, key) in SET else other_than_default(field)
+    needed = TOGETHER.get(section, {})
+    s = scenario(**needed | {section: needed.get(section, {}) | {key: value}})
+    if key == "allow_overpressure":
+        assert s.file.allow_overpressure
+        return
+    kept = s.file.model_dump(mode="json")[section][key]
+    written = s.document[section][key]
+    if isinstance(value, dict):
+        kept, written = ({k: each[k] for k in value} for each in (kept, written))
+    elif isinstance(value, list):
+        kept, written = ([{k: each[0][k] for k in value[0]}] for each in (kept, written))
+    assert kept == written == value != field.default
+    assert parse_scenario(s.document) == s
 
 
 def test_a_resolved_file_keeps_the_name_of_the_scenario(tmp_path):

@@ -58,7 +58,7 @@ def _scenario(document: Document, name: str) -> Scenario:
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
-    layout, world, recording, planner = "", World(), None, None
+    supply_pa, layout, world, recording, planner = 0.0, "", World(), None, None
     if file:
         with document.reporting("world", "random"):
             world = file.world.surroundings(file.start.build(), file.seed)
@@ -69,9 +69,8 @@ def _scenario(document: Document, name: str) -> Scenario:
         if recording is not None:
             warnings += check_recording(document, file, recording)
         if recording is not None or not isinstance(file.controller, ReplayFile):
-            layout, more = check_controller(
-                document, file, robot, supply_kpa(file, robot) * PA_PER_KPA, recording
-            )
+            supply_pa = supply_kpa(file, robot) * PA_PER_KPA
+            layout, more = check_controller(document, file, robot, supply_pa, recording)
             warnings += more
         planner = _planner(document, file, world)
     document.finish(foreign)
@@ -83,7 +82,7 @@ def _scenario(document: Document, name: str) -> Scenario:
     resolved = _resolved(file, robot, file.name or name, layout, recording)
     file = ScenarioFile.model_validate_json(json.dumps(resolved), strict=True)
     pose = file.start.build()
-    assert file.name and file.title and file.supply.pressure_kpa, "defaults are written out"
+    assert file.name and file.title, "defaults are written out"
     return Scenario(
         name=file.name,
         title=file.title,
@@ -91,7 +90,7 @@ def _scenario(document: Document, name: str) -> Scenario:
         duration=file.duration_s,
         seed=file.seed,
         record_hz=file.record_hz,
-        supply_pa=file.supply.pressure_kpa * PA_PER_KPA,
+        supply_pa=supply_pa,
         pose=(pose.x, pose.y, pose.heading),
         world=world,
         file=file,
@@ -107,14 +106,16 @@ def _resolved(
     file: ScenarioFile, robot: RobotFile, name: str, layout: str, recording: Recording | None
 ) -> dict[str, Any]:
     """Return plain data of the same scenario with all defaults and the robot written out."""
-    plain = file.model_dump(mode="json", exclude_none=True, exclude={"start"} if file.bench else None)
+    # The supply's own allow_overpressure is another name of the scenario's.
+    left_out = {"supply": {"allow_overpressure"}} | ({"start": True} if file.bench else {})
+    plain = file.model_dump(mode="json", exclude_none=True, exclude=left_out)
     document = plain | {
         "name": name,
         "title": file.title or name,
         "robot": robot.model_dump(mode="json", exclude_none=True),
-        "supply": {"pressure_kpa": supply_kpa(file, robot)},
+        "supply": plain["supply"] | {"pressure_kpa": supply_kpa(file, robot)},
         "pneumatics": plain["pneumatics"] | file.pneumatics.resolved().model_dump(exclude_none=True),
-        "valves": {"layout": layout},
+        "valves": plain["valves"] | {"layout": layout},
         "sensor": file.sensor.resolved().model_dump(exclude_none=True),
         "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
     }
