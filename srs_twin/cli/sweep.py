@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 SWEEPS = Path("runs/sweeps")
 _SHOWN_REASONS = 5
-_MOST_BESIDE = 30  # rows of published values; more are for the report
+_MOST_PUBLISHED = 30  # rows of published values; more are for the report
 
 
 def sweep(
@@ -130,15 +130,15 @@ def _show(summary: Summary) -> None:
     terminal = console()
     if summary.spans:
         terminal.print(lines)
-    if summary.beside is not None and len(summary.beside.rows) <= _MOST_BESIDE:
-        terminal.print(_beside(summary.beside))
+    if summary.published is not None and len(summary.published.rows) <= _MOST_PUBLISHED:
+        terminal.print(_published(summary.published))
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
     print(f"report {shown(summary.folder / 'report.html')}")
     say(f"files in {summary.folder}: {', '.join(summary.files)}")
 
 
-def _beside(found: TextTable) -> Table:
+def _published(found: TextTable) -> Table:
     """Return the table of published values: under the name of each metric a line a place."""
     lines = new_table(*found.headings[1:], title=f"beside {found.title}")
     # Names of fields may be broken, numbers not.

@@ -10,22 +10,22 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from srs_twin.errors import SrsError
-from srs_twin.io.files import atomic_write, open_folder, shipped_folder
-from srs_twin.parallel import Done, each, start_server
+from srs_twin.io.files import open_folder, shipped_folder
+from srs_twin.parallel import each, start_server
 from srs_twin.provenance import digest_of, run_key, source_digests, versions
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep
 from srs_twin.sweep.points import Experiment, Point, Sweep
 from srs_twin.sweep.store import RowStore
-from srs_twin.sweep.task import DONE, FAILED, Row, run_point
+from srs_twin.sweep.task import DONE, Row, failed_row, run_point
 from srs_twin.trajectory import Trajectory
 
 Document = dict[str, Any]
@@ -97,12 +97,12 @@ def _data_digests() -> dict[str, str]:
     return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
 
 
-_TRAJECTORIES = "trajectories"
 HTML, JSON, JUNIT = "reproduce.html", "reproduce.json", "reproduce.xml"
 
 
-def open_store(folder: Path, alter: Alter | None = None) -> Store:
-    """Lock a folder for what comes of runs and see what is there.
+@contextmanager
+def open_store(folder: Path, alter: Alter | None = None) -> Iterator[Store]:
+    """Lock a folder for what comes of runs, as a context, and see what is there.
 
     Args:
         folder: where it is kept; made where it is missing.
@@ -112,24 +112,19 @@ def open_store(folder: Path, alter: Alter | None = None) -> Store:
         InputError: the folder cannot be written, is locked, or holds something else.
     """
     open_folder(folder, (HTML, JSON, JUNIT))
-    return Store(folder, alter)
+    with RowStore(folder) as store:
+        yield Store(store, alter)
 
 
 class Store:
-    """The jobs of runs, and what came of them; a context manager that unlocks its folder."""
+    """The jobs of runs, and what came of them."""
 
-    def __init__(self, folder: Path, alter: Alter | None) -> None:
-        self._folder, self._alter, self._store = folder, alter, RowStore(folder)
+    def __init__(self, store: RowStore, alter: Alter | None) -> None:
+        self._store, self._alter = store, alter
         self._rows = {row.key: row for row in self._store.rows() if row.status == DONE}
         self._failures: dict[str, str] = {}
         self._jobs: dict[str, Job] = {}
         self._keys: dict[str, tuple[str, ...]] = {}
-
-    def __enter__(self) -> Store:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._store.close()
 
     def jobs(self, request: RunRequest) -> tuple[Job, ...]:
         """Return one job, or one a point of the sweep; what several claims need is one job.
@@ -185,13 +180,18 @@ class Store:
         due = sorted((job for job in known if not self._has(job)), key=lambda job: job.steps, reverse=True)
         if not due:
             return
-        told = started(len(due)) if started is not None else None
+        finished_row = started(len(due)) if started is not None else None
         start_server("srs_twin.sweep.warm")
         with closing(each(carry_out, due, workers=workers)) as finished:
             for done in finished:
-                self._keep(row := _row(due[done.number], done))
-                if told is not None:
-                    told(row)
+                row = done.result or failed_row(due[done.number].key, done.error)
+                self._store.add(row)
+                if row.status == DONE:
+                    self._rows[row.key] = row
+                else:
+                    self._failures[row.key] = row.reason or "it failed"
+                if finished_row is not None:
+                    finished_row(row)
 
     def row(self, key: str) -> Row | None:
         """Return what came of a job; None where it was not run, or failed."""
@@ -203,27 +203,13 @@ class Store:
 
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
         """Return a trajectory that was kept; None where there is none."""
-        path = self._file(key, plant)
+        path = self._store.trajectory_file(key, plant)
         return Trajectory.from_parquet(path) if path.is_file() else None
 
     def _has(self, job: Job) -> bool:
         if job.key not in self._rows or job.experiment is None or not job.keeps:
             return job.key in self._rows
-        return all(self._file(job.key, plant).is_file() for plant in job.experiment.plants)
-
-    def _keep(self, row: Row) -> None:
-        # The row is what says that a job is done: its files come first.
-        for plant, content in row.files.items():
-            with atomic_write(self._file(row.key, plant)) as part:
-                part.write_bytes(content)
-        self._store.add(row)
-        if row.status == DONE:
-            self._rows[row.key] = row
-        else:
-            self._failures[row.key] = row.reason or "it failed"
-
-    def _file(self, key: str, plant: str) -> Path:
-        return self._folder / _TRAJECTORIES / f"{key}.{plant}.parquet"
+        return all(self._store.trajectory_file(job.key, plant).is_file() for plant in job.experiment.plants)
 
 
 def carry_out(job: Job) -> Row:
@@ -235,13 +221,5 @@ def carry_out(job: Job) -> Row:
     try:
         values = COMPUTATIONS[job.law](**job.arguments)
     except SrsError as error:
-        reason = " ".join(str(error).split())
-        return Row(job.key, FAILED, {}, time.perf_counter() - start, reason, error.exit_code)
+        return failed_row(job.key, error, time.perf_counter() - start)
     return Row(job.key, DONE, values, time.perf_counter() - start)
-
-
-def _row(job: Job, done: Done[Row]) -> Row:
-    if done.result is not None:
-        return done.result
-    code = done.error.exit_code if isinstance(done.error, SrsError) else SrsError.exit_code
-    return Row(job.key, FAILED, reason=" ".join(str(done.error).split()), exit_code=code)

@@ -16,9 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.errors import InputError, SrsError
+from srs_twin.errors import InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import atomic_write, open_folder, printable, shown
+from srs_twin.io.files import atomic_write, open_folder, shown
 from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import POINTS, file_digests, source_digests
 from srs_twin.sweep.points import Experiment, Point, Sweep
@@ -34,7 +34,7 @@ from srs_twin.sweep.store import (
     table,
     write,
 )
-from srs_twin.sweep.task import DONE, FAILED, Row, run_point
+from srs_twin.sweep.task import DONE, FAILED, Row, failed_row, run_point
 from srs_twin.viewing.html.page import Table
 from srs_twin.viewing.plots.sweep_table import SweepTable, published_table
 
@@ -126,9 +126,7 @@ ENGINES = ("local", "ray")
 
 
 SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
-TRAJECTORIES, PLOTS = "trajectories", "plots"
-
-Progress = Callable[[Row], None]
+PLOTS = "plots"
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ class Summary:
         sha256: of the results, see `results.digest`.
         spans: speed, yaw rate and amplitude of each plant → least, median and most.
         files: what was written, by name.
-        beside: published values beside those of the plants, where the sweep has any.
+        published: published values beside those of the plants, where the sweep has any.
     """
 
     folder: Path
@@ -155,7 +153,7 @@ class Summary:
     sha256: str
     spans: Mapping[str, tuple[float, float, float]]
     files: tuple[str, ...]
-    beside: Table | None = None
+    published: Table | None = None
 
     @property
     def failed(self) -> int:
@@ -192,7 +190,9 @@ class OpenSweep:
         there = self._store.keys(failed=not retry_failed)
         return tuple(point for point in self.sweep.points if point.key not in there)
 
-    def run(self, engine: Engine, points: tuple[Point, ...], progress: Progress | None = None) -> None:
+    def run(
+        self, engine: Engine, points: tuple[Point, ...], finished: Callable[[Row], None] | None = None
+    ) -> None:
         """Run points and keep each row as it finishes.
 
         An interrupt ends the workers; rows that are finished stay.
@@ -200,21 +200,17 @@ class OpenSweep:
         Args:
             engine: who runs them.
             points: some of the sweep's.
-            progress: called with every row.
+            finished: called with every row.
 
         Raises:
             InputError: a row cannot be kept.
         """
-        with closing(engine(self.sweep.experiment, points)) as finished:  # type: ignore[type-var]
-            for done in finished:
-                row = _row(points[done.number], done)
-                # The row is what says that a point is done: its files come first.
-                for plant, content in row.files.items():
-                    with atomic_write(self.folder / TRAJECTORIES / f"{row.key}.{plant}.parquet") as part:
-                        part.write_bytes(content)
+        with closing(engine(self.sweep.experiment, points)) as rows:  # type: ignore[type-var]
+            for done in rows:
+                row = done.result or failed_row(points[done.number].key, done.error)
                 self._store.add(row)
-                if progress is not None:
-                    progress(row)
+                if finished is not None:
+                    finished(row)
 
     def finish(self) -> Summary:
         """Write the table, the pictures and the report of the rows there are, sweep.json last.
@@ -240,7 +236,7 @@ class OpenSweep:
             sha256=digest(rows),
             spans=spans(found),
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
-            beside=None if beside is None else published_table(beside, read),
+            published=None if beside is None else published_table(beside, read),
         )
         pictures = {title: (self.folder / name).read_bytes() for name, title in titles.items()}
         write_report(self.folder / REPORT, self.sweep, summary, read, shown_metrics(self.sweep), pictures)
@@ -302,13 +298,6 @@ class OpenSweep:
         for point in self.sweep.points:
             found |= file_digests(experiment.document(point.changes))
         return found
-
-
-def _row(point: Point, done: Done[Row]) -> Row:
-    if done.result is not None:
-        return done.result
-    code = done.error.exit_code if isinstance(done.error, SrsError) else SrsError.exit_code
-    return Row(point.key, FAILED, reason=printable(" ".join(str(done.error).split())), exit_code=code)
 
 
 def _difference(before: SweepIdentity, now: SweepIdentity) -> str:

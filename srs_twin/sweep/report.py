@@ -186,7 +186,7 @@ def write_report(
         failures=_failures(summary),
         scenario=f"{sweep.document['scenario']} ({sweep.experiment.base.get('title', '')})",
         varied=_varied(sweep),
-        published=summary.beside,
+        published=summary.published,
         plots=[image(content, "png", title) for title, content in pictures.items()],
         runs=run_tables(rows, metrics),
         means={field_label(name): means_by(name, rows, metrics) for name in rows.fields},

@@ -107,9 +107,6 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             raise self._refusal(error) from error
 
     def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         """Unlock the folder; a file that this made is not left without a row."""
         # Closing also tidies up; on a full disk there is nothing to tidy with, and every row is safe.
         with contextlib.suppress(sqlite3.Error, OSError):
@@ -133,9 +130,21 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", json.dumps(asdict(identity)))
 
     def add(self, row: Row) -> None:
-        """Keep a row; one of the same key is replaced."""
+        """Keep a row and its files; one of the same key is replaced.
+
+        Raises:
+            InputError: they cannot be written.
+        """
+        # The row is what says that a point is done: its files come first.
+        for plant, parquet in row.files.items():
+            with atomic_write(self.trajectory_file(row.key, plant)) as part:
+                part.write_bytes(parquet)
         content = json.dumps([row.values, row.wall_s, row.reason, row.exit_code])
         self._write("INSERT OR REPLACE INTO rows VALUES (?, ?, ?)", row.key, row.status, content)
+
+    def trajectory_file(self, key: str, plant: str) -> Path:
+        """Return where the trajectory of a plant is kept."""
+        return self._path.parent / "trajectories" / f"{key}.{plant}.parquet"
 
     def rows(self) -> Iterator[Row]:
         """Yield all rows in the order of their keys."""

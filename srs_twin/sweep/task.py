@@ -12,6 +12,7 @@ from srs_twin.comparison.compare import MeasuredDifference, compare
 from srs_twin.comparison.following import plan_metrics
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError, SrsError
+from srs_twin.io.files import printable
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
@@ -79,6 +80,12 @@ def run_point(experiment: Experiment, point: Point) -> Row:
     files = {plant: _parquet(each) for plant, each in trajectories.items()} if experiment.trajectories else {}
     wall = time.perf_counter() - start
     return Row(point.key, FAILED if reason else DONE, values, wall, reason, exit_code, files)
+
+
+def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
+    """Return the row of what an error ended, or a worker that went down."""
+    code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
+    return Row(key, FAILED, {}, wall_s, printable(" ".join(str(error).split())), code)
 
 
 def _planned(scenario: Scenario) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def test_published_values_decide_no_row(tmp_path):
         done, summary = execute(sweep, tmp_path / "out")
         assert done == ran
         report = (tmp_path / "out" / "report.html").read_text("utf-8")
-        assert (summary.beside is not None) == ("Table 10" in report) == ("beside" in text)
+        assert (summary.published is not None) == ("Table 10" in report) == ("beside" in text)
     assert "<td>0.3</td>" not in report
 
 
