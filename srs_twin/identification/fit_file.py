@@ -134,6 +134,7 @@ Text = Annotated[str, Field(min_length=1, max_length=200)]
 Long = Annotated[str, Field(max_length=1000)]
 Averages = Annotated[dict[str, Number], Field(max_length=20)]
 Share = Annotated[float, between(-1.0, 1.0)]
+Size = Annotated[float, between(0.0, 1e12)]
 Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets", "edges"]
 
 _DIGITS = 9
@@ -143,14 +144,22 @@ _NUMBERS = ("value", "standard_error", "low", "high")
 class DataEntry(Strict):
     """One set of data and what it was used for."""
 
-    name: Text = Field(description="File, or what the data are called.")
-    sha256: str = Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64, description="Of the data.")
-    role: Role = Field(description="fit: the values come from it; validation: the fit has not seen it.")
-    samples: Count = Field(description="How many, 0 to 1e9.")
-    from_s: Number | None = Field(None, description="Where the part that was used begins, s (default: all).")
-    to_s: Number | None = Field(None, description="Where it ends, s (default: all).")
-    measured: Averages | None = Field(None, description="Averages of it, by name with unit.")
-    predicted: Averages | None = Field(None, description="The same of the plant with what was found.")
+    name: Text
+    """File, or what the data are called."""
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64)]
+    """Of the data."""
+    role: Role
+    """fit: the values come from it; validation: the fit has not seen it."""
+    samples: Count
+    """How many, 0 to 1e9."""
+    from_s: Number | None = None
+    """Where the part that was used begins, s (default: all)."""
+    to_s: Number | None = None
+    """Where it ends, s (default: all)."""
+    measured: Averages | None = None
+    """Averages of it, by name with unit."""
+    predicted: Averages | None = None
+    """The same of the plant with what was found."""
 
     def data_set(self) -> DataSet:
         """Return the entry as the fits have it."""
@@ -160,53 +169,66 @@ class DataEntry(Strict):
 class ParameterEntry(Strict):
     """One number that was looked for."""
 
-    name: Text = Field(description="As in robot files, section.key, with a number behind it for lists.")
-    unit: Annotated[str, Field(min_length=1, max_length=20)] = Field(description="Of all numbers here.")
-    verdict: Verdict = Field(description="What these data say of it.")
-    value: Number | None = Field(None, description="The estimate; none where it is not identifiable.")
-    standard_error: Annotated[float, between(0.0, 1e12)] | None = Field(None, description="Of the estimate.")
-    low: Number | None = Field(None, description="Lower end of the 95 % confidence interval.")
-    high: Number | None = Field(None, description="Upper end.")
-    why: Long = Field("", description="What the verdict rests on.")
+    name: Text
+    """As in robot files, section.key, with a number behind it for lists."""
+    unit: Annotated[str, Field(min_length=1, max_length=20)]
+    """Of all numbers here."""
+    verdict: Verdict
+    """What these data say of it."""
+    value: Number | None = None
+    """The estimate; none where it is not identifiable."""
+    standard_error: Size | None = None
+    """Of the estimate."""
+    low: Number | None = None
+    """Lower end of the 95 % confidence interval."""
+    high: Number | None = None
+    """Upper end."""
+    why: Long = ""
+    """What the verdict rests on."""
 
 
 class QualityFile(Strict):
     """How well the data were met."""
 
-    samples: Count = Field(description="Samples that were fitted.")
-    independent_samples: Annotated[float, between(0.0, 1e9)] = Field(description="What they are worth.")
-    rms: Annotated[float, between(0.0, 1e12)] | None = Field(
-        None, description="Weighted residuals of the fit; 1 where they are as large as expected."
-    )
-    validation_rms: Annotated[float, between(0.0, 1e12)] | None = Field(
-        None, description="Of the validation."
-    )
-    converged: bool = Field(description="Whether the search came to an end.")
+    samples: Count
+    """Samples that were fitted."""
+    independent_samples: Annotated[float, between(0.0, 1e9)]
+    """What they are worth."""
+    rms: Size | None = None
+    """Weighted residuals of the fit; 1 where they are as large as expected."""
+    validation_rms: Size | None = None
+    """Of the validation."""
+    converged: bool
+    """Whether the search came to an end."""
 
 
 class FitFile(Strict):
     """What a fit found."""
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60, description="Short name.")
-    title: Text = Field(description="One line for people.")
-    robot: Text = Field(description="Robot that the fit started from, a name or a path.")
-    method: Method = Field(description="What was fitted.")
-    command: Annotated[str, Field(min_length=1, max_length=2000)] = Field(description="How it was made.")
-    versions: Annotated[dict[str, Text], Field(max_length=30)] = Field(description="Package: version.")
-    data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)] = Field(description="All data.")
-    held: Annotated[dict[str, Number], Field(max_length=100)] = Field(
-        description="What was taken as known and the values refer to."
-    )
-    parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)] = Field(
-        description="What was looked for."
-    )
-    correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)] = (
-        Field(description="Of what has a number, in the order of the parameters.")
-    )
-    cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)] = (
-        Field(description="Directions in which nothing changes: name and share.")
-    )
-    quality: QualityFile = Field(description="How well the data were met.")
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
+    """Short name."""
+    title: Text
+    """One line for people."""
+    robot: Text
+    """Robot that the fit started from, a name or a path."""
+    method: Method
+    """What was fitted."""
+    command: Annotated[str, Field(min_length=1, max_length=2000)]
+    """How it was made."""
+    versions: Annotated[dict[str, Text], Field(max_length=30)]
+    """Package: version."""
+    data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)]
+    """All data."""
+    held: Annotated[dict[str, Number], Field(max_length=100)]
+    """What was taken as known and the values refer to."""
+    parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)]
+    """What was looked for."""
+    correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)]
+    """Of what has a number, in the order of the parameters."""
+    cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)]
+    """Directions in which nothing changes: name and share."""
+    quality: QualityFile
+    """How well the data were met."""
 
     def estimate(self) -> Estimate:
         """Return the estimate, without residuals."""

@@ -230,8 +230,10 @@ class GaitFile(Records):
 class RobotFile(Strict):
     """A robot file."""
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40, description="Short name.")
-    title: str = Field(min_length=1, max_length=200, description="One line for people.")
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40)
+    """Short name."""
+    title: str = Field(min_length=1, max_length=200)
+    """One line for people."""
     geometry: GeometryFile
     mass: MassFile
     friction: FrictionFile
@@ -240,9 +242,8 @@ class RobotFile(Strict):
     chamber: ChamberFile
     supply: SupplyFile
     gait: GaitFile
-    modules: ModulesFile | None = Field(
-        None, description="How each module departs from the nominal one (default: not at all)."
-    )
+    modules: ModulesFile | None = None
+    """How each module departs from the nominal one (default: not at all)."""
 
     def records(self) -> dict[str, Record[Any, Any]]:
         """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""

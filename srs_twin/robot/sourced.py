@@ -7,17 +7,12 @@ from a table with another unit is refused.
 
 from __future__ import annotations
 
-import ast
-import inspect
-import sys
 from collections.abc import Callable, Mapping
-from functools import cache
-from itertools import pairwise
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
 from pydantic import ConfigDict, Field
 
-from srs_twin.io.validation import Strict
+from srs_twin.io.validation import Strict, docstrings
 
 UNITS = {
     "_nm_per_rad": "N*m/rad",
@@ -72,13 +67,15 @@ Unit = TypeVar("Unit")
 class Record(Strict, Generic[Value, Unit]):
     """One number and where it comes from."""
 
-    value: Value = Field(description="The number, in the unit that the key names.")
-    unit: Unit = Field(description="The unit, the same as in the key; '1' for a pure number.")
-    status: Status = Field(
-        description="measured: stated in the source as measured or set; "
-        "calibrated: found by a fit to measurements; estimated: our assumption."
-    )
-    source: str = Field(min_length=1, max_length=1000, description="Section, table, or how it was estimated.")
+    value: Value
+    """The number, in the unit that the key names."""
+    unit: Unit
+    """The unit, the same as in the key; '1' for a pure number."""
+    status: Status
+    """measured: stated in the source as measured or set; calibrated: found by a fit to measurements;
+    estimated: our assumption."""
+    source: str = Field(min_length=1, max_length=1000)
+    """Section, table, or how it was estimated."""
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
@@ -89,33 +86,6 @@ class Record(Strict, Generic[Value, Unit]):
 def between(low: float, high: float) -> Any:
     """Return the bounds of a number."""
     return Field(ge=low, le=high)
-
-
-@cache
-def _docstrings(module: str) -> dict[str, dict[str, str]]:
-    """Return what stands below the keys of a module's classes: class → key → text in one line."""
-    found: dict[str, dict[str, str]] = {}
-    try:
-        tree = ast.parse(inspect.getsource(sys.modules[module]))
-    except (OSError, TypeError):
-        return found  # a class that was typed into a shell
-    for cls in (each for each in tree.body if isinstance(each, ast.ClassDef)):
-        for key, below in pairwise(cls.body):
-            if isinstance(key, ast.AnnAssign) and isinstance(below, ast.Expr):
-                text = " ".join(ast.literal_eval(below.value).split())
-                found.setdefault(cls.name, {})[ast.unparse(key.target)] = text
-    return found
-
-
-def docstrings(cls: type[Strict]) -> dict[str, str]:
-    """Return what stands below the keys of a model and of its bases: key → text in one line.
-
-    Read when a schema is asked for: pydantic's `use_attribute_docstrings` takes 0.2 s at every import.
-    """
-    texts: dict[str, str] = {}
-    for base in reversed([each for each in cls.__mro__ if issubclass(each, Strict)]):
-        texts |= _docstrings(base.__module__).get(base.__name__, {})
-    return texts
 
 
 class _Number(NamedTuple):

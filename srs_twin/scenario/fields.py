@@ -16,8 +16,8 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from srs_twin.io.validation import Strict
-from srs_twin.robot.sourced import docstrings, in_si, in_unit, split_unit
+from srs_twin.io.validation import Strict, docstrings
+from srs_twin.robot.sourced import in_si, in_unit, split_unit
 
 Line = Annotated[str, Field(min_length=1, max_length=200)]
 PathOrName = Annotated[str, Field(min_length=1, max_length=4096)]
