@@ -184,7 +184,7 @@ class FitDestination:
             held: what it was validated with.
         """
         from srs_twin.identification.fit_file import data_sets, fit_file, write_fit
-        from srs_twin.io.files import atomic_write, shown
+        from srs_twin.io.files import shown, write_text
         from srs_twin.provenance import versions
         from srs_twin.viewing.html.fit_report import fit_report
 
@@ -200,8 +200,7 @@ class FitDestination:
         )
         report = self.path.with_suffix(".html")
         text = fit_report(fit, estimate)
-        with atomic_write(report) as part:
-            part.write_text(text, encoding="utf-8")
+        write_text(report, text)
         write_fit(fit, self.path)
         if not self.quiet:
             show(estimate)

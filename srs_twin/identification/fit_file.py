@@ -23,7 +23,7 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
 from srs_twin.identification.unknowns import unit_of
 from srs_twin.io.documents import Loc, dump_yaml
-from srs_twin.io.files import atomic_write, existing
+from srs_twin.io.files import existing, write_text
 from srs_twin.io.validation import Strict, load_model
 from srs_twin.robot.sourced import between
 from srs_twin.trajectory import Trajectory
@@ -327,11 +327,8 @@ def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
     Raises:
         InputError: the place cannot be written.
     """
-    target = Path(path)
-    data = file.model_dump(mode="json", exclude_none=True)
-    with atomic_write(target) as part:
-        part.write_text(dump_yaml(data), encoding="utf-8")
-    return target
+    write_text(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
+    return Path(path)
 
 
 def load_fit(path: str | os.PathLike[str]) -> FitFile:
@@ -389,10 +386,8 @@ def _square(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc
 
 
 def _entry(each: Parameter) -> ParameterEntry:
-    numbers: dict[str, Any] = {name: _maybe(getattr(each, name)) for name in _NUMBERS}
-    return ParameterEntry(
-        name=each.name, unit=each.unit, verdict=each.verdict, why=each.why[:1000], **numbers
-    )
+    numbers = {name: _maybe(getattr(each, name)) for name in _NUMBERS}
+    return ParameterEntry(**asdict(each) | numbers | {"why": each.why[:1000]})
 
 
 def _rounded(value: float) -> float:

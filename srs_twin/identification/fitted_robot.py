@@ -16,20 +16,13 @@ from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
 from srs_twin.identification.unknowns import known, unknowns, with_values
 from srs_twin.io.documents import Document, dump_yaml
-from srs_twin.io.files import atomic_write
-from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.io.files import write_text
+from srs_twin.robot.file import SPREADS, RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 
 _PA_PER_KPA = 1e3
 _ROUNDED = 1e-7  # fit files have nine digits
-_SPREADS = {
-    "gain": "gain_spread",
-    "tau_fill": "tau_spread",
-    "tau_vent": "tau_spread",
-    "bias_rad": "bias_spread_rad",
-    "sensor_bias_rad": "sensor_bias_spread_rad",
-}
 
 
 def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None) -> dict[str, Any]:
@@ -71,9 +64,10 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
         put(name, "estimated", f"held in fit {fit.name}: its values refer to it", over=False)
     spread = file.modules
     for key in block.get("modules", {}) if spread else ():
-        if getattr(spread, _SPREADS[key]) is not None:
+        drawn = SPREADS[key.removesuffix("_rad")]
+        if getattr(spread, drawn) is not None:
             raise InputError(
-                f"{fit.robot}: it draws modules.{key} at random ({_SPREADS[key]}), which a fit cannot stand "
+                f"{fit.robot}: it draws modules.{key} at random ({drawn}), which a fit cannot stand "
                 "on; take that out first"
             )
     return block
@@ -194,5 +188,4 @@ def write_robot(robot: RobotFile, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: the place cannot be written.
     """
-    with atomic_write(path) as part:
-        part.write_text(dump_yaml(robot.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+    write_text(path, dump_yaml(robot.model_dump(mode="json", exclude_none=True)))

@@ -203,6 +203,16 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{shown(target)}: cannot be written ({error.strerror or error})") from error
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file, whole or not at all.
+
+    Raises:
+        InputError: the place cannot be written.
+    """
+    with atomic_write(path) as part:
+        part.write_text(text, "utf-8")
+
+
 def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iterable[str] = ()) -> Path:
     """Return the path if it is a regular file: devices and pipes might never end.
 

@@ -82,8 +82,6 @@ def load_model(model: type[Model], path: Path) -> Model:
     """
     document = load_yaml(path)
     file = validate(model, document, document.data)
-    for loc, message in file.contradictions() if file and hasattr(file, "contradictions") else ():
-        document.report(loc, message)
     document.finish()
     assert file is not None, "a file without a problem was checked"
     return file
@@ -99,7 +97,7 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
         prefix: path of the data in the document.
     """
     try:
-        return model.model_validate_json(json.dumps(data), strict=True)
+        file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         schema = model.model_json_schema()
         for item in error.errors(include_url=False):
@@ -114,6 +112,10 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
             where = prefix + loc if absent else document.visible(prefix, loc)
             document.report(where, message, at_key=item["type"] == "extra_forbidden")
         return None
+    contradictions = list(file.contradictions()) if hasattr(file, "contradictions") else []
+    for loc, message in contradictions:
+        document.report(document.visible(prefix, loc), message)
+    return None if contradictions else file
 
 
 def allowed(schema: Schema, root: Schema, *, brief: bool = False) -> str:

@@ -12,7 +12,7 @@ from xml.dom import minidom
 
 import mujoco
 
-from srs_twin.io.files import atomic_write
+from srs_twin.io.files import write_text
 from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.mjcf.numerics import Numerics
 from srs_twin.robot.spec import RobotSpec
@@ -32,8 +32,7 @@ def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
     """
     paths = []
     for name, text in robot_files(spec).items():
-        with atomic_write(folder / name) as part:
-            part.write_text(text, "utf-8")
+        write_text(folder / name, text)
         paths.append(folder / name)
     return paths
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.io.files import atomic_write
+from srs_twin.io.files import write_text
 from srs_twin.provenance import versions
 from srs_twin.reproduction.claims import COLUMNS, Claim
 from srs_twin.reproduction.verdicts import (
@@ -131,8 +131,7 @@ def write_json(path: Path, rows: Sequence[Judged], changes: Sequence[str]) -> No
         "rows": [_row(row, outcomes[row.claim.id]) for row in rows],
         "versions": versions(),
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
+    write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _row(row: Judged, outcomes: Any) -> dict[str, Any]:
@@ -168,8 +167,7 @@ def write_html(
         figures=[picture(figure, f"Fig. {each.figure}: {each.caption}") for each, figure in figures],
         versions=Table(["package", "version"], list(versions().items())),
     )
-    with atomic_write(path) as part:
-        part.write_text(content, "utf-8")
+    write_text(path, content)
 
 
 def _cells(row: Judged) -> list[str]:

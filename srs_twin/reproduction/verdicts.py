@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAdapter
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write, data_root, shown
+from srs_twin.io.files import data_root, shown, write_text
 from srs_twin.provenance import versions
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
 from srs_twin.reproduction.runs import Job, Started, Store
@@ -213,8 +213,7 @@ def write_baseline(rows: Sequence[Judged], path: Path | None = None) -> Path:
     """
     place = path or baseline_file()
     document = {"versions": versions(), "rows": outcomes_document(rows, digits=4)}
-    with atomic_write(place) as part:
-        part.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    write_text(place, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     return place
 
 

@@ -22,6 +22,7 @@ from srs_twin.io.files import find
 from srs_twin.io.validation import Strict, load_model, validate
 from srs_twin.robot.sourced import Record, Records, between, number, restated, split_unit
 from srs_twin.robot.spec import (
+    PER_CHAMBER,
     WHEEL_SHARE,
     Actuator,
     Bending,
@@ -47,7 +48,7 @@ Spread = Record[Annotated[float, between(0.0, 0.5)], Literal["rad"]]
 _MOST = 3.0
 
 # Quantity → its spread. Their order is that of the streams: new ones go to the end.
-_SPREADS = {
+SPREADS = {
     "gain": "gain_spread",
     "tau_fill": "tau_spread",
     "tau_vent": "tau_spread",
@@ -95,8 +96,8 @@ class ModulesFile(Records):
         """
         seed = seed if self.seed is None else self.seed
         arrays = {}
-        for stream, (name, spread_name) in enumerate(_SPREADS.items()):
-            chambers, bends = name in ("gain", "tau_fill", "tau_vent"), name.endswith("bias")
+        for stream, (name, spread_name) in enumerate(SPREADS.items()):
+            chambers, bends = name in PER_CHAMBER, name.endswith("bias")
             shape = (segments, 2) if chambers else (segments,)
             listed, spread = getattr(self, f"{name}_rad" if bends else name), getattr(self, spread_name)
             base = np.full(shape, 0.0 if bends else 1.0) if listed is None else np.array(listed.value)
@@ -328,17 +329,6 @@ def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
     return load_model(RobotFile, find("robot", name_or_path))
 
 
-def check_robot(document: Document, data: Any, *, prefix: Loc = ()) -> RobotFile | None:
-    """Return plain data as a robot, or None after reporting all that is wrong with it to the document."""
-    file = validate(RobotFile, document, data, prefix=prefix)
-    if file is None:
-        return None
-    contradictions = list(file.contradictions())
-    for loc, message in contradictions:
-        document.report(document.visible(prefix, loc), message)
-    return None if contradictions else file
-
-
 def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile | None:
     """Return the robot that a scenario names, overrides or writes out; None after reporting problems.
 
@@ -352,7 +342,7 @@ def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile |
     """
     base = given.get("base") if isinstance(given, Mapping) else given
     if isinstance(given, Mapping) and "base" not in given:
-        return check_robot(document, given, prefix=prefix)
+        return validate(RobotFile, document, given, prefix=prefix)
     where = (*prefix, "base") if isinstance(given, Mapping) else prefix
     if not isinstance(base, str):
         document.report(where, "must be a robot's name, a path, or a block of keys with base")
@@ -367,7 +357,7 @@ def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile |
     if not isinstance(given, Mapping):
         return file
     merged = _override(file.model_dump(), given, f"set in {document.name} over {base}")
-    return check_robot(document, merged, prefix=prefix)
+    return validate(RobotFile, document, merged, prefix=prefix)
 
 
 def _override(base: Mapping[str, Any], override: Mapping[str, Any], source: str) -> dict[str, Any]:

@@ -24,12 +24,8 @@ from srs_twin.errors import InputError
 
 PerChamber = tuple[tuple[float, float], ...]
 
-# Attribute → shape beyond the segments, least and largest allowed number.
-_BOUNDS = {
-    "gain": ((2,), 0.01, 100.0), "tau_fill": ((2,), 0.01, 100.0), "tau_vent": ((2,), 0.01, 100.0),
-    "bias": ((), -math.pi, math.pi), "sensor_gain": ((), 0.01, 100.0),
-    "sensor_bias": ((), -math.pi, math.pi),
-}  # fmt: skip
+PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
+"""What each chamber of a module has of its own."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +49,12 @@ class Modules:
     sensor_bias: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name, (shape, low, high) in _BOUNDS.items():
+        for name in (each.name for each in fields(self)):
             values = np.asarray(getattr(self, name), dtype=float)
-            if values.shape != (len(self.gain), *shape):
-                raise InputError(
-                    f"modules.{name} has shape {values.shape}; allowed: {(len(self.gain), *shape)}"
-                )
+            shape = (len(self.gain), 2) if name in PER_CHAMBER else (len(self.gain),)
+            low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
+            if values.shape != shape:
+                raise InputError(f"modules.{name} has shape {values.shape}; allowed: {shape}")
             if not ((values >= low) & (values <= high)).all():
                 wrong = values[~((values >= low) & (values <= high))][0]
                 raise InputError(f"modules.{name} {wrong:g} is not allowed; it must be {low:g} to {high:g}")

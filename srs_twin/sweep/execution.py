@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import atomic_write, open_folder, shown
+from srs_twin.io.files import open_folder, shown, write_text
 from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import POINTS, file_digests, source_digests
 from srs_twin.sweep.points import Experiment, Point, Sweep
@@ -224,8 +224,7 @@ class OpenSweep:
         titles = self._draw(found)
         read, beside = SweepTable.of(shown_columns(self.sweep, found)), self.sweep.beside
         for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
-            with atomic_write(self.folder / name) as part:
-                part.write_text(dump_yaml(document), "utf-8")
+            write_text(self.folder / name, dump_yaml(document))
         failed = [row for row in rows if row.status == FAILED]
         summary = Summary(
             folder=self.folder,
@@ -240,8 +239,7 @@ class OpenSweep:
         )
         pictures = {title: (self.folder / name).read_bytes() for name, title in titles.items()}
         write_report(self.folder / REPORT, self.sweep, summary, read, shown_metrics(self.sweep), pictures)
-        with atomic_write(self.folder / SUMMARY) as part:
-            part.write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
+        write_text(self.folder / SUMMARY, json.dumps(self._about(summary), indent=2) + "\n")
         return summary
 
     def _draw(self, found: pa.Table) -> dict[str, str]:

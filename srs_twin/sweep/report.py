@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.io.files import atomic_write
+from srs_twin.io.files import write_text
 from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.sweep_table import COMPARISON, PLAN, SweepTable, Values
@@ -192,8 +192,7 @@ def write_report(
         means={field_label(name): means_by(name, rows, metrics) for name in rows.fields},
         made_with=Table(["", ""], versions),
     )
-    with atomic_write(path) as part:
-        part.write_text(content, encoding="utf-8")
+    write_text(path, content)
 
 
 def _counts(summary: Summary) -> str:
