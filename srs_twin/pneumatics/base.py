@@ -14,6 +14,9 @@ from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
+Known = np.ndarray | None
+"""Of each segment, shape (segments,); None where nobody knows it."""
+
 
 class Trace(NamedTuple):
     """What the chambers did at given times; kernels take it as it is.
@@ -152,12 +155,7 @@ class Pneumatics(ABC):
         return happening
 
     def advance(
-        self,
-        schedule: Schedule,
-        times: np.ndarray,
-        *,
-        bend: np.ndarray | None = None,
-        bend_rate: np.ndarray | None = None,
+        self, schedule: Schedule, times: np.ndarray, *, bend: Known = None, bend_rate: Known = None
     ) -> Trace:
         """Advance by a schedule's span and return what happened at `times`.
 
@@ -196,9 +194,7 @@ class Pneumatics(ABC):
                 raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, what)
 
     @abstractmethod
-    def _follow(
-        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
-    ) -> Trace:
+    def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
         """Do what `advance` says, with the valve states as they are; set pressure, bend and air."""
 
     def regulate(self, supply_pa: float) -> None:

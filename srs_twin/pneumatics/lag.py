@@ -25,7 +25,7 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
+from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, gains, volume
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -94,9 +94,7 @@ class LagPneumatics(Pneumatics):
         """See `Pneumatics.describe`."""
         return super().describe() | {"leak_per_s": self._leak}
 
-    def _follow(
-        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
-    ) -> Trace:
+    def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
         trace = Trace.empty(len(times), self._segments)
         pressure, linear = self.pressure.copy(), self._linear.copy()
         free = np.empty(self._segments)

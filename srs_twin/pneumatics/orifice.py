@@ -25,7 +25,7 @@ import numpy as np
 
 from srs_twin.arrays import check_positive
 from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import Pneumatics, Trace, not_negative
+from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, gains, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
 from srs_twin.pneumatics.orifice_kernels import Plumbing, follow
@@ -172,9 +172,7 @@ class OrificePneumatics(Pneumatics):
         """See `Pneumatics.describe`."""
         return super().describe() | self._settings
 
-    def _follow(
-        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
-    ) -> Trace:
+    def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
         trace = Trace.empty(len(times), self._segments)
         state, books = self._state.copy(), self._books.copy()
         actual = np.zeros((2, self._segments))

@@ -234,11 +234,8 @@ def follow(y, books, schedule, times, substep, given, actual, air, pressure, tra
     """
     span, starts, states = schedule
     segments = y.shape[0]
-    work = (
-        np.empty((segments, 3)), np.empty((segments, 3)), np.empty(segments), np.empty((segments, 3, 2)),
-        np.empty((segments, 2, 5)),
-    )  # fmt: skip
-    dy, bend = work[1], work[2]
+    base, dy, bend = np.empty_like(y), np.empty_like(y), np.empty(segments)
+    work = base, dy, bend, np.empty((segments, 3, 2)), np.empty((segments, 2, 5))
     begin, slope, at_begin = np.empty_like(y), np.empty_like(y), np.empty(5)
     at_end = np.empty(5)
     row, runs = 0, starts.shape[0]

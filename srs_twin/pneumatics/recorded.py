@@ -17,7 +17,7 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import Pneumatics, Trace
+from srs_twin.pneumatics.base import Known, Pneumatics, Trace
 from srs_twin.pneumatics.chambers import flattened, gains
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -75,9 +75,7 @@ class RecordedPressures(Pneumatics):
         """See `Pneumatics.describe`."""
         return super().describe() | {"samples": len(self._time), "from_s": float(self._time[0])}
 
-    def _follow(
-        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
-    ) -> Trace:
+    def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
         trace = self._at(self._elapsed + times)
         end = self._at(np.array([self._elapsed + schedule.span]))
         self.pressure, self.bend = end.pressure[0], end.bend[0]
@@ -92,10 +90,7 @@ class RecordedPressures(Pneumatics):
         fade = (self._linear[row] - drive + slope * self._tau) * np.exp(-since / self._tau)
         linear = drive + slope * (since - self._tau) + fade
         speed, acceleration = slope - fade / self._tau, fade / self._tau**2
-        _bend(
-            linear, speed, acceleration, self.rest_bend, self._limit, trace.bend, trace.bend_rate,
-            trace.bend_acceleration,
-        )  # fmt: skip
+        _bend((linear, speed, acceleration), self.rest_bend, self._limit, trace)
         for j in range(trace.pressure.shape[1]):
             for side in range(2):
                 trace.pressure[:, j, side] = np.interp(time, self._time, self._measured[:, j, side])
@@ -116,11 +111,12 @@ def _followed(time: np.ndarray, drive: np.ndarray, slope: np.ndarray, tau: float
 
 
 @compiled
-def _bend(linear, speed, acceleration, bias, limit, q, dq, ddq):  # type: ignore[no-untyped-def]
-    """Fill bends and their first two derivatives, shape (times, segments) each."""
+def _bend(motion, bias, limit, trace):  # type: ignore[no-untyped-def]
+    """Fill bends and their rates by the linear bend and its first two derivatives, (times, segments) each."""
+    linear, speed, acceleration = motion
     for k in range(linear.shape[0]):
         for j in range(linear.shape[1]):
             turned, slope, curve = flattened(linear[k, j], limit)
-            q[k, j] = bias[j] + turned
-            dq[k, j] = slope * speed[k, j]
-            ddq[k, j] = slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]
+            trace.bend[k, j] = bias[j] + turned
+            trace.bend_rate[k, j] = slope * speed[k, j]
+            trace.bend_acceleration[k, j] = slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]
