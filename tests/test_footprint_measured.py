@@ -146,7 +146,7 @@ def measured(crawl: Crawl, change: Change, run: Trajectory | None = None, *, see
         alone = Crawl((curvature,), speed=crawl.speed, sway=crawl.sway)
         paths.append(steady(alone, mirrored(alone.trajectory()) if seen else None))
     run = crawl.trajectory() if run is None else run
-    return transient(run, crawl.geometry, crawl.period, change, paths[0], paths[1])
+    return transient(run, crawl.geometry, crawl.period, change, (paths[0], paths[1]))
 
 
 @pytest.mark.parametrize(("before", "after"), [(-3.0, 3.0), (0.0, 2.0), (2.0, 0.0), (1.0, -1.0)])

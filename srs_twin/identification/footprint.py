@@ -22,6 +22,7 @@ from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, mean_path, transient, widest
 from srs_twin.planning.footprint import Transient
 from srs_twin.plants.base import Plant
+from srs_twin.recordings.recording import named_in_errors
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
 from srs_twin.trajectory import Trajectory
@@ -293,10 +294,8 @@ class Study:
 
     def _steady(self, offset: float, runs: Sequence[Trajectory]) -> tuple[SteadyPath, SteadyPath]:
         """Return the path at an offset and its spread."""
-        try:
+        with named_in_errors(f"offset {offset:g}"):
             return mean_path([steady_path(self.drive, run, self.periods) for run in runs])
-        except InputError as error:
-            raise InputError(f"offset {offset:g}: {error}") from error
 
     def _transient(
         self,
@@ -307,14 +306,12 @@ class Study:
     ) -> Transient:
         """Return what a change of offset does, at whatever phase of the gait it comes."""
         geometry, period, (before, after) = self.drive.spec.geometry, self.drive.period, change
-        try:
+        with named_in_errors(f"offset {before:g} to {after:g}"):
             found = [
-                transient(run, geometry, period, Change(time, before, after), paths[before], paths[after])
+                transient(run, geometry, period, Change(time, before, after), (paths[before], paths[after]))
                 for run, time in zip(runs, times, strict=True)
             ]
             return widest(found)
-        except InputError as error:
-            raise InputError(f"offset {before:g} to {after:g}: {error}") from error
 
     def _named(self, number: int) -> str:
         if number < len(self.offsets):
@@ -338,13 +335,11 @@ def _listed(offsets: Sequence[float]) -> str:
     return ", ".join(f"{offset:g}" for offset in offsets) or "(none)"
 
 
+Changes = Sequence[tuple[float, float]]
+
+
 def study(
-    drive: Drive,
-    *,
-    offsets: Sequence[float] | None = None,
-    changes: Sequence[tuple[float, float]] | None = None,
-    periods: int = 6,
-    phases: int = 4,
+    drive: Drive, *, offsets: Sequence[float] | None = None, changes: Changes | None = None, **counts: int
 ) -> Study:
     """Return the study of a footprint, with its defaults filled in.
 
@@ -352,14 +347,13 @@ def study(
         drive: robot, controller, plant.
         offsets: rising; default −0.3 to 0.3 under learning, −0.4 to 0.4 else, in steps of 0.1.
         changes: (before, after) of offsets; default `changes_between`.
-        periods: of each run that are measured.
-        phases: runs an offset and a change.
+        **counts: periods and phases of the `Study`.
 
     Raises:
         InputError: what cannot be measured.
     """
     rows = drive.offsets if offsets is None else tuple(float(each) for each in offsets)
-    checked = Study(drive, rows, (), periods, phases)
+    checked = Study(drive, rows, (), **counts)
     return replace(checked, changes=changes_between(rows) if changes is None else tuple(changes))
 
 

@@ -334,16 +334,10 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
             error = float(known.errors[place])
             found.append(_numbers(unknown, float(z[i]), error, quantile, reach[i], best.converged))
         kept.append(i)
+    correlation, blind = _correlation(found, kept, inside, known), cancels(unknowns, inside, known)
+    scale = float(np.sqrt(variance))
     return Estimate(
-        tuple(found),
-        _correlation(found, kept, inside, known),
-        residuals,
-        cancels(unknowns, inside, known),
-        samples,
-        float(independent),
-        float(np.sqrt(variance)),
-        dict(held),
-        best.converged,
+        tuple(found), correlation, residuals, blind, samples, float(independent), scale, held, best.converged
     )
 
 

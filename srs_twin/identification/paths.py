@@ -177,6 +177,7 @@ def mean_path(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
     return SteadyPath(*found.tolist()), SteadyPath(*(np.ptp(values, axis=0) / 2).tolist())
 
 
+BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
 """Over how many periods the path is looked at before a change and once it is settled."""
 SETTLED = 0.1
@@ -201,12 +202,7 @@ class Change:
 
 
 def transient(
-    trajectory: Trajectory,
-    geometry: Geometry,
-    period: float,
-    change: Change,
-    before: SteadyPath,
-    after: SteadyPath,
+    trajectory: Trajectory, geometry: Geometry, period: float, change: Change, paths: BothPaths
 ) -> Transient:
     """Measure one change of offset.
 
@@ -217,8 +213,7 @@ def transient(
         geometry: of its robot.
         period: of the gait, s.
         change: when and what.
-        before: the steady path of the old offset.
-        after: that of the new one.
+        paths: the steady path of the old offset, and that of the new one.
 
     Raises:
         InputError: the run is too short.
@@ -226,7 +221,7 @@ def transient(
     old = GaitWindow.last(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
         raise InputError(f"a change of offset needs {STEADY_PERIODS} gait periods before it")
-    settled = _settled(trajectory, period, change.time, before, after)
+    settled, (before, after) = _settled(trajectory, period, change.time, paths), paths
     end = min(settled + STEADY_PERIODS * period, float(trajectory.time[-1]))
     new = GaitWindow.last(trajectory, period, end, STEADY_PERIODS)
     assert new is not None, "it begins after the change"
@@ -249,9 +244,7 @@ def transient(
     )
 
 
-def _settled(
-    trajectory: Trajectory, period: float, time: float, before: SteadyPath, after: SteadyPath
-) -> float:
+def _settled(trajectory: Trajectory, period: float, time: float, paths: BothPaths) -> float:
     """Return from when on (s) each period turns as the new offset does.
 
     Raises:
@@ -260,7 +253,7 @@ def _settled(
     heading = interpolant(trajectory, trajectory["heading"])
     begins = trajectory.time[trajectory.time >= time - 1e-9]
     begins = begins[begins <= trajectory.time[-1] - period + 1e-9]
-    old, new = (path.curvature * path.speed * period for path in (before, after))
+    old, new = (path.curvature * path.speed * period for path in paths)
     missing = abs(heading(begins + period) - heading(begins) - new) / abs(new - old)
     unrest = missing[begins >= trajectory.time[-1] - STEADY_PERIODS * period - 1e-9].max(initial=0.0)
     off = np.flatnonzero(missing > max(SETTLED, 2 * unrest))

@@ -145,19 +145,15 @@ class RecordedFile:
             uneven.append(row)
             return "error"
 
+        # One thread: only then does Arrow know on which row a fault lies.
+        reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
+        parsing = ParseOptions(invalid_row_handler=refuse, newlines_in_values=False)
+        types = dict.fromkeys(chosen, pa.float64())
+        converting = ConvertOptions(
+            column_types=types, include_columns=chosen, null_values=BLANK, quoted_strings_can_be_null=True
+        )
         try:
-            table = read_csv(
-                pa.py_buffer(memoryview(self.raw)[start:stop]),
-                # One thread: only then does Arrow know on which row a fault lies.
-                ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK),
-                ParseOptions(invalid_row_handler=refuse, newlines_in_values=False),
-                ConvertOptions(
-                    column_types=dict.fromkeys(chosen, pa.float64()),
-                    include_columns=chosen,
-                    null_values=BLANK,
-                    quoted_strings_can_be_null=True,
-                ),
-            )
+            table = read_csv(pa.py_buffer(memoryview(self.raw)[start:stop]), reading, parsing, converting)
         except (pa.ArrowException, OSError) as error:
             if uneven:
                 what = f"{uneven[0].actual_columns} cells where the header has {width}"

@@ -105,10 +105,7 @@ def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def measured(
-    columns: Mapping[str, np.ndarray],
-    spec: RobotSpec,
-    summary: LogSummary,
-    gait_frequency_hz: float | None,
+    columns: Mapping[str, np.ndarray], spec: RobotSpec, summary: LogSummary, gait_frequency_hz: float | None
 ) -> Trajectory:
     """Return measured columns as a trajectory.
 
