@@ -53,7 +53,7 @@ def along(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def blocked(x, y, heading, curvature, length, ahead, behind, left, right, circles, sides, bounds):  # type: ignore[no-untyped-def]  # noqa: D417
+def blocked(x, y, heading, curvature, length, ahead, behind, left, right, around):  # type: ignore[no-untyped-def]  # noqa: D417
     """Say whether the region of an arc touches an obstacle or leaves the bounds.
 
     Args:
@@ -61,10 +61,9 @@ def blocked(x, y, heading, curvature, length, ahead, behind, left, right, circle
         curvature, length: of its arc, 1/m and m.
         ahead, behind: of the centre of mass along the arc, m.
         left, right: edges, m.
-        circles: x, y, radius of each, m, shape (n, 3).
-        sides: x, y of both ends of each side of the polygons, m, shape (n, 4).
-        bounds: lowest x, highest x, lowest y, highest y, m; infinite where there are none.
+        around: circles, sides and bounds, as in `collision.Surroundings`.
     """
+    circles, sides, bounds = around
     h = (length + ahead + behind) / 2
     x, y, heading = along(x, y, heading, curvature, (length + ahead - behind) / 2)
     c, s = np.cos(heading), np.sin(heading)

@@ -58,11 +58,10 @@ class Frontier(NamedTuple):
 def empty_frontier(room: int) -> Frontier:
     """Return a search that has not begun, with room for so many nodes."""
     slots = 1 << (2 * room - 1).bit_length()
-    return Frontier(
-        np.empty((room, 8)), np.empty((room, 2), dtype=np.int32),
-        np.empty(room), np.empty(room, dtype=np.int32),
-        np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32), np.zeros(3, dtype=np.int64),
-    )  # fmt: skip
+    nodes, links = np.empty((room, 8)), np.empty((room, 2), dtype=np.int32)
+    keys, heap = np.empty(room), np.empty(room, dtype=np.int32)
+    cells, owners = np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32)
+    return Frontier(nodes, links, keys, heap, cells, owners, np.zeros(3, dtype=np.int64))
 
 
 def grown(frontier: Frontier) -> Frontier:
@@ -257,10 +256,8 @@ def expand(frontier, search, best, share):  # type: ignore[no-untyped-def]
             return FULL, -1
         node = pop(frontier)
         x, y, heading, cost, bound = frontier.nodes[node, :5]
-        if (
-            frontier.owners[slot_of(frontier, x, y, heading, cell, sector)] != node + 1
-            or cost + bound >= best
-        ):
+        owner = frontier.owners[slot_of(frontier, x, y, heading, cell, sector)]
+        if owner != node + 1 or cost + bound >= best:
             continue
         frontier.counts[EXPANDED] += 1
         if _arrived(x, y, heading, search.target):
@@ -275,23 +272,21 @@ def expand(frontier, search, best, share):  # type: ignore[no-untyped-def]
 @compiled
 def _try(frontier, node, move, search, best):  # type: ignore[no-untyped-def]
     """Make a child if it is the first or nearest in its cell, may beat the best plan, and its arc is free."""
-    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
-    moves, length = search.moves, search.moves.length
-    to_x, to_y, to_heading = along(x, y, heading, moves.curvatures[move], length)
+    way, cost = _way_from(frontier, node)
+    length = search.moves.length
+    to_x, to_y, to_heading = along(way[0], way[1], way[2], search.moves.curvatures[move], length)
     slot = slot_of(frontier, to_x, to_y, to_heading, search.cell, search.sector)
     cost += length
     owner = frontier.owners[slot] - 1
     if owner >= 0 and frontier.nodes[owner, 3] <= cost + _BETTER:
         return
-    left, right, lasting = wider(left, right, lasting, moves.changes[frontier.links[node, 1], move])
-    if not _move_free(x, y, heading, move, length, left, right, moves, search.around):
+    free, way = one_arc(way, move, length, search.moves, search.around)
+    if not free:
         return
     bound = rest(to_x, to_y, to_heading, search.target)
     if cost + bound >= best:
         return
-    child = _enter(
-        frontier, slot, to_x, to_y, to_heading, cost, bound, left, right, max(0.0, lasting - length)
-    )
+    child = _enter(frontier, slot, to_x, to_y, to_heading, cost, bound, way[4], way[5], way[6])
     frontier.links[child, 0], frontier.links[child, 1] = node, move
     push(frontier, child, cost + search.weight * max(bound, way_from(search.guide, to_x, to_y)))
 
@@ -308,26 +303,10 @@ def _enter(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  #
 
 
 @compiled
-def wider(left, right, lasting, change):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return what the edges are wider by on the next arc, m, and for how long.
-
-    Args:
-        left, right, lasting: what is left of earlier changes, m.
-        change: left, right, length of the change that leads to the arc, m.
-    """
-    if lasting <= 0:
-        left, right, lasting = 0.0, 0.0, 0.0
-    return max(left, change[0]), max(right, change[1]), max(lasting, change[2])
-
-
-@compiled
-def _move_free(x, y, heading, move, length, left, right, moves, around):  # type: ignore[no-untyped-def]
-    """Say whether the arc of a move is free with edges wider by `left` and `right`, m."""
-    left, right = moves.left[move] + left, moves.right[move] + right
-    return not blocked(
-        x, y, heading, moves.curvatures[move], length, moves.ahead, moves.behind, left, right,
-        around.circles, around.sides, around.bounds,
-    )  # fmt: skip
+def _way_from(frontier, node):  # type: ignore[no-untyped-def]
+    """Return how the snake comes to a node, as `one_arc` takes it, and the cost of the way, m."""
+    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
+    return (x, y, heading, np.int64(frontier.links[node, 1]), left, right, lasting), cost
 
 
 @compiled
@@ -342,51 +321,52 @@ def _arrived(x, y, heading, target):  # type: ignore[no-untyped-def]
 @compiled
 def _connects(frontier, node, search, best):  # type: ignore[no-untyped-def]
     """Say whether the Dubins path from a node to the goal is free and makes a better plan."""
-    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
-    target, before = search.target, frontier.links[node, 1]
-    path = word(x, y, heading, target.x, target.y, target.heading, target.free, target.turning)
+    way, cost = _way_from(frontier, node)
+    target = search.target
+    path = word(*way[:3], target.x, target.y, target.heading, target.free, target.turning)
     if cost + path[3] + path[4] + path[5] >= best:
         return False
-    return passes(x, y, heading, path, before, left, right, lasting, search.moves, search.around)
+    return passes(way, path, search.moves, search.around)
 
 
 @compiled
-def passes(x, y, heading, path, before, left, right, lasting, moves, around):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Say whether a Dubins path is free.
+def at_rest(x, y, heading, moves):  # type: ignore[no-untyped-def]
+    """Return the beginning of a way, as `one_arc` takes it: a pose to which no move has led."""
+    return x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0
 
-    Args:
-        x, y, heading: where it begins.
-        path: as `dubins.word` returns it.
-        before: move that led there.
-        left, right, lasting: what is left of earlier changes, m.
-    """
+
+@compiled
+def passes(way, path, moves, around):  # type: ignore[no-untyped-def]
+    """Say whether a Dubins path, as `dubins.word` returns it, is free; `way` as in `one_arc`."""
     for piece in range(3):
-        length = path[3 + piece]
-        if length > 0:
-            move = moves.turns[1 + int(path[piece])]
-            free, x, y, heading, left, right, lasting = one_arc(
-                x, y, heading, before, move, length, left, right, lasting, moves, around
-            )
+        if path[3 + piece] > 0:
+            free, way = one_arc(way, moves.turns[1 + int(path[piece])], path[3 + piece], moves, around)
             if not free:
                 return False
-            before = move
     return True
 
 
 @compiled
-def one_arc(x, y, heading, before, move, length, left, right, lasting, moves, around):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return whether an arc is free, where it ends, and what is left of changes there.
+def one_arc(way, move, length, moves, around):  # type: ignore[no-untyped-def]
+    """Return whether an arc is free, and the way on from its end.
 
     All along it is as wide as it is anywhere.
 
     Args:
-        x, y, heading: where it begins.
-        before: move that led there.
+        way: x, y, heading of where the arc begins, the move that led there, and how much wider left and
+            right (m) the edges are from earlier changes, for how long (m).
         move: of the arc.
         length: m.
-        left, right, lasting: what is left of earlier changes, m.
+        moves: what the snake can do.
+        around: the world.
     """
-    left, right, lasting = wider(left, right, lasting, moves.changes[before, move])
-    free = _move_free(x, y, heading, move, length, left, right, moves, around)
-    x, y, heading = along(x, y, heading, moves.curvatures[move], length)
-    return free, x, y, heading, left, right, max(0.0, lasting - length)
+    x, y, heading, before, left, right, lasting = way
+    if lasting <= 0:
+        left, right, lasting = 0.0, 0.0, 0.0
+    change = moves.changes[before, move]
+    left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
+    curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
+    wide = moves.left[move] + left, moves.right[move] + right
+    free = not blocked(x, y, heading, curvature, length, ahead, behind, wide[0], wide[1], around)
+    x, y, heading = along(x, y, heading, curvature, length)
+    return free, (x, y, heading, move, left, right, max(0.0, lasting - length))

@@ -74,7 +74,7 @@ class Checker:
         body, motion = self.footprint, self.footprint.at(curvature)
         left, right = motion.left + wider[0], motion.right + wider[1]
         reach = body.ahead, body.behind
-        return not blocked(*pose, curvature, length, *reach, left, right, *self.surroundings)
+        return not blocked(*pose, curvature, length, *reach, left, right, self.surroundings)
 
     def free_path(self, segments: Sequence[Segment]) -> bool:
         """Say whether a path is free, wider by the transients where its changes of offset still last."""
@@ -98,7 +98,7 @@ class Checker:
         body, motion = self.footprint, self.footprint.at(0.0)
         edges = body.ahead, body.behind, motion.left, motion.right
         for name, world in _pieces(self.world):
-            if blocked(*pose, 0.0, length, *edges, *surroundings(world)):
+            if blocked(*pose, 0.0, length, *edges, surroundings(world)):
                 return name
         return ""
 

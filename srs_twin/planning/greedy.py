@@ -36,6 +36,9 @@ G_STEP = 0.001
 
 _MOST = 200
 
+Branch = list[tuple[Pose, float]]
+"""Beginning and curvature (1/m) of each arc."""
+
 
 def greedy(problem: Problem) -> Plan:
     """Plan as the text does.
@@ -53,12 +56,12 @@ def greedy(problem: Problem) -> Plan:
     there = Checker(problem.world, problem.footprint)
     back = Checker(problem.world, mirrored(problem.footprint))
     tips = [problem.start, Pose(problem.goal.x, problem.goal.y, problem.goal.heading + math.pi)]
-    branches: list[list[tuple[Pose, float]]] = [[], []]
+    branches: list[Branch] = [[], []]
     for turn in range(2 * _MOST):
         side = turn % 2
         joint = _joint(tips[0], tips[1], arcs, there)
         if joint is not None:
-            path = _path(branches, joint, problem.start, arcs, problem.footprint)
+            path = _path(branches, joint, problem, arcs.length)
             return Plan(Outcome.FOUND, "the branches met", path, turn)
         taken = _best(tips[side], tips[1 - side], arcs, (there, back)[side])
         if taken is None:
@@ -118,16 +121,13 @@ def _joint(here: Pose, there: Pose, arcs: Primitives, checker: Checker) -> tuple
 
 
 def _path(
-    branches: list[list[tuple[Pose, float]]],
-    joint: tuple[float, float],
-    start: Pose,
-    arcs: Primitives,
-    body: Footprint,
+    branches: list[Branch], joint: tuple[float, float], problem: Problem, length: float
 ) -> tuple[Segment, ...]:
-    path = [segment(pose, curvature, arcs.length, body) for pose, curvature in branches[0]]
-    path.append(segment(path[-1].end if path else start, *joint, body))
+    body = problem.footprint
+    path = [segment(pose, curvature, length, body) for pose, curvature in branches[0]]
+    path.append(segment(path[-1].end if path else problem.start, *joint, body))
     for pose, curvature in reversed(branches[1]):
-        end = segment(pose, curvature, arcs.length, body).end
+        end = segment(pose, curvature, length, body).end
         # The same arc from its other end: it turns the other way.
-        path.append(segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, arcs.length, body))
+        path.append(segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, length, body))
     return tuple(path)

@@ -12,7 +12,7 @@ from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.best_first import Moves, passes
+from srs_twin.planning.best_first import Moves, at_rest, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import Pieces, shortest, word
 from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, path_of
@@ -81,8 +81,7 @@ def _motion_validator(base: Any) -> Any:
 
         def passes(self, a: Pose, b: Pose) -> bool:
             path = word(a.x, a.y, a.heading, b.x, b.y, b.heading, False, self.radius)
-            rest = len(self.moves.curvatures)
-            return bool(passes(a.x, a.y, a.heading, path, rest, 0.0, 0.0, 0.0, self.moves, self.around))
+            return bool(passes(at_rest(*a, self.moves), path, self.moves, self.around))
 
         def checkMotion(self, a: Any, b: Any, last: Any = None) -> bool:  # noqa: N802
             return self.passes(_pose(a), _pose(b))

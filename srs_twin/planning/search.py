@@ -16,19 +16,12 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.planning.arcs import Primitives, along
-from srs_twin.planning.best_first import Moves, Search, one_arc, passes
+from srs_twin.planning.best_first import Moves, Search, at_rest, one_arc, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import Pieces, shortest, word
 from srs_twin.planning.guide import NO_GUIDE, guide_to
 from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, Settings, path_of
-from srs_twin.planning.tree import (
-    Tree,
-    arrivals,
-    moves_of,
-    reversed_moves,
-    target_of,
-    turned,
-)
+from srs_twin.planning.tree import Tree, arrivals, moves_of, reversed_moves, target_of, turned
 from srs_twin.world import Goal, Pose, World
 
 Cells = tuple[float, float]
@@ -144,14 +137,11 @@ def _passes(start: Pose, path: Pieces, moves: Moves, around: Surroundings) -> bo
 @compiled
 def _all_free(x, y, heading, which, lengths, moves, around):  # type: ignore[no-untyped-def]
     """Say whether arcs laid end to end are free."""
-    before, left, right, lasting = len(moves.curvatures), 0.0, 0.0, 0.0
+    way = at_rest(x, y, heading, moves)
     for k in range(len(which)):
-        free, x, y, heading, left, right, lasting = one_arc(
-            x, y, heading, before, which[k], lengths[k], left, right, lasting, moves, around
-        )
+        free, way = one_arc(way, which[k], lengths[k], moves, around)
         if not free:
             return False
-        before = which[k]
     return True
 
 
@@ -162,7 +152,7 @@ def _farthest(poses, places, k, until, moves, around, radius):  # type: ignore[n
     for last in range(until, k, -1):
         path = word(x, y, heading, poses[last, 0], poses[last, 1], poses[last, 2], False, radius)
         if path[3] + path[4] + path[5] < places[last] - places[k] - 1e-9:
-            if passes(x, y, heading, path, len(moves.curvatures), 0.0, 0.0, 0.0, moves, around):
+            if passes(at_rest(x, y, heading, moves), path, moves, around):
                 return last
     return k
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 
@@ -49,28 +50,25 @@ def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
     changes = [[footprint.transient(a, b) for b in offsets] for a in offsets]
     changes.append([(0.0, 0.0, 0.0)] * len(offsets))
     turns = [int(np.argmin(abs(curvatures - k))) for k in (-both, 0.0, both)]
-    return Moves(
-        curvatures, np.array([m.left for m in motions]), np.array([m.right for m in motions]),
-        np.array(changes), np.array(turns), primitives.length, footprint.ahead, footprint.behind,
-    )  # fmt: skip
+    edges = np.array([m.left for m in motions]), np.array([m.right for m in motions])
+    reach = primitives.length, footprint.ahead, footprint.behind
+    return Moves(curvatures, *edges, np.array(changes), np.array(turns), *reach)
 
 
 def target_of(goal: Goal, footprint: Footprint) -> Target:
     """Return a goal as the kernel takes it."""
     right, left = footprint.tightest
-    return Target(
-        goal.x, goal.y, goal.heading or 0.0, goal.heading is None, goal.radius, goal.heading_tolerance,
-        (1 - _SLACK) / max(right, left), 1 / min(right, left),
-    )  # fmt: skip
+    pose = goal.x, goal.y, goal.heading or 0.0
+    radii = (1 - _SLACK) / max(right, left), 1 / min(right, left)
+    return Target(*pose, goal.heading is None, goal.radius, goal.heading_tolerance, *radii)
 
 
 def reversed_moves(moves: Moves) -> Moves:
     """Return what the moves are for one that goes the same paths from their end: sides exchanged."""
     last = len(moves.curvatures) - 1
-    return Moves(
-        -moves.curvatures[::-1].copy(), moves.right[::-1].copy(), moves.left[::-1].copy(),
-        np.zeros_like(moves.changes), last - moves.turns[::-1], moves.length, moves.behind, moves.ahead,
-    )  # fmt: skip
+    turned, left, right = (each[::-1].copy() for each in (-moves.curvatures, moves.right, moves.left))
+    changes, turns = np.zeros_like(moves.changes), last - moves.turns[::-1]
+    return Moves(turned, left, right, changes, turns, moves.length, moves.behind, moves.ahead)
 
 
 class Tree:
@@ -123,10 +121,8 @@ def arrivals(goal: Goal, sector: float) -> list[Pose]:
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)]
-    return [
-        Pose(goal.x + dx * goal.radius, goal.y + dy * goal.radius, float(heading))
-        for heading in headings for dx in _SPREAD for dy in _SPREAD
-    ]  # fmt: skip
+    x, y = ([place + share * goal.radius for share in _SPREAD] for place in (goal.x, goal.y))
+    return [Pose(*place, float(heading)) for heading in headings for place in product(x, y)]
 
 
 def turned(pose: Pose) -> Pose:

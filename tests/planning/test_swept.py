@@ -43,9 +43,7 @@ def drawn(arc) -> shapely.Polygon:
 
 def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
     pose, k, length, ahead, behind, left, right = arc
-    return blocked(
-        pose.x, pose.y, pose.heading, k, length, ahead, behind, left, right, circles, sides, bounds
-    )  # fmt: skip
+    return blocked(*pose, k, length, ahead, behind, left, right, (circles, sides, bounds))
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(-2, 2))
