@@ -21,12 +21,11 @@ import numpy as np
 from srs_twin.control.base import LARGEST_READING, Readings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
-from srs_twin.envs.task import Episode, Signal, Signals, Task, Variation, numbered
+from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
 from srs_twin.errors import InputError
 from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
-from srs_twin.sensing import Sensor
 from srs_twin.world import Bounds, Goal, World
 
 STEP_S = 0.1
@@ -84,31 +83,25 @@ class CrawlTask(Task):
         place: Field,
         *,
         robot: str = "gen2",
-        fit: str | None = None,
-        ranges: dict[str, tuple[float, float]] | None = None,
         limit_s: float = 30.0,
-        sensor: str | Sensor = "ideal",
         camera: Camera = CAMERA,
-        **twin: Any,
+        **settings: Any,
     ) -> None:
         """Make the task.
 
         Args:
             name: as registered.
             place: where episodes take place.
-            robot: name or path of what crawls; the spreads of its modules are drawn for every episode.
-            fit: path of a fit file, within whose intervals robots are drawn (`Variation`).
-            ranges: names of a robot's numbers → lowest and highest, drawn uniformly.
+            robot: name or path of what crawls.
             limit_s: time limit, s.
-            sensor: of the bends, as `TwinSnake` takes it.
             camera: how often and with which noise it sees; a frame a step at least.
-            **twin: as `TwinSnake` takes it.
+            **settings: `fit`, `ranges` and the twin's, as `Task` takes them.
 
         Raises:
             UnknownNameError: a setting that the twin does not take.
             InputError: a robot, fit, range or time limit that cannot be, or a camera that is too slow.
         """
-        super().__init__(Variation.of(robot, fit=fit, ranges=ranges), limit_s, {"sensor": sensor, **twin})
+        super().__init__(robot, limit_s, **settings)
         if camera.rate_hz * STEP_S < 1 - 1e-9:
             raise InputError(
                 f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g} s; "
@@ -122,10 +115,9 @@ class CrawlTask(Task):
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
         """See `Task.begin`."""
         spec = self._variation.draw(rng)
-        heading, distance, bearing = (
-            float(rng.uniform(*limits))
-            for limits in (self.place.headings, self.place.distances, self.place.bearings)
-        )
+        place = self.place
+        drawn = (rng.uniform(*ends) for ends in (place.headings, place.distances, place.bearings))
+        heading, distance, bearing = map(float, drawn)
         way = heading + bearing
         goal = Goal(distance * math.cos(way), distance * math.sin(way), None, GOAL_RADIUS_M)
         seed = int(rng.integers(2**32))
@@ -165,9 +157,8 @@ class CrawlEpisode(Episode):
 
     def _valves(self, action: list[float]) -> np.ndarray:
         offset, frequency, kilopascal = action
-        return self._gait.valves(
-            float(self.state.time), GaitCommand(offset, frequency, kilopascal * _PA_PER_KPA)
-        )
+        command = GaitCommand(offset, frequency, kilopascal * _PA_PER_KPA)
+        return self._gait.valves(float(self.state.time), command)
 
     def _observed(self) -> list[float]:
         time = float(self.state.time)

@@ -195,38 +195,26 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
 
     envs: list[SnakeEnv]  # type: ignore[assignment]
 
-    def __init__(
-        self,
-        task: str,
-        num_envs: int = 1,
-        *,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, task: str, num_envs: int = 1, *, threads: int | None = None, **settings: Any) -> None:
         """Make the environments.
 
         Args:
             task: "GoTo", "Obstacles" or "Module".
             num_envs: how many.
             threads: how many; default one a processor.
-            render_mode: as in `SnakeEnv`.
-            **settings: as in `SnakeEnv`.
+            **settings: as in `SnakeEnv`, its render mode and pixels too.
 
         Raises:
             InputError: no environment at all, or as `SnakeEnv` raises it.
         """
         if num_envs < 1:
             raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
-        super().__init__([lambda: SnakeEnv(task, render_mode=render_mode, **settings)] * num_envs)
+        super().__init__([lambda: SnakeEnv(task, **settings)] * num_envs)
         self._workers = Workers(threads)
         self._over = np.zeros(num_envs, dtype=bool)
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode everywhere.
 
@@ -264,11 +252,10 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
                 f"an action for each of {self.num_envs} environments"
             )
         stepped = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
-        terminated, truncated = (np.array([each[i] for each in stepped]) for i in (2, 3))
+        *numbers, infos = zip(*stepped, strict=True)
+        observations, rewards, terminated, truncated = map(np.array, numbers)
         self._over = terminated | truncated
-        observations = np.stack([each[0] for each in stepped])
-        rewards = np.array([each[1] for each in stepped])
-        return observations, rewards, terminated, truncated, self._joined(each[4] for each in stepped)
+        return observations, rewards, terminated, truncated, self._joined(infos)
 
     def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
         """Return a picture of each environment; None without a render mode."""

@@ -18,11 +18,10 @@ import numpy as np
 from srs_twin.control.base import LARGEST_READING, Readings
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.smc import CARRIER_HZ
-from srs_twin.envs.task import Episode, Signal, Task, Variation
+from srs_twin.envs.task import Episode, Signal, Task
 from srs_twin.errors import InputError
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
-from srs_twin.sensing import Sensor
 
 STEP_S = 0.05
 """Three periods of the carrier."""
@@ -42,33 +41,19 @@ class ModuleTask(Task):
 
     name, step_s = "Module", STEP_S
 
-    def __init__(
-        self,
-        *,
-        robot: str = "gen4_module",
-        fit: str | None = None,
-        ranges: dict[str, tuple[float, float]] | None = None,
-        limit_s: float = 5.0,
-        sensor: str | Sensor = "hall",
-        **twin: Any,
-    ) -> None:
+    def __init__(self, *, robot: str = "gen4_module", limit_s: float = 5.0, **settings: Any) -> None:
         """Make the task.
 
         Args:
-            robot: name or path of a robot of one segment; the spreads of its modules are drawn for every
-                episode.
-            fit: path of a fit file, within whose intervals robots are drawn (`Variation`).
-            ranges: names of a robot's numbers → lowest and highest, drawn uniformly.
+            robot: name or path of a robot of one segment.
             limit_s: time limit, s.
-            sensor: of the bend, as `TwinSnake` takes it.
-            **twin: as `TwinSnake` takes it.
+            **settings: `fit`, `ranges` and the twin's, as `Task` takes them; a Hall sensor unless given.
 
         Raises:
             UnknownNameError: a setting that the twin does not take.
             InputError: a robot of more segments, a fit, range or time limit that cannot be.
         """
-        settings = {"sensor": sensor, "timestep": TIMESTEP_S, **twin}
-        super().__init__(Variation.of(robot, fit=fit, ranges=ranges), limit_s, settings)
+        super().__init__(robot, limit_s, **{"sensor": "hall", "timestep": TIMESTEP_S, **settings})
         spec = self.robot
         if spec.segments != 1:
             raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")

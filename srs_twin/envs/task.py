@@ -50,7 +50,9 @@ class Signal:
     what: str
 
 
+Path = str | os.PathLike[str]
 Signals = tuple[Signal, ...]
+Ranges = Mapping[str, tuple[float, float]]
 
 
 def low(signals: Signals) -> np.ndarray:
@@ -127,24 +129,35 @@ class Task(ABC):
     observations: Signals
     step_s: float
 
-    def __init__(self, variation: Variation, limit_s: float, twin: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        robot: Path,
+        limit_s: float,
+        *,
+        fit: Path | None = None,
+        ranges: Ranges | None = None,
+        **twin: Any,
+    ) -> None:
         """Take what all tasks have.
 
         Args:
-            variation: of the robot.
+            robot: name or path of what moves; the spreads of its modules are drawn for every episode.
             limit_s: time limit, s.
-            twin: settings that go on to `TwinSnake`; a task sets some of its arguments itself.
+            fit: path of a fit file, within whose intervals robots are drawn (`Variation`).
+            ranges: names of a robot's numbers → lowest and highest, drawn uniformly.
+            **twin: settings that go on to `TwinSnake`; a task sets some of its arguments itself.
 
         Raises:
             UnknownNameError: a setting that the twin does not take.
-            InputError: a time limit that is no multiple of the step.
+            InputError: a robot, fit or range that cannot be, a time limit that is no multiple of the step.
         """
+        variation = Variation.of(robot, fit, ranges)
         whole_steps("limit_s", limit_s, "step", self.step_s)
         allowed = set(signature(TwinSnake).parameters) - _TASKS_OWN
         for name in twin:
             if name not in allowed:
                 raise UnknownNameError("setting of the task or its twin", name, allowed)
-        self.limit_s, self._variation, self._settings = limit_s, variation, dict(twin)
+        self.limit_s, self._variation, self._settings = limit_s, variation, twin
         self.robot = variation.file.spec()
 
     def _twin(
@@ -220,9 +233,8 @@ class Episode(ABC):
     def _observation(self) -> np.ndarray:
         """Return the observation: float32, within its bounds."""
         least, most = self._bounds
-        self._seen: np.ndarray = np.minimum(
-            np.maximum(np.array(self._observed(), dtype=np.float32), least), most
-        )
+        seen = np.array(self._observed(), dtype=np.float32)
+        self._seen: np.ndarray = np.minimum(np.maximum(seen, least), most)
         return self._seen
 
     @abstractmethod
@@ -244,8 +256,6 @@ class Episode(ABC):
 
 _MOST_SEEDS = 2**32
 
-Path = str | os.PathLike[str]
-
 
 @dataclass(frozen=True)
 class Variation:
@@ -259,16 +269,10 @@ class Variation:
 
     file: RobotFile
     fit: FitFile | None = None
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ranges: Ranges = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls,
-        robot: Path,
-        *,
-        fit: Path | None = None,
-        ranges: Mapping[str, tuple[float, float]] | None = None,
-    ) -> Variation:
+    def of(cls, robot: Path, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
         """Return the variation of a robot.
 
         Args:
@@ -296,9 +300,7 @@ class Variation:
         spec = self.file.spec(int(rng.integers(_MOST_SEEDS)))
         if self.fit is not None:
             spec = with_values(spec, _of_fit(self.fit, spec, rng))
-        return with_values(
-            spec, {name: float(rng.uniform(low, high)) for name, (low, high) in self.ranges.items()}
-        )
+        return with_values(spec, {name: float(rng.uniform(*ends)) for name, ends in self.ranges.items()})
 
 
 def _of_fit(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
@@ -310,9 +312,7 @@ def _of_fit(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str
     drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
     bounds = {each.name: each for each in unknowns(spec, (each.name for each in fitted))}
     held = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
-    return held | {
-        each.name: float(
-            np.clip(value, max(each.low, bounds[each.name].low), min(each.high, bounds[each.name].high))  # type: ignore[type-var]
-        )
-        for each, value in zip(fitted, drawn, strict=True)
-    }
+    for each, value in zip(fitted, drawn, strict=True):
+        bound = bounds[each.name]
+        held[each.name] = float(np.clip(value, max(each.low, bound.low), min(each.high, bound.high)))  # type: ignore[type-var]
+    return held

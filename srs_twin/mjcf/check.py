@@ -409,14 +409,9 @@ def examine_model(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -
     except (ValueError, MemoryError) as error:
         return {"faults": [f"does not compile: {' '.join(str(error).split())}"], "sizes": {}}
     faults = _bad_numbers(model) or _random_control(model, time_limit_s, control_s)
-    sizes = {
-        "bodies": model.nbody - 1,
-        "joints": model.njnt,
-        "actuators": model.nu,
-        "mass_kg": float(model.body_mass.sum()),
-        "timestep_s": model.opt.timestep,
-    }
-    return {"faults": faults, "sizes": sizes}
+    sizes = {"bodies": model.nbody - 1, "joints": model.njnt, "actuators": model.nu}
+    measures = {"mass_kg": float(model.body_mass.sum()), "timestep_s": model.opt.timestep}
+    return {"faults": faults, "sizes": sizes | measures}
 
 
 def _child(path: str, time_limit_s: str) -> None:
