@@ -105,11 +105,8 @@ class ILC(Controller):
         if isinstance(target, str) and target != SMALLEST:
             raise UnknownNameError("target", target, [SMALLEST])
         given = None if isinstance(target, str) else float(target)
-        for name, value in {
-            "k": k,
-            "carrier_hz": carrier_hz,
-            "target": 1.0 if given is None else given,
-        }.items():
+        numbers = {"k": k, "carrier_hz": carrier_hz} | ({} if given is None else {"target": given})
+        for name, value in numbers.items():
             check_positive(f"ilc {name}", value)
         if free_periods < 1:
             raise InputError(f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or more")

@@ -86,14 +86,11 @@ def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, num
 def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, numerics: Numerics) -> None:
     _add_feet(mj, root, spec, numerics)
     upright = [math.sqrt(0.5), 0, math.sqrt(0.5), 0]
-    for name, kind, size, quat, rgba in (
-        ("skin", mujoco.mjtGeom.mjGEOM_CAPSULE, [drawn_radius(spec), 0, 0], None, _SOFT),
-        ("plate", mujoco.mjtGeom.mjGEOM_CYLINDER, [_FLANGE * drawn_radius(spec), 0.003, 0], upright, _HARD),
-    ):
-        geom = mj.add_default(name, root).geom
-        geom.type, geom.size, geom.rgba, geom.group = kind, size, rgba, _DRAWN
-        if quat is not None:
-            geom.quat = quat
+    skin, plate = mj.add_default("skin", root).geom, mj.add_default("plate", root).geom
+    skin.type, skin.size = mujoco.mjtGeom.mjGEOM_CAPSULE, [drawn_radius(spec), 0, 0]
+    plate.type, plate.size = mujoco.mjtGeom.mjGEOM_CYLINDER, [_FLANGE * drawn_radius(spec), 0.003, 0]
+    skin.rgba, plate.rgba, plate.quat = _SOFT, _HARD, upright
+    skin.group = plate.group = _DRAWN
 
 
 def _add_feet(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, numerics: Numerics) -> None:

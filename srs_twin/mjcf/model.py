@@ -16,6 +16,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import MjsBody, MjsJoint, MjSpec
 
 from srs_twin.errors import InputError
 from srs_twin.mjcf.classes import add_classes, drawn_height
@@ -28,7 +29,7 @@ from srs_twin.world import World
 
 def robot_mjcf(
     spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None, hull: bool = False
-) -> mujoco.MjSpec:
+) -> MjSpec:
     """Build the robot: bodies, joints, tendons and actuators, no floor.
 
     Args:
@@ -46,7 +47,7 @@ def robot_mjcf(
             f"time step {numerics.timestep:g} s is too long for segments with a damping time c/k of "
             f"{shortest:g} s; it must be shorter"
         )
-    mj = mujoco.MjSpec()
+    mj = MjSpec()
     mj.modelname = spec.name
     mj.compiler.degree = False
     mj.compiler.autolimits = True
@@ -80,7 +81,7 @@ def robot_mjcf(
 
 def scene_mjcf(
     spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None, world: World | None = None
-) -> mujoco.MjSpec:
+) -> MjSpec:
     """Build the robot on a floor among obstacles, with its contact pairs and force sensors (world frame, N).
 
     Arguments as in `robot_mjcf`, and the world, of which the obstacles matter.
@@ -106,7 +107,7 @@ def root_connector(spec: RobotSpec) -> int:
     return (spec.geometry.connectors + 1) // 2
 
 
-def _set_options(mj: mujoco.MjSpec, numerics: Numerics) -> None:
+def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option = mj.option
     option.timestep = numerics.timestep
     option.gravity = [0, 0, -GRAVITY]
@@ -120,9 +121,7 @@ def _set_options(mj: mujoco.MjSpec, numerics: Numerics) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _set_inertia(
-    body: mujoco.MjsBody, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0
-) -> None:
+def _set_inertia(body: MjsBody, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0) -> None:
     """Give a body a compact mass at x (m), and the mass and inertia of what is fixed to it there."""
     body.mass = mass + extra[0]
     body.ipos = [x, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
@@ -137,9 +136,7 @@ def _link_mass(spec: RobotSpec, numerics: Numerics) -> float:
     return share / links if links else 0.0
 
 
-def _add_connector(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Numerics
-) -> None:
+def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     neighbours = (i > 1) + (i < g.connectors)
     links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
@@ -150,8 +147,8 @@ def _add_connector(
 
 
 def _add_segment(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, near: int, far: int, numerics: Numerics
-) -> mujoco.MjsBody:
+    mj: MjSpec, body: MjsBody, spec: RobotSpec, near: int, far: int, numerics: Numerics
+) -> MjsBody:
     """Grow the segment between two neighbouring connectors from the near one; return the far one's body.
 
     Each hinge carries the body beyond it; the last one carries the far connector. Stations are distances
@@ -184,9 +181,7 @@ def _add_segment(
     return body
 
 
-def _add_joint(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, kind: str, name: str, x: float, ahead: int
-) -> mujoco.MjsJoint:
+def _add_joint(mj: MjSpec, body: MjsBody, kind: str, name: str, x: float, ahead: int) -> MjsJoint:
     """Add a joint at x (m); where the chain grows ahead its axis is turned round, so that signs stay."""
     joint = body.add_joint(mj.find_default(kind), name=name, pos=[x, 0, 0])
     if ahead > 0:
@@ -194,9 +189,7 @@ def _add_joint(
     return joint
 
 
-def _add_skin(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, name: str, front: float, back: float
-) -> None:
+def _add_skin(mj: MjSpec, body: MjsBody, spec: RobotSpec, name: str, front: float, back: float) -> None:
     """Draw the soft body between two stations of a body's x axis."""
     z = drawn_height(spec)
     body.add_geom(mj.find_default("skin"), name=name, fromto=[front, 0, z, back, 0, z])
@@ -204,7 +197,7 @@ def _add_skin(
         body.add_geom(hull, name=name.replace("skin", "hull"), fromto=[front, 0, 0, back, 0, 0])
 
 
-def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics) -> None:
+def _add_muscles(mj: MjSpec, spec: RobotSpec, j: int, numerics: Numerics) -> None:
     """Add tendon ``bend_j`` and its two chambers."""
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, numerics.hinges_per_segment + 1):
@@ -215,7 +208,7 @@ def _add_muscles(mj: mujoco.MjSpec, spec: RobotSpec, j: int, numerics: Numerics)
         actuator.gainprm[0] *= sign * own
 
 
-def _bend_alike(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
+def _bend_alike(mj: MjSpec, j: int, numerics: Numerics) -> None:
     """Constrain all hinges of segment j to the angle of the first."""
     for k in range(2, numerics.hinges_per_segment + 1):
         arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
@@ -224,7 +217,7 @@ def _bend_alike(mj: mujoco.MjSpec, j: int, numerics: Numerics) -> None:
         arc.data[:5] = [0, 1, 0, 0, 0]
 
 
-def _add_home(mj: mujoco.MjSpec) -> None:
+def _add_home(mj: MjSpec) -> None:
     """Add keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
     root = mj.worldbody.first_body()
     free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints)

@@ -24,7 +24,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco import mjtObj, mjtSensor
+from mujoco import MjsBody, MjSpec, mjtObj, mjtSensor
 
 from srs_twin.mjcf.classes import ROOT, foot_radius
 from srs_twin.mjcf.numerics import Numerics
@@ -73,11 +73,11 @@ def fixed_inertia(spec: RobotSpec, numerics: Numerics) -> tuple[float, np.ndarra
     return 2 * spec.mass.wheel, np.array([across, spec.mass.wheel * spec.geometry.wheel_radius**2, across])
 
 
-def add_wheels(mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
+def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
     """Put connector i on its two wheels or skids."""
     for side, sign in _SIDES.items():
         if numerics.wheels == "rolling":
-            _add_wheel(mj, body, spec, i, side, sign, numerics.wheel_spin)
+            _add_wheel(mj, body, spec, i, side, numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
             z = foot_radius(spec, numerics) - spec.geometry.com_height - _DIP
@@ -85,13 +85,11 @@ def add_wheels(mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int,
             body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
 
 
-def _add_wheel(
-    mj: mujoco.MjSpec, body: mujoco.MjsBody, spec: RobotSpec, i: int, side: str, sign: int, scale: float
-) -> None:
+def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, scale: float) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     spin = spec.mass.wheel * g.wheel_radius**2 / 2
     wheel = body.add_body(name=f"wheel_{side}_{i}", mass=spec.mass.wheel, explicitinertial=True)
-    wheel.pos, wheel.ipos = [0, sign * g.half_track, g.wheel_radius - g.com_height], [0, 0, 0]
+    wheel.pos, wheel.ipos = [0, _SIDES[side] * g.half_track, g.wheel_radius - g.com_height], [0, 0, 0]
     wheel.inertia = [spin / 2, scale * spin, spin / 2]
     axle = wheel.add_joint(mj.find_default("axle"), name=f"axle_{side}_{i}")
     axle.frictionloss = spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius
@@ -99,7 +97,7 @@ def _add_wheel(
     wheel.add_geom(mj.find_default("rim"), name=f"rim_{side}_{i}")
 
 
-def add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+def add_preload(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
     """Press every connector down with a constant force along the world's z.
 
     It acts at the height of the centre about which a tilted foot rolls on the floor, so that it neither
@@ -115,7 +113,7 @@ def add_preload(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
         actuator.biasprm[0] = -force
 
 
-def add_feet(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
+def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
     """Mark the points of each connector where it touches the floor."""
     for i in range(1, spec.geometry.connectors + 1):
         for side, sign in _SIDES.items():
@@ -123,7 +121,7 @@ def add_feet(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
             mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{side}_{i}", pos=place)
 
 
-def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
     """Add the pairs of all wheels or skids with the floor, and sensors of what happens there.
 
     Sensors: the floor's force on each (world frame, N), the velocity of the point of the connector above it
@@ -143,19 +141,19 @@ def add_contacts(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None
         add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)
 
 
-def add_velocity_sensor(mj: mujoco.MjSpec, name: str, kind: mjtObj, of: str) -> None:
+def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str) -> None:
     """Add a sensor of the velocity of a site or of a geom's middle, world frame, m/s."""
     mj.add_sensor(name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=of)
 
 
-def add_force_sensor(mj: mujoco.MjSpec, name: str, kind: mjtObj, of: str, *, on: str) -> None:
+def add_force_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str, *, on: str) -> None:
     """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N."""
     sensor = mj.add_sensor(name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of)
     sensor.reftype, sensor.refname = mjtObj.mjOBJ_GEOM, on
     sensor.intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1]
 
 
-def _slower(mj: mujoco.MjSpec, spec: RobotSpec) -> np.ndarray:
+def _slower(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
     """Return by how much slower each normal contact must be for all to sink in alike, 1 for the fastest.
 
     MuJoCo softens a contact by a regularisation R that it takes from the tree of bodies: 1.25 times as much

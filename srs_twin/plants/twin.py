@@ -197,16 +197,9 @@ class TwinSnake(PneumaticPlant):
         obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
         return self._observe(times, record.states[ends], trace.at(ends), force, obstacles, work)
 
-    def _observe(
-        self,
-        times: np.ndarray,
-        states: np.ndarray,
-        trace: Trace,
-        force: np.ndarray,
-        obstacles: np.ndarray,
-        work: np.ndarray,
-    ) -> SnakeState:
-        """Return the history of these states."""
+    def _observe(self, times: np.ndarray, states: np.ndarray, trace: Trace, *loads: np.ndarray) -> SnakeState:
+        """Return the history of these states; loads: forces of floor and obstacles, N, and the work, J."""
+        force, obstacles, work = loads
         seen = self.physics.look(states)
         # Unwrap against the last sample: a connector turns by far less than π in between.
         theta = np.concatenate([self._theta[None], seen.headings])

@@ -376,13 +376,9 @@ class AnalyticalSnake(PneumaticPlant):
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
         if done < len(steps.ends):
-            raise DivergedError(
-                self.name,
-                begun + steps.ends[done],
-                f"step {done + 1} of {len(steps.ends)} found no plausible solution, state "
-                f"{', '.join(f'{value:.4g}' for value in self._body.state)}",
-                history=history,
-            )
+            state = ", ".join(f"{value:.4g}" for value in self._body.state)
+            text = f"step {done + 1} of {len(steps.ends)} found no plausible solution, state {state}"
+            raise DivergedError(self.name, begun + steps.ends[done], text, history=history)
         self._ticks += ticks
         return check_plausible(self.name, history)
 
