@@ -70,6 +70,7 @@ def found():
     return explain(s, both(s), progress=told.append), told
 
 
+@pytest.mark.slow
 def test_the_remainder_is_small_in_speed_and_in_yaw_rate(found):
     """The remainder is what shares leave of the gap: 0.03 % of the speed, 4 % of the yaw rate."""
     attribution, told = found
@@ -79,6 +80,7 @@ def test_the_remainder_is_small_in_speed_and_in_yaw_rate(found):
     assert attribution.same == ("rigid gaps", "frozen chords", "damping")
 
 
+@pytest.mark.slow
 def test_compliance_is_most_of_it_and_the_matched_plants_agree(found):
     attribution, _ = found
     shares = {share.name: np.array(share.value) for share in attribution.shares}
@@ -120,6 +122,7 @@ def test_shares_are_what_a_switch_and_refinements_change():
         assert np.abs(value[:2]).min() > 1e-4 and shares[name] == pytest.approx(value), name
 
 
+@pytest.mark.slow
 def test_a_document_is_plain_and_names_its_measures(found):
     document = json.loads(json.dumps(found[0].document()))
     assert document["measures"] == list(MEASURES)

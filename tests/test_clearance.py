@@ -117,6 +117,7 @@ def test_the_hull_is_within_its_bound_of_the_arc():
     assert beside.max() > bound.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "aside", "touched"),
     [

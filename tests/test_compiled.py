@@ -80,6 +80,7 @@ print(twice(1.0), twice.stats.cache_hits.total())
 """
 
 
+@pytest.mark.slow
 def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
     def answer(law):
         (tmp_path / "law.py").write_text(law)

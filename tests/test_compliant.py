@@ -188,6 +188,7 @@ BENDS = slice(compliant_kernels.BENDS, compliant_kernels.BENDS + 4)
 MOMENTA = slice(compliant_kernels.BENDS + 4, None)
 
 
+@pytest.mark.slow
 def test_time_integration_is_of_second_order():
     body = Body(MASSES, np.zeros(5), damping=0.44 * 0.01, mu_t=0.2, mu_n=2.0)
     steps = np.array([2e-3, 1e-3, 5e-4])

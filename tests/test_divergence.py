@@ -132,7 +132,13 @@ def assert_kept(error: DivergedError, until: float) -> None:
         assert (np.abs(column) < LARGEST).all(), name
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        name if name in ("complete", "twin, orifice") else pytest.param(name, marks=pytest.mark.slow)
+        for name in CASES
+    ],
+)
 def test_whatever_is_spoilt_is_found_within_a_tick_and_what_was_good_is_kept(case):
     build, spoils = CASES[case]
     plant = build()

@@ -6,7 +6,6 @@ import ast
 import importlib
 import json
 import re
-from functools import cache
 
 import pytest
 from conftest import ROOT
@@ -34,19 +33,16 @@ def name_of(value):
     return value.name if isinstance(value, Page) else None
 
 
-whole = cache(command)  # putting the verbs together takes longer than parsing
-
-
 def parsed(words, *, mention=False):
     """Parse what follows `srs-twin` without running it; return the context of a command, or None."""
     if "--help" in words or "--version" in words:
         words = [word for word in words if word not in ("--help", "--version")]
-        assert not words or words[0] in whole().commands
+        assert not words or words[0] in command().commands
         return None
     while words and words[0].startswith("-"):
-        assert any(words[0] in each.opts for each in whole().params), words[0]
+        assert any(words[0] in each.opts for each in command().params), words[0]
         words = words[1:]
-    given, name = whole(), ""
+    given, name = command(), ""
     while words and hasattr(given, "commands"):
         name, *words = words
         assert name in given.commands, f"there is no command {name}"
@@ -172,13 +168,8 @@ def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
             assert done.returncode == 0, done.stderr
 
 
-def scripted():
-    """Pages whose Python is run; the README's by default."""
-    for page in SCRIPTED:
-        yield pytest.param(page, marks=[] if page is README else [pytest.mark.slow])
-
-
-@pytest.mark.parametrize("page", list(scripted()), ids=name_of)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", SCRIPTED, ids=name_of)
 def test_python_runs_as_a_script(page, tmp_path):
     page.run_script(tmp_path)
 

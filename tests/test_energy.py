@@ -33,7 +33,7 @@ def slow_but(quick, cases):
     ]
 
 
-ALL = pytest.mark.parametrize("options", slow_but(("complete", "compliant"), MODELS))
+ALL = pytest.mark.parametrize("options", slow_but(("complete",), MODELS))
 
 
 def driven(plant: AnalyticalSnake | TwinSnake, duration: float, hz: float) -> SnakeState:
@@ -82,9 +82,7 @@ def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("law", [pytest.param("axis", marks=pytest.mark.slow), "wheel", "ellipse"])
-@pytest.mark.parametrize(
-    "options", [each for each in slow_but(("complete", "compliant"), MODELS) if each.id != "lumped"]
-)
+@pytest.mark.parametrize("options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"])
 def test_friction_only_takes(options, law):
     """Work less kinetic energy never falls."""
     spec, step = robot(), 2e-4
@@ -100,7 +98,10 @@ def test_friction_only_takes(options, law):
     assert taken[keep][-1] > 0.05
 
 
-@pytest.mark.parametrize("name", ["complete", "simplified", "compliant"])
+@pytest.mark.parametrize(
+    "name",
+    ["complete", *(pytest.param(name, marks=pytest.mark.slow) for name in ("simplified", "compliant"))],
+)
 def test_mean_power_of_a_gait_is_what_friction_takes(name):
     """Over whole periods: the metric against floor forces times velocities of places."""
     plant = AnalyticalSnake(robot(), supply_pa=SUPPLY, timestep=5e-4, **MODELS[name])

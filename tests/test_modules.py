@@ -118,7 +118,7 @@ def test_lag_solves_the_equations_of_modules_that_differ(leak):
     assert chambers.bend[1] == pytest.approx(bend(y[2]), abs=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["lag", "orifice"])
+@pytest.mark.parametrize("kind", ["lag", pytest.param("orifice", marks=pytest.mark.slow)])
 def test_accelerations_are_the_rates_slopes(kind):
     finer = {"substep": 5e-5} if kind == "orifice" else {}
     chambers = make_pneumatics(kind, unlike(), supply_pa=SUPPLY, layout="3/2", **finer)

@@ -280,6 +280,7 @@ print(*(done.result for name in names for done in each(partial(loaded, name), [0
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system load everything themselves")
 def test_workers_begin_with_what_the_server_has_loaded_from_no_folder_of_the_users(tmp_path):
     # multiprocessing keeps silent about a module that cannot be imported: this is where it would be seen.

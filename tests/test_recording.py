@@ -179,6 +179,7 @@ def test_spokes_turn_about_the_axle(tmp_path):
     assert np.allclose(down, np.sin(wheel_turns(twin, spec.geometry).reshape(-1)), atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_viewer_shows_the_plots_of_each_kind(kind, tmp_path):
     path = tmp_path / "r.rrd"

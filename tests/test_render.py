@@ -221,6 +221,7 @@ def test_a_trajectory_of_another_robot_is_refused(runs):
         Stage(run.scenario, Trajectory(columns))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_interrupted_nothing_is_left(runs, tmp_path):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")

@@ -175,6 +175,7 @@ def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tm
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace("analytical: {}, ", "")

@@ -51,6 +51,7 @@ def test_an_unequal_snake_keeps_a_constant_curve(plant):
     assert -0.6 < found["path_radius_m"] < -0.35
 
 
+@pytest.mark.slow
 @both
 def test_drifted_sensors_leave_a_curvature_of_their_own_size(plant):
     """What is learnt is what the sensors say: all are content, and the path bends by their error."""
@@ -73,6 +74,7 @@ def test_drifted_sensors_leave_a_curvature_of_their_own_size(plant):
     ],
     ids=["shut", "open", "lost", "frozen"],
 )
+@pytest.mark.slow
 def test_what_breaks_is_named_and_the_others_go_on(plant, fault, named):
     found = run(plant, seconds=16, faults=({"segment": 2, "from_s": 6.0} | fault,))
     told = [event.text for event in found.events if event.kind == "fault"]
@@ -91,6 +93,7 @@ def test_a_fault_ends_the_run_where_that_was_asked_for(plant):
     assert found.events[-1].kind == "fault" and "segment 3" in found.events[-1].text
 
 
+@pytest.mark.slow
 @both
 def test_a_module_that_is_too_weak_keeps_a_bounded_duty_and_the_rest_converge(plant):
     weak = [[1.0, 1.0], [0.25, 1.0], [1.0, 1.0], [1.0, 1.0]]

@@ -248,7 +248,13 @@ ODD_RUNS = {
 }
 
 
-@pytest.mark.parametrize("name", ODD_RUNS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("one sample", "another plant") else pytest.param(name, marks=pytest.mark.slow)
+        for name in ODD_RUNS
+    ],
+)
 def test_odd_runs_can_be_seen_and_reported(tmp_path, name):
     runs = ODD_RUNS[name]()
     spec = robot(next(iter(runs.values())).position.shape[1])

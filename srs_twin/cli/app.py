@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from typing import Annotated, Any
 
 import typer
@@ -37,8 +38,9 @@ app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
 
 
+@cache
 def command() -> Any:
-    """Return the whole command, to be called with ``args`` and ``prog_name``."""
+    """Return the whole command, to be called with ``args`` and ``prog_name``; it is put together once."""
     return typer.main.get_command(app)
 
 

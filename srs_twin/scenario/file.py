@@ -33,7 +33,7 @@ class ScenarioFile(Section):
     title: Line | None = None
     """One line for people (default: the name)."""
     robot: Annotated[Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
-    """The snake: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or
+    """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or
     path} with fields to change, or a whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated time."""

@@ -189,6 +189,7 @@ def test_a_start_walled_in_without_bounds_is_proven_unreachable_too():
     assert plan(walled(world=World(ring(0, 0, 0.4, 14, 0.08)))).proven
 
 
+@pytest.mark.slow
 def test_a_polygon_wall_from_side_to_side_is_proven_unreachable():
     wall = Polygon(((0.7, -2), (0.8, -2), (0.8, 2), (0.7, 2)))
     problem = walled(world=World((), Bounds((-1, 3), (-1, 1)), None, (wall,)))

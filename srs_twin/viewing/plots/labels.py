@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import Any
@@ -25,7 +26,7 @@ def field_label(path: str) -> str:
     """Return 'gait frequency (Hz)' for controller.frequency_hz; what nobody titled is called by its key."""
     parts = path.split(".")
     name, unit = split_unit(parts[-1])
-    title = _title(path).partition(" (")[0].partition(",")[0]
+    title = re.split(r" \(|[,:]", _title(path))[0]
     if not 0 < len(title) <= _LONGEST or title.startswith(_SENTENCES):
         group = parts[-2] if len(parts) > 1 and parts[0] != "plants" else ""
         title = f"{group} {_spaced(name)}".strip()
