@@ -25,6 +25,7 @@ SPEC = load_robot("gen2")
 SUPPLY = 48.3e3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["axis", "wheel"])
 @pytest.mark.parametrize(("frequency", "offset"), [(2.0, 0.0), (1.7, 0.3)])
 def test_lsoda_and_the_compiled_model_solve_the_same_equations(law, frequency, offset):

@@ -290,6 +290,7 @@ def test_answers_of_children(monkeypatch):
     assert answers["leaves"] == Answer("broken", "ended with exit code 1")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks processes up in /proc")
 def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
     place = tmp_path / "pid"

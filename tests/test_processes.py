@@ -150,6 +150,7 @@ def test_a_task_that_leaves_the_interpreter_counts_as_a_death():
     assert "ended with exit code 5; " in str(done.error)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system come from no server")
 def test_the_end_of_the_server_costs_an_attempt_and_another_takes_its_place(tmp_path):
     task = partial(end_the_server_at_first, tmp_path)
@@ -176,6 +177,7 @@ def test_prepare_runs_once_in_every_worker():
     assert results(list(each(prepared, range(3), workers=1, prepare=partial(note, "x")))) == [["x"]] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("prepare", "kind", "words"),
     [(refuse, InputError, "^no such robot"), (kill_self, WorkerDiedError, "SIGKILL, 2 times in a row")],

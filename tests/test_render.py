@@ -277,7 +277,8 @@ def test_where_none_draws_the_packages_are_named(monkeypatch):
     )
 
 
-@pytest.mark.parametrize("name", ["egl", pytest.param("osmesa", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["egl", "osmesa"])
 def test_both_draw_the_same(runs, name, tmp_path):
     """Two implementations, one picture; whichever is chosen, a run looks alike."""
     if opengl._complaint(name):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputFileError, UnknownNameError
@@ -498,6 +498,7 @@ scenarios = mappings(
 )
 
 
+@settings(max_examples=40)
 @given(scenarios)
 def test_a_resolved_document_loads_as_an_equal_scenario(data):
     s = parse_scenario(data)

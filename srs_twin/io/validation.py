@@ -99,7 +99,7 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        schema = model.model_json_schema()
+        schema = _schema_of(model)
         for item in error.errors(include_url=False):
             # What is missing, and a default that does not fit what was given, are not in the data.
             loc = _locate(item["loc"], data)
@@ -116,6 +116,12 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
     for loc, message in contradictions:
         document.report(document.visible(prefix, loc), message)
     return None if contradictions else file
+
+
+@cache
+def _schema_of(model: type[Strict]) -> Schema:
+    """Return the JSON schema of a model; putting one together takes longer than checking a file."""
+    return model.model_json_schema()
 
 
 def allowed(schema: Schema, root: Schema, *, brief: bool = False) -> str:

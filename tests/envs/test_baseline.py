@@ -9,6 +9,7 @@ from srs_twin.envs import make_task
 from srs_twin.envs.baseline import Balance, Pilot, play_episode
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("task", "seed"), [("GoTo", 1), ("Obstacles", 0)])
 def test_the_follower_arrives(task, seed):
     made = make_task(task)

@@ -31,9 +31,9 @@ def pairs() -> Iterator[Any]:
 
 PAIRS = list(pairs())
 # `benchmarks/fuzz.py` makes 10,000 files a parser.
-IDENTITIES = 25
+IDENTITIES = 12
 EXAMPLES = {"damaged": 200, "values": 200, "bytes": 100}
-SAMPLE = 12
+SAMPLE = 8
 parsers = pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.name)
 
 

@@ -78,7 +78,8 @@ def test_bad_input(srs_twin, tmp_path, words, message):
     assert "Traceback" not in run.stderr and os.listdir(tmp_path) == ["small.yaml"]
 
 
-@pytest.mark.parametrize("words", [pytest.param(("nope",), marks=pytest.mark.slow), ("small.yaml",)])
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [("nope",), ("small.yaml",)])
 def test_nothing_runs_on_when_the_command_has_ended(tmp_path, words):
     write(tmp_path)
     process = subprocess.Popen(
