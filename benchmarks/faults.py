@@ -22,17 +22,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", default="", help="part of the names of the faults to try")
     only = parser.parse_args().only
-    faults = YAML(typ="safe").load(ROOT / "benchmarks/faults.yaml")
-    unnoticed = []
+    listed = YAML(typ="safe").load(ROOT / "benchmarks/faults.yaml")
+    faults = [fault for fault in listed if only in fault["name"]]
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         for name in FOLDERS:
             shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
         for name in FILES:
             shutil.copy(ROOT / name, copy)
-        for fault in faults:
-            if only in fault["name"] and not noticed(copy, **fault):
-                unnoticed.append(fault["name"])
+        unnoticed = [fault["name"] for fault in faults if not noticed(copy, **fault)]
     print(f"{len(unnoticed)} of {len(faults)} faults unnoticed: {', '.join(unnoticed) or 'none'}")
     sys.exit(bool(unnoticed))
 

@@ -123,7 +123,7 @@ def test_plan_refuses_what_does_not_plan(tmp_path, srs_twin):
 def test_run_follows_and_leaves_everything(file, srs_twin):
     done = srs_twin("run", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "cross track RMS" in done.stdout and "replans" in done.stdout
+    assert "cross-track, RMS" in done.stdout and "new plans" in done.stdout
     metrics = json.loads((file / "out/metrics.json").read_text("utf-8"))["plants"]["analytical"]
     assert metrics.keys() >= FOLLOWING_UNITS.keys()
     assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9

@@ -50,7 +50,13 @@ _HEADINGS = {
     "ripple_pp_rad": "ripple, peak-peak",
     "fit_residual_rad": "from a sine, RMS",
     "reading_r_squared": "reading: R² of a line",
+    "reading_backstep_rad": "reading: turns back",
     "reading_range_t": "reading: field range",
+    "cross_track_rms_m": "cross-track, RMS",
+    "cross_track_max_m": "cross-track, largest",
+    "inside_share": "inside the footprint",
+    "inside_50mm_share": "inside 50 mm",
+    "replans": "new plans",
 }
 WORDS = {"met": "met", "missed": "MISSED", "known": "known", "holds": "HOLDS"}
 """Verdict on an expectation → how a line begins."""
