@@ -4,7 +4,7 @@ A mean over a gait period is T/2 old, and a command takes a delay to arrive. Ove
 snake on (a Smith predictor): a unicycle whose curvature follows the footprint's for the commanded offset
 with a first-order lag over a length ℓ of path, the measured transient,
 
-.. math:: \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v κ .
+$$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v κ . $$
 
 The speed is the measured one. What the snake turns besides, per metre of path, is measured as well and
 counted as a disturbance, which takes up what the footprint has wrong.
@@ -16,9 +16,9 @@ threshold of a node, the next one is next.
 `PathLaw`, ours: with the distance n to the left of the path and the heading error e, both predicted for the
 moment at which the command takes effect, the curvature
 
-.. math:: κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
-    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
-    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr)
+$$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
+   - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
+   \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr) $$
 
 makes n die out over the length L like a second-order system with damping ζ. A new offset takes hold over a
 length ℓ like a first-order lag, the measured transient: the plan's curvature is looked up ahead by ℓ, and the

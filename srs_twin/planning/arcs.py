@@ -3,9 +3,8 @@ r"""Arcs: motion primitives, the floor that one sweeps, and whether anything is 
 Path coordinates about the middle of an arc of curvature κ: of a point u ahead and w to the left of the
 middle,
 
-.. math::
-    n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
-    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw)
+$$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
+   s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) $$
 
 are the distance to the left of the arc and the place along it; both hold their accuracy down to κ = 0. The
 region of a centre of mass that goes from -h to h along the arc is the annular sector |s| ≤ h, -r ≤ n ≤ l
@@ -23,7 +22,7 @@ Motion primitives are the arcs that a node's children are reached by. Section 5.
 α_max, each held for one step of length v Δt. With θ' = θ + α and r = vΔt/α (Eq. 33 with its signs put right,
 E7),
 
-.. math:: x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ)
+$$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """
 
 from __future__ import annotations

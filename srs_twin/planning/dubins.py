@@ -4,9 +4,8 @@ Dubins (1957): with a least radius r it consists of three pieces, arcs of radius
 in one of the six words LSL, LSR, LRL and their mirror images. Below, lengths are in radii, angles from the
 line between the poses: with distance d, headings a and b, for the words that begin with L,
 
-.. math::
-    LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
-    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b)
+$$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
+   LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
 and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. Where any arrival heading will do,
 the shortest is an arc and a straight, or, to a point inside a turning circle, two arcs (Bui et al., 1994).

@@ -3,7 +3,7 @@
 Section 5.2.1 (Fig. 52 and 58): under a constant offset the centre of mass follows an arc of curvature κ. Two
 arcs about the same centre bound the body: on a point of the path, the body stays within
 
-.. math:: -r(κ) ≤ n ≤ l(κ)
+$$ -r(κ) ≤ n ≤ l(κ) $$
 
 where n is the distance to the left of the path, l the left and r the right edge. Across the path the
 footprint ends where head and tail are: `ahead` before and `behind` after the centre of mass, along the arc.

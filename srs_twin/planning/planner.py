@@ -5,7 +5,7 @@ After a change from curvature κ_a to κ_b the path is late: it turns by Δκ δ
 have it, and ends up Δκ m/2 beside (`Transient`: dheading = −Δκ δ, dy = Δκ m/2). One arc between the two does
 the same to first order,
 
-.. math:: κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ},
+$$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
 begun where the command takes effect. Put so that it begins δ before the planned change, it leaves the
 heading of the plan as it is and the path Δκ (m − δ²)/2 beside; hence a plan is made to a goal that lies as
