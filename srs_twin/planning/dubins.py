@@ -62,6 +62,8 @@ def word(x, y, heading, to_x, to_y, to_heading, free, radius):  # type: ignore[n
             best = _to_point(best, side, u, side * w)
     else:
         d, line = np.sqrt(dx * dx + dy * dy), np.arctan2(dy, dx)
+        if d < _ROUNDING:  # at one place a line has no direction, and rounding must not ask for a full turn
+            d, line = 0.0, heading
         for side in (1.0, -1.0):
             best = _to_pose(best, side, d, side * (heading - line), side * (to_heading - line))
     first, middle, last, t, p, q = best

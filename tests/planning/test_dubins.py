@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import fsolve
 
@@ -53,6 +53,8 @@ def test_path_ends_at_the_pose(a, b, radius):
 
 
 @given(POSE, PLACE, PLACE, RADIUS)
+@example(Pose(0.0, 0.0, 0.0), 0.0, 7e-17, 1.0)
+@example(Pose(0.3, -0.2, 1.0), 0.3, -0.2 + 1e-17, 0.5)
 def test_path_to_a_point_ends_there_and_no_arrival_heading_is_shorter(a, x, y, radius):
     path = shortest(a, x, y, None, radius)
     end = rolled(a, path)
