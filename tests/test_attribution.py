@@ -203,6 +203,7 @@ def test_what_cannot_be_explained_is_refused():
         explain(s, runs)
 
 
+@pytest.mark.slow
 def test_the_command_shows_and_keeps_it(srs_twin, tmp_path):
     text = "robot: gen2\nduration_s: 1.6\ncontroller: {kind: gait, frequency_hz: 2.0}\n"
     (tmp_path / "brief.yaml").write_text(text)

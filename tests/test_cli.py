@@ -433,12 +433,9 @@ def test_a_closed_pipe_is_no_error(tmp_path, words):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("last", "code", "closed"),
-    [
-        pytest.param("1", 0, ["stdout"], marks=pytest.mark.slow),
-        ("none", 2, ["stdout", "stderr"]),
-    ],
+    ("last", "code", "closed"), [("1", 0, ["stdout"]), ("none", 2, ["stdout", "stderr"])]
 )
 def test_a_closed_pipe_ends_printing_and_no_work(tmp_path, last, code, closed):
     for name, limit in (("a", "1"), ("b", "1"), ("c", last)):

@@ -57,6 +57,7 @@ def file(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_plan_writes_data_and_a_picture_and_moves_nothing(file, srs_twin):
     done = srs_twin("plan", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stderr

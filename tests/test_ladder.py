@@ -116,6 +116,7 @@ def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
     assert np.abs(bent(turned, 2.0).heading - h.heading).max() > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
 def test_lumped_inertia_is_the_texts(inertia):
     """J_i = Σ m_i L²/3 over the segments at connector i (E19), felt by how far a frictionless snake turns."""

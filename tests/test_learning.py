@@ -30,6 +30,7 @@ SLOTS = 0.007  # of a duty: pulses are a slot of 0.1 ms long or short, 60 times 
 # --- the law ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(gains, offsets, st.floats(0.1, 0.6))
 def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
@@ -43,6 +44,7 @@ def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
     assert run.told("fault") == []
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(gains)
 def test_the_smallest_amplitude_is_the_target_of_all(gain):
@@ -142,6 +144,7 @@ def state(tick: int, sensed: np.ndarray) -> Any:
     return SimpleNamespace(time=tick * TICK, sensed=sensed)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     arrays(float, (20, SEGMENTS), elements=readings, fill=st.floats(-1.5, 1.5)),

@@ -56,6 +56,7 @@ def test_friction_and_gap_come_back_within_a_percent(against):
     assert all(each.verdict == "identified" for each in found.parameters)
 
 
+@pytest.mark.slow
 def test_with_given_bends_no_run_knows_mass_stiffness_or_damping():
     names = [
         "friction.mu_t", "mass.connectors_kg", "bending.stiffness_nm_per_rad", "bending.damping_time_s",

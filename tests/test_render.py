@@ -63,6 +63,7 @@ def alike(picture, rgb):
     return (np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean()
 
 
+@pytest.mark.slow
 def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
     done = srs_twin(
         *("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "320x180", "--fps", "5"),

@@ -243,6 +243,7 @@ def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeyp
     assert (again.measured["bend_1"] == scenario.measured["bend_1"]).all()
 
 
+@pytest.mark.slow
 def test_replay_from_the_command_line(tmp_path, srs_twin):
     expect = tmp_path / "expect.yaml"
     text = "expect:\n  - {metric: measured_shape_rms_m, plant: analytical, below: LIMIT}\n"

@@ -173,6 +173,7 @@ def test_every_public_name_stands_in_the_python_reference(site):
     assert all(f'id="srs_twin.{name}"' in shown for name in named)
 
 
+@pytest.mark.slow
 def test_a_broken_link_or_anchor_fails(tmp_path):
     for name in ("docs", "models", "calibration", "scenarios"):
         (tmp_path / name).mkdir()

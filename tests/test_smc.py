@@ -57,6 +57,7 @@ def signals(controller: Controller) -> dict[str, np.ndarray]:
 # --- any bounded sensed input: 10,000 histories -------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BOTH)
 @settings(max_examples=EXAMPLES)
 @given(

@@ -275,6 +275,7 @@ def test_no_table_breaks_a_picture(rows, kind):
     draw(wanted, given).canvas.draw()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
     rng = np.random.default_rng(5)

@@ -35,6 +35,7 @@ def run(
     return _RUNS[key]
 
 
+@pytest.mark.slow
 @both
 @pytest.mark.parametrize("seed", [3, 12])
 def test_what_curls_open_loop_goes_straight(plant, seed):
@@ -44,6 +45,7 @@ def test_what_curls_open_loop_goes_straight(plant, seed):
     assert found["path_bend_left_rel"] < 0.1
 
 
+@pytest.mark.slow
 @both
 def test_an_unequal_snake_keeps_a_constant_curve(plant):
     found = plant_metrics(run(plant, control={"offset": -0.3}))

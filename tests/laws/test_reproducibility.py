@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 
 RUN = """
@@ -18,6 +20,7 @@ for plant in (AnalyticalSnake(load_robot("gen2")), TwinSnake(load_robot("gen2"))
 """
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_bytes_in_three_processes():
     runs = [
         subprocess.Popen(

@@ -20,8 +20,6 @@ BRIEF = {
     "follow_fig57",
     "gen2_straight",
     "module_step_direct",
-    "module_step_iterative",
-    "plan_fig53",
     "sensor_far",
 }
 SHIPPED = [

@@ -115,6 +115,7 @@ def started(tmp_path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_keeps_what_is_finished(srs_twin, tmp_path):
     process = started(tmp_path)
