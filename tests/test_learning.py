@@ -206,6 +206,7 @@ def test_a_module_that_cannot_reach_its_target_stays_at_1_and_leaves_it_at_once(
 # --- faults -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["smallest", 0.7])
 @pytest.mark.parametrize("how", ["open", "shut"])
 @pytest.mark.parametrize(("segment", "side"), [(0, 0), (2, 1), (3, 0)])
@@ -229,6 +230,7 @@ def test_a_valve_that_sticks_later_is_found_too():
     assert run.told("fault") == ["segment 2: valve of the − chamber stuck open"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("from_period", [0, 9])
 @pytest.mark.parametrize(
     ("says", "what"),

@@ -68,6 +68,7 @@ def test_an_unstable_model_is_found_by_random_control(check):
     assert any("random control raised the warning" in fault for fault in report.faults)
 
 
+@pytest.mark.slow
 def test_a_model_that_never_ends_is_stopped(check):
     # Spheres in one another: nothing is wrong with the file, but every step has 300,000 contacts.
     endless = f'<worldbody><replicate count="800">{BALL_ALONE}</replicate></worldbody>'

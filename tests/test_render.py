@@ -80,6 +80,7 @@ def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
     assert (changed > 0.01).all(), "from each picture to the next the floor passes by"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_straight", "follow_gen4_a", "module_step_iterative"])
 def test_pictures_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
     done = srs_twin("render", str(runs / name), "--image", "t=0.5", "--size", "320x180", cwd=tmp_path)

@@ -236,6 +236,7 @@ NOTHING = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "said"), NOTHING)
 @pytest.mark.parametrize(
     "request_",

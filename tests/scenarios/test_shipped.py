@@ -17,7 +17,6 @@ DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 
 # By default one of each kind that is quickly run; ILC: test_learning_scenarios.py.
 BRIEF = {
-    "follow_fig57",
     "gen2_straight",
     "module_step_direct",
     "sensor_far",
