@@ -25,7 +25,7 @@ import numpy as np
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.mjcf.numerics import PRELOAD, Numerics
+from srs_twin.mjcf.numerics import LAW_OF, PRELOAD, Numerics
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
@@ -68,9 +68,6 @@ def contributions(names: Sequence[str], seen: Mapping[frozenset[str], np.ndarray
         found[name] = Contribution(value, np.min(every, axis=0), np.max(every, axis=0))
     return found
 
-
-LAW_OF = {"rolling": "wheel", "skid": "ellipse"}
-"""What the twin stands on → the friction law that describes it."""
 
 FROZEN = "frozen chords"
 STIFF = 45.0
@@ -140,7 +137,7 @@ class Ladder:
 
     def _all_switches(self) -> list[Switch]:
         model, twin, spec = self._model, self._twin, self._scenario.robot
-        law, lag = LAW_OF[twin.wheels], spec.bending.damping_time
+        law, lag = twin.friction or LAW_OF[twin.wheels], spec.bending.damping_time
         point = model.friction not in LAW_OF.values()
         springs = model.model != "compliant"
         damped = springs and lag != spec.actuator.tau_mode
@@ -174,6 +171,7 @@ class Ladder:
         finer = arcs | {"hinges_per_segment": 2 * hinges}
         lighter = {"link_share": numerics.link_share / 2}
         spin = Refinement("wheel inertia", "wheels' inertia about their axles", {"wheel_spin": 0.25}, 4 / 3)
+        soft = Refinement("contact softness", "contacts that slip before they hold", softness, 2.0)
         rigid = Refinement("out-of-plane motion", "segments that pitch and roll", {}, 4 / 3)
         hinged = f"{hinges} hinges a segment for an arc"
         model_step = "the model's time step and slip speed"
@@ -181,7 +179,7 @@ class Ladder:
             Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
             Refinement("bending discretisation", hinged, finer, 4 / 3, base=arcs),
             *([spin] if self._twin.wheels == "rolling" else []),
-            Refinement("contact softness", "contacts that slip before they hold", softness, 2.0),
+            *([soft] if self._twin.contact == "preloaded" else []),
             replace(rigid, change=_stiffer_out_of_plane),
             Refinement("link mass", "mass between the hinges", lighter, 2.0),
             Refinement("twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 2.0),

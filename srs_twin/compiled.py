@@ -19,6 +19,7 @@ from srs_twin.errors import CacheWarning
 # The order of sums may change, never what becomes of infinities and NaN.
 _ARITHMETIC = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _ARITHMETIC}
+_BARE: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _CONSTANTS = (bool, int, float, complex, str, type(None))
 _warned = False
 
@@ -32,7 +33,19 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     computes: its bytecode, that of every kernel it calls, and the constants they use.
     Where nothing can be kept, every process compiles for itself, with one `CacheWarning`.
     """
-    dispatcher: Any = njit(**_OPTIONS)(function)
+    return _kept(njit(**_OPTIONS)(function), function)
+
+
+def inside(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that only kernels call: without what Python would need to call it.
+
+    For one that takes records of arrays that takes longer to compile than the function itself.
+    """
+    return _kept(njit(**_OPTIONS, **_BARE)(function), function)
+
+
+def _kept(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a dispatcher its cache."""
     try:
         dispatcher._cache = _Cache(function)
     except RuntimeError:  # numba knows no folder that it may write

@@ -103,3 +103,58 @@ def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
         both,
         -load * r * w_n * (1 - w_n * a_n * a_n),
     )
+
+
+def rolling(v_t, v_n, load, mu_t, mu_n, slip, rim, lag):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return force (N), slopes (N·s/m) and rim speed (m/s) of a wheel whose spin has inertia.
+
+    The contact slides with μ_n in any direction, the axle drags with μ_t. With the rim's speed w,
+
+        lag (w − rim) = μ_n N (v_t − w)/|slip| − μ_t N sgn w,
+
+    and sgn is set-valued: a wheel that its contact cannot turn stays locked. Without inertia this is `wheel`.
+
+    Args:
+        v_t, v_n, load, mu_t, mu_n, slip: as in `axis`, numbers.
+        rim: speed of the rim at the step's beginning, m/s.
+        lag: mass that the spin adds, moment of inertia over radius², over the step, kg/s.
+
+    Returns:
+        f_t, f_n, df_t/dv_t, df_t/dv_n = df_n/dv_t, df_n/dv_n, w.
+    """
+    grip, drag = mu_n * load, mu_t * load
+    rest = v_n * v_n + slip * slip
+    r = 1 / np.sqrt(v_t * v_t + rest)
+    demand = grip * v_t * r + lag * rim
+    turning, w = abs(demand) > drag, 0.0
+    if turning:
+        # Between 0 and the speed of free rolling with what the rim has: there the excess falls with w.
+        side = 1.0 if demand > 0.0 else -1.0
+        low, high = 0.0, max(side * v_t, side * rim, 0.0)
+        w = min(max(side * v_t, low), high)
+        for _ in range(60):
+            gap = side * v_t - w
+            r = 1 / np.sqrt(gap * gap + rest)
+            excess = grip * gap * r - drag - lag * (w - side * rim)
+            if excess > 0.0:
+                low = w
+            else:
+                high = w
+            step = excess / (grip * rest * r * r * r + lag)
+            if abs(step) <= 1e-12 * (abs(w) + slip):
+                break
+            w += step
+            if not low < w < high:
+                w = 0.5 * (low + high)
+        w *= side
+    gap = v_t - w
+    r = 1 / np.sqrt(gap * gap + rest)
+    a_t, a_n = gap * r, v_n * r
+    stiff = grip * r * (1 - a_t * a_t)
+    cross = -grip * r * a_t * a_n
+    sideways = grip * r * (1 - a_n * a_n)
+    if turning:
+        share = lag / (stiff + lag)
+        sideways -= cross * cross / (stiff + lag)
+        stiff, cross = stiff * share, cross * share
+    return -grip * a_t, -grip * a_n, -stiff, -cross, -sideways, w

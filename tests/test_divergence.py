@@ -99,6 +99,7 @@ CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
     ),
     "twin": (partial(TwinSnake, SPEC), TWIN | LAG),
     "twin on skids": (partial(TwinSnake, SPEC, wheels="skid"), TWIN | LAG),
+    "twin on its loads": (partial(TwinSnake, SPEC, contact="loaded"), TWIN | LAG),
     "twin, orifice": (partial(TwinSnake, SPEC, pneumatics="orifice"), TWIN | ORIFICE),
 }  # fmt: skip
 

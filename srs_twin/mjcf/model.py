@@ -73,7 +73,8 @@ def robot_mjcf(
         if numerics.constant_curvature:
             _bend_alike(mj, j, numerics)
     if free:
-        add_preload(mj, spec, numerics)
+        if numerics.contact == "preloaded":
+            add_preload(mj, spec, numerics)
         add_feet(mj, spec)
     _add_home(mj)
     return mj
@@ -113,7 +114,9 @@ def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option.gravity = [0, 0, -GRAVITY]
     option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    # Rows of friction make a dense one slow; normals alone are few, and the engine chooses by size.
+    loaded = numerics.contact == "loaded"
+    option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
     # Gait speeds move by less than 0.01 % from 1e-10 to 1e-4; at rest 1e-7 leaves speeds below 1e-5 m/s.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.friction import Law
 
 WALL_M = 0.001
 """Radius of the capsules along the sides of a polygon: what obstacles are larger by than drawn."""
@@ -20,6 +21,16 @@ one skid to the other and their loads swung by as much as their mean, with κ = 
 
 WHEELS = tuple(PRELOAD)
 
+CONTACTS = ("preloaded", "loaded")
+"""How the floor holds a snake: wheels or skids pressed down, with MuJoCo's friction; or normals by MuJoCo and
+friction by a law of `friction` on the momentary loads."""
+
+ON_LOADS: tuple[Law, ...] = ("wheel", "ellipse", "axis")
+"""Laws that can act on momentary loads."""
+
+LAW_OF: dict[str, Law] = {"rolling": "wheel", "skid": "ellipse"}
+"""What a snake stands on → the friction law that describes it."""
+
 
 @dataclass(frozen=True)
 class Numerics:
@@ -28,7 +39,10 @@ class Numerics:
     Attributes:
         timestep: s.
         hinges_per_segment: bending hinges a segment, 1 or more.
-        wheels: what the snake stands on, one of `WHEELS`.
+        contact: one of `CONTACTS`.
+        wheels: what the snake stands on, one of `WHEELS`; "rolling" under `loaded`.
+        friction: law on the momentary loads, under `loaded`.
+        slip_speed: below which that law is smoothed, m/s.
         contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step.
         slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
         axle_time: the same for the axles' friction, s.
@@ -44,7 +58,10 @@ class Numerics:
 
     timestep: float = 0.001
     hinges_per_segment: int = 2
+    contact: str = "preloaded"
     wheels: str = "rolling"
+    friction: Law = "wheel"
+    slip_speed: float = 0.001
     contact_time: float = 0.001
     slip_time: float = 0.0003
     axle_time: float = 0.002

@@ -51,6 +51,8 @@ def preload_force(spec: RobotSpec, numerics: Numerics) -> np.ndarray:
 def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
     """Return the attributes of a pair of floor and wheel or skid; friction along first, then across."""
     mu_t, mu_n = spec.friction.mu_t, spec.friction.mu_n
+    if numerics.contact == "loaded":
+        return {"condim": 1, "solref": [numerics.contact_time, 1]}
     across = mu_n / (1 + numerics.preload)
     along = across if numerics.wheels == "rolling" else mu_t / (1 + numerics.preload)
     return {
@@ -64,19 +66,29 @@ def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
 def fixed_inertia(spec: RobotSpec, numerics: Numerics) -> tuple[float, np.ndarray]:
     """Return the mass (kg) and the moments of inertia (3,) (kg·m²) that a connector's skids add to its own.
 
-    They have the mass of the wheels whose place they take. Wheels are bodies of their own: 0. On a bench
-    nothing rolls: wheels are fixed there as well.
+    They have the mass of the wheels whose place they take. Wheels that turn on axles are bodies of their own:
+    0. On a bench nothing rolls: wheels are fixed there as well. Under `loaded` their spin is friction's.
     """
-    if numerics.wheels == "rolling" and numerics.base == "free":
+    rolling = numerics.wheels == "rolling" and numerics.base == "free"
+    if rolling and numerics.contact == "preloaded":
         return 0.0, np.zeros(3)
     across = 2 * spec.mass.wheel * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
-    return 2 * spec.mass.wheel, np.array([across, spec.mass.wheel * spec.geometry.wheel_radius**2, across])
+    spin = 0.0 if rolling else spec.mass.wheel * spec.geometry.wheel_radius**2
+    return 2 * spec.mass.wheel, np.array([across, spin, across])
 
 
 def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
     """Put connector i on its two wheels or skids."""
     for side, sign in _SIDES.items():
-        if numerics.wheels == "rolling":
+        if numerics.contact == "loaded":
+            place = [
+                0,
+                sign * spec.geometry.half_track,
+                spec.geometry.wheel_radius - spec.geometry.com_height,
+            ]
+            for part in ("tread", "rim"):
+                body.add_geom(mj.find_default(part), name=f"{part}_{side}_{i}", pos=place)
+        elif numerics.wheels == "rolling":
             _add_wheel(mj, body, spec, i, side, numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
@@ -159,13 +171,17 @@ def _slower(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
     MuJoCo softens a contact by a regularisation R that it takes from the tree of bodies: 1.25 times as much
     at gen 2's root as at its ends. What sinks deeper hands part of its load to its neighbours.
     """
-    model = mj.compile()
+    depth = softness(mj.compile(), spec)
+    depth *= np.repeat(spec.mass.array(), len(_SIDES))
+    slower: np.ndarray = np.sqrt(depth.max() / depth)
+    return slower
+
+
+def softness(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
+    """Return by how much each normal contact yields, MuJoCo's R, in the order of `treads`, (2 N,), 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _TOUCHING
     mujoco.mj_forward(model, data)
-    softness = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
-    depth = np.array([softness[model.geom(tread).id] for tread in treads(spec)])
-    depth *= np.repeat(spec.mass.array(), len(_SIDES))
-    slower: np.ndarray = np.sqrt(depth.max() / depth)
-    return slower
+    found = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
+    return np.array([found[model.geom(tread).id] for tread in treads(spec)])

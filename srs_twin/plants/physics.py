@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from srs_twin.plants.base import Pose
+from srs_twin.plants.loaded import LoadedContact
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import as_felt
 from srs_twin.robot.spec import GRAVITY, RobotSpec
@@ -36,20 +37,17 @@ class StepBatch:
     Attributes:
         states: at the end of each step: time, qpos, qvel; shape (steps, 1 + nq + nv).
         floor_force: of the floor on each wheel during each step, shape (steps, N, 2, 3), N, world.
-        foot_velocity: of the points of the connectors above the contacts, at each step's beginning, same
-            shape, m/s.
         energy: kinetic energy at each step's beginning, shape (steps,), J.
         obstacle_force: of all obstacles on each connector with the halves of its segments during each step,
             shape (steps, N, 3), N, world.
-        obstacle_power: that the snake spends on them at each step's beginning, shape (steps,), W.
+        power: that the snake spends on floor and obstacles in each step, shape (steps,), W.
     """
 
     states: np.ndarray
     floor_force: np.ndarray
-    foot_velocity: np.ndarray
     energy: np.ndarray
     obstacle_force: np.ndarray
-    obstacle_power: np.ndarray
+    power: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,8 @@ class SnakePhysics(dm.Physics):
         raw = self.model.ptr
         self._pneumatics, self._spec = pneumatics, spec
         self._free = numerics.base == "free"
-        self._preload = preload_force(spec, numerics) * self._free
+        loaded = numerics.contact == "loaded" and self._free
+        self._preload = preload_force(spec, numerics) * (self._free and not loaded)
         self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
@@ -138,7 +137,8 @@ class SnakePhysics(dm.Physics):
                 hinge = raw.joint(f"hinge_{j + 1}_{k + 1}")
                 self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
         self._no_force = np.zeros((*self._preload.shape, 3))
-        self._floor_force = self._no_force
+        self._floor_force = self._last_push = self._no_force
+        self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics) if loaded else None
 
     def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
         names = [raw.geom(k).name for k in range(raw.ngeom)]
@@ -172,7 +172,9 @@ class SnakePhysics(dm.Physics):
         self.refresh()
         self._pneumatics.reset()
         self._schedule = self._pneumatics.schedule(self._pneumatics.valves, 1.0)
-        self._floor_force = self._no_force.copy()
+        self._floor_force, self._last_push = self._no_force.copy(), self._no_force
+        if self.loaded is not None:
+            self.loaded.reset()
         if self._free:
             # At rest every wheel carries its share of the weight, and its preload.
             self._floor_force[..., 2] = self._preload + self._rest_load
@@ -194,28 +196,44 @@ class SnakePhysics(dm.Physics):
         """Advance chambers and bodies by `nstep` time steps."""
         span = nstep * self.timestep()
         with self.check_invalid_state():
-            self.run(self.fill(self._schedule.stretched(span), nstep).pressure[:-1])
+            self.run(self.fill(self._schedule.stretched(span), nstep).pressure)
 
     def fill(self, schedule: Schedule, steps: int) -> Trace:
-        """Advance the chambers over a schedule; return what they do at each step's beginning and at the end.
-
-        Pressures that drive a step are those of its beginning: with the springs at its end, a ramp then lags
-        by exactly τ₂.
-        """
+        """Advance the chambers over a schedule; return them at each step's beginning and at the end."""
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates())
 
     def run(self, pressure: np.ndarray) -> StepBatch:
-        """Advance the bodies under given pressures, a row a time step; the engine makes all steps in one.
+        """Advance the bodies under given pressures.
 
         Args:
-            pressure: of each chamber, shape (steps, segments, 2), Pa.
+            pressure: of each chamber at each step's beginning and at the end, shape (steps + 1, segments, 2),
+                Pa.
         """
-        model, data = self.model.ptr, self.data.ptr
-        steps = len(pressure)
-        controls = np.zeros((1, steps, model.nu))
+        # Those that drive a step are those of when its positions are: of its beginning, or its middle.
+        pressure = pressure[:-1] if self.loaded is None else (pressure[:-1] + pressure[1:]) / 2
         # MuJoCo's muscles are linear in their control.
-        controls[0, :, : pressure[0].size] = as_felt(self._spec, pressure).reshape(steps, -1)
+        felt = as_felt(self._spec, pressure).reshape(len(pressure), -1)
+        if self.loaded is None:
+            states, sensed = self._roll(felt)
+            force = self._at_feet(sensed, self._force_columns)
+            # The floor's force acts with the velocity that it leads to, at the end of its step.
+            earlier = np.concatenate([self._last_push[None], force[:-1]])[..., :2]
+            spent = -(earlier * self._at_feet(sensed, self._foot_columns)[..., :2]).sum(axis=(1, 2, 3))
+        else:
+            states, sensed, force, spent = self.loaded.run(felt)
+        self.refresh()
+        push = sensed[:, self._hull_force]
+        spent = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
+        bumps = np.einsum("ih,thk->tik", self._owners, push)
+        self._floor_force, self._last_push = force.mean(axis=0), force[-1]
+        return StepBatch(states, force, sensed[:, self._energy_column], bumps, spent)
+
+    def _roll(self, felt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Let the engine make all steps in one; return states and sensors."""
+        model, data, steps = self.model.ptr, self.data.ptr, len(felt)
+        controls = np.zeros((1, steps, model.nu))
+        controls[0, :, : felt.shape[1]] = felt
         states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
         mujoco.mj_getState(model, data, self._start[0], _STATE)
         _ENGINE.rollout(
@@ -226,18 +244,7 @@ class SnakePhysics(dm.Physics):
             state=states,
             sensordata=sensed,
         )
-        self.refresh()
-        push = sensed[0][:, self._hull_force]
-        record = StepBatch(
-            states[0],
-            self._at_feet(sensed[0], self._force_columns),
-            self._at_feet(sensed[0], self._foot_columns),
-            sensed[0][:, self._energy_column],
-            np.einsum("ih,thk->tik", self._owners, push),
-            -(push * sensed[0][:, self._hull_velocity]).sum(axis=(1, 2)),
-        )
-        self._floor_force = record.floor_force.mean(axis=0)
-        return record
+        return states[0], sensed[0]
 
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return what is sensed at the feet, shape (steps, N, 2, 3); 0 where nothing stands on a floor."""

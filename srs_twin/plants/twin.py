@@ -9,7 +9,8 @@ import numpy as np
 
 from srs_twin.arrays import joined
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
-from srs_twin.mjcf.numerics import PRELOAD, WHEELS, Numerics
+from srs_twin.friction import Law
+from srs_twin.mjcf.numerics import CONTACTS, LAW_OF, ON_LOADS, PRELOAD, WHEELS, Numerics
 from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
@@ -32,6 +33,7 @@ class TwinSnake(PneumaticPlant):
         physics: the `SnakePhysics`, for what the contract does not show.
         timestep: s.
         wheels: what it stands on, "rolling" or "skid".
+        contact: how the floor holds it, "preloaded" or "loaded".
     """
 
     name = "twin"
@@ -41,6 +43,8 @@ class TwinSnake(PneumaticPlant):
         self,
         spec: RobotSpec,
         *,
+        contact: str = Numerics.contact,
+        friction: Law | None = None,
         wheels: str = "rolling",
         hinges_per_segment: int = Numerics.hinges_per_segment,
         timestep: float = Numerics.timestep,
@@ -48,6 +52,7 @@ class TwinSnake(PneumaticPlant):
         tick: float = 0.02,
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
+        slip_speed: float = Numerics.slip_speed,
         slip_time: float = Numerics.slip_time,
         axle_time: float = Numerics.axle_time,
         preload: float | None = None,
@@ -62,6 +67,9 @@ class TwinSnake(PneumaticPlant):
 
         Args:
             spec: the robot.
+            contact: "loaded": friction by a law on the loads that MuJoCo finds; "preloaded": MuJoCo's own
+                friction on wheels or skids that are pressed down.
+            friction: that law, "wheel", "ellipse" or "axis"; default what suits the wheels.
             wheels: "rolling" (hinge wheels, friction law `wheel`) or "skid" (runners, law `ellipse`).
             hinges_per_segment: bending hinges a segment.
             timestep: s; the tick is a multiple of it.
@@ -69,6 +77,7 @@ class TwinSnake(PneumaticPlant):
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or chambers of one's own.
+            slip_speed: below which the law is smoothed, m/s.
             slip_time: time constant with which contact friction stops a slip, s.
             axle_time: the same for the axles' friction, s.
             preload: by how many times its static load each wheel is pressed down besides; default what
@@ -81,21 +90,33 @@ class TwinSnake(PneumaticPlant):
             world: whose obstacles it may run into; None: an open floor.
 
         Raises:
-            InputError: an unknown wheel or layout, a tick that is no multiple of the time step, or a time
+            InputError: an unknown contact, law, wheel or layout, a law or a preload that the contact does not
+                have, a tick that is no multiple of the time step, or a time
                 step that is too long for the chambers.
         """
+        one_of("contact", contact, CONTACTS)
         one_of("wheels", wheels, WHEELS)
+        if friction is not None:
+            one_of("friction", friction, ON_LOADS)
+        loaded = contact == "loaded"
+        for name, given, other in (("friction", friction, not loaded), ("preload", preload, loaded)):
+            if given is not None and other:
+                raise InputError(f"{name} {given!r} is not allowed with contact {contact!r}")
         one_of("base", base, BASES)
         whole_steps("tick", tick, "time step", timestep)
-        self.spec, self.tick, self.timestep, self.wheels = spec, tick, timestep, wheels
+        self.spec, self.tick, self.timestep = spec, tick, timestep
+        self.contact, self.wheels = contact, wheels
         supply = self._equip(pneumatics, supply_pa, layout, sensor)
         self._numerics = Numerics(
             timestep=timestep,
             hinges_per_segment=hinges_per_segment,
-            wheels=wheels,
+            contact=contact,
+            wheels="rolling" if loaded else wheels,  # the law says how it slides, the bodies are wheels
+            friction=friction or LAW_OF[wheels],
+            slip_speed=slip_speed,
             slip_time=slip_time,
             axle_time=axle_time,
-            preload=PRELOAD[wheels] if preload is None else preload,
+            preload=0.0 if loaded else PRELOAD[wheels] if preload is None else preload,
             link_share=link_share,
             wheel_spin=wheel_spin,
             constant_curvature=constant_curvature,
@@ -119,9 +140,8 @@ class TwinSnake(PneumaticPlant):
         self._ticks, self._seed = 0, seed
         self._spent = 0.0
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
-        self._last_push = np.zeros((self.spec.geometry.connectors, 2, 2))
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
-        force, obstacles = np.zeros((1, *self._last_push.shape)), np.zeros((1, len(self._theta), 2))
+        force, obstacles = np.zeros((1, len(self._theta), 2, 2)), np.zeros((1, len(self._theta), 2))
         trace = self.pneumatics.resting()
         return self._observe(np.zeros(1), state, trace, force, obstacles, np.zeros(1)).at(0)
 
@@ -145,8 +165,10 @@ class TwinSnake(PneumaticPlant):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
-        numbers, times = self._numerics, ("timestep", "slip_time", "axle_time")
-        names = ("wheels", "hinges_per_segment", "preload", "link_share", "wheel_spin", "constant_curvature")
+        numbers, times = self._numerics, ["timestep", "slip_time", "axle_time"]
+        names = ["wheels", "hinges_per_segment", "preload", "link_share", "wheel_spin", "constant_curvature"]
+        if self.contact == "loaded":
+            names[2:3], times = ["contact", "friction", "slip_speed"], ["timestep"]
         given = {name: getattr(numbers, name) for name in (*names, "base")}
         return super().describe() | given | {f"{name}_s": getattr(numbers, name) for name in times}
 
@@ -176,7 +198,7 @@ class TwinSnake(PneumaticPlant):
             last = min(first + most, steps)
             part = schedule.part(first * self.timestep, last * self.timestep)
             trace = self.physics.fill(part, last - first)
-            records.append(self.physics.run(trace.pressure[:-1]))
+            records.append(self.physics.run(trace.pressure))
             traces.append(trace.at(np.arange(1, last - first + 1)))
         return joined(traces), joined(records)
 
@@ -184,13 +206,10 @@ class TwinSnake(PneumaticPlant):
         """Return what was to be seen at these times, each at the end of so many steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
-        push, velocity = record.floor_force[:used, ..., :2], record.foot_velocity[:used, ..., :2]
-        # The floor's force acts with the velocity that it leads to, at the end of its step.
-        earlier = np.concatenate([self._last_push[None], push[:-1]]) if used else push
-        power = record.obstacle_power[:used] - (earlier * velocity).sum(axis=(1, 2, 3))
-        spent = self._spent + self.timestep * np.cumsum(power)
+        push = record.floor_force[:used, ..., :2]
+        spent = self._spent + self.timestep * np.cumsum(record.power[:used])
         if used:
-            self._spent, self._last_push = float(spent[-1]), push[-1]
+            self._spent = float(spent[-1])
         work = record.energy[ends] + spent[ends]
         force = push.reshape(count, steps, *push.shape[1:]).mean(axis=1)
         contact = record.obstacle_force[:used, :, :2]

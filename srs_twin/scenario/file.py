@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, WithJsonSchema
 
+from srs_twin.identification.takes import RecordingReader
 from srs_twin.scenario.air import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import Line, Section, quantity
+from srs_twin.scenario.fields import Line, Section, constructor_default, quantity
 from srs_twin.scenario.planner import PlannerFile
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
-from srs_twin.scenario.recording import RecordingFile
 from srs_twin.scenario.sensors import FaultFile, SensorFile
 from srs_twin.scenario.world import StartFile, WorldFile
 
@@ -23,6 +23,32 @@ class ComparisonFile(Section):
     gap_factor: bool = False
     """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid
     gaps (Section 3.4.2); the analytical plant must have gaps: false."""
+
+
+FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class RecordingFile(Section):
+    """What was measured of a robot and the log of its air (docs/logs.md); paths from the current folder."""
+
+    constructors = (RecordingReader,)
+
+    motion: FilePath
+    """What cameras saw, a Motive or plain CSV file; on a bench also a CSV file of time,bend_1,…."""
+    valves: FilePath | None = None
+    """Log of valves or pressures; a plain CSV file (default: NAME.valves.csv beside the motion)."""
+    offset_s: float | None = quantity(-1e9, 1e9)
+    """What to add to the log's times (default: estimated)."""
+    gait_frequency_hz: float | None = quantity(0.01, 50.0)
+    """Gait frequency (default: as the valves repeat themselves)."""
+    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = constructor_default()
+    """Axis of the file that points up."""
+    layout: Literal["auto", "single", "head", "pair"] = constructor_default()
+    """Where the markers are."""
+    head: Line | None = constructor_default()
+    """Column of the marker at the head; the end towards which it crawls where there is none."""
+    longest_gap_s: float = quantity(0.0, 10.0)
+    """Longest gap that is filled."""
 
 
 class ScenarioFile(Section):

@@ -131,7 +131,7 @@ def _resolved(
     for kind, plant in document["plants"].items():
         plant["tick_s"] = file.tick(kind)
         for key in getattr(file.plants, kind).on_a_floor if file.bench else ():
-            del plant[key]
+            plant.pop(key, None)
     return document
 
 

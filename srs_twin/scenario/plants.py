@@ -82,14 +82,25 @@ class TwinFile(_PlantFile):
     """The MuJoCo twin."""
 
     constructors = (Numerics,)
-    on_a_floor = ("wheels",)
+    on_a_floor = ("wheels", "contact", "friction")
 
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Literal["rolling", "skid"] = constructor_default()
     """What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse)."""
+    contact: Literal["loaded", "preloaded"] = constructor_default()
+    """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
+    own friction on wheels or skids that are pressed down."""
+    friction: Literal["wheel", "ellipse", "axis"] | None = None
+    """Law of a loaded contact (default: what suits the wheels)."""
     hinges_per_segment: int = quantity(1, 32)
     """Bending hinges a segment."""
+
+    @model_validator(mode="after")
+    def _law_is_taken(self) -> TwinFile:
+        if self.friction is not None and self.contact == "preloaded":
+            raise ValueError("friction is contact: loaded's; a preloaded one has MuJoCo's own, by its wheels")
+        return self
 
 
 PlantFile = AnalyticalFile | TwinFile

@@ -13,10 +13,13 @@ SPEC = robot()
 WEIGHT = SPEC.mass.array() * GRAVITY
 
 
-@pytest.fixture(scope="module", params=WHEELS)
+FLOORS = {**{wheels: {"wheels": wheels} for wheels in WHEELS}, "loaded": {"contact": "loaded"}}
+
+
+@pytest.fixture(scope="module", params=FLOORS)
 def crawling_loads(request) -> np.ndarray:
     """Load of each connector of gen2, straight at 2 Hz, after two periods, shape (ticks, N), N."""
-    plant, loads = TwinSnake(SPEC, wheels=request.param), []
+    plant, loads = TwinSnake(SPEC, **FLOORS[request.param]), []
     rollout(plant, Gait(2.0), 5.0, observers=[lambda _: loads.append(plant.physics.wheel_loads())])
     return np.array(loads)[50:].sum(axis=2)
 
@@ -35,16 +38,17 @@ def test_loads_of_a_crawling_snake_do_not_swing_by_their_mean(crawling_loads):
 
 
 # gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it a little.
-@pytest.mark.parametrize("wheels", WHEELS)
+@pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize(("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)])
-def test_loads_at_rest(name, share, wheels):
-    plant = TwinSnake(robot(name), wheels=wheels)
+def test_loads_at_rest(name, share, floor):
+    plant = TwinSnake(robot(name), **FLOORS[floor])
     for _ in range(100):
         plant.step(vented(plant.spec))
     loads, weight = plant.physics.wheel_loads(), plant.spec.mass.array() * GRAVITY
     assert loads.sum() == pytest.approx(weight.sum(), rel=1e-6)
     assert loads.sum(axis=1) == pytest.approx(weight, rel=share)
-    assert loads[:, 0] == pytest.approx(loads[:, 1], rel=1e-6)
+    # Without friction in the engine its solver has less to hold on to, and stops at its tolerance, 1e-7.
+    assert loads[:, 0] == pytest.approx(loads[:, 1], rel=1e-5 if floor == "loaded" else 1e-6)
 
 
 def test_preload_does_not_change_what_the_floor_carries():

@@ -19,8 +19,8 @@ SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 
 
 @cache
-def twin(wheels: str = "rolling") -> TwinSnake:
-    return TwinSnake(SPEC, wheels=wheels)
+def twin(wheels: str = "rolling", contact: str = "preloaded", slip_speed: float = 1e-4) -> TwinSnake:
+    return TwinSnake(SPEC, wheels=wheels, contact=contact, slip_speed=slip_speed)
 
 
 def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -> np.ndarray:
@@ -77,6 +77,22 @@ def test_twin_stops_across(speed):
     assert way == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
 
 
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_wheels_on_their_loads_stop_along_and_across(speed):
+    along = stopped(twin(contact="loaded"), (speed, 0.0), 2.0)
+    expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
+    assert along == pytest.approx([expected, 0], rel=1e-4, abs=1e-9)
+    across = stopped(twin(contact="loaded"), (0.0, -speed))
+    assert across == pytest.approx([0, -(speed**2) / (2 * MU_N * GRAVITY)], rel=1e-4, abs=1e-7)
+
+
+@pytest.mark.parametrize("degrees", [30, 60])
+def test_wheels_on_their_loads_stop_at_an_angle(degrees):
+    velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+    expected = sliding_wheel(velocity, SPIN_MASS / MASS)
+    assert stopped(twin(contact="loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.01)
+
+
 @pytest.mark.parametrize("degrees", [30, 60, 87])
 def test_analytical_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
@@ -120,6 +136,7 @@ def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
     model = stopped(AnalyticalSnake(SPEC, friction="ellipse", slip_speed=1e-4), velocity)
     assert model == pytest.approx(expected, rel=0.005, abs=1e-4)
     assert stopped(twin("skid"), velocity, 0.3) == pytest.approx(expected, rel=0.01, abs=5e-4)
+    assert stopped(twin("skid", "loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.005, abs=1e-5)
 
 
 def test_axis_law_stops_each_direction_by_itself():

@@ -16,6 +16,8 @@ PLANTS = {
     "ellipse": lambda: AnalyticalSnake(robot(), friction="ellipse"),
     "twin": lambda: TwinSnake(robot()),
     "skids": lambda: TwinSnake(robot(), wheels="skid"),
+    "loaded": lambda: TwinSnake(robot(), contact="loaded"),
+    "loaded ellipse": lambda: TwinSnake(robot(), contact="loaded", friction="ellipse"),
 }
 OFFSET = 0.2
 

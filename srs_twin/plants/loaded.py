@@ -1,0 +1,513 @@
+r"""Friction on the loads that MuJoCo finds: a compiled loop of steps around the engine's C functions.
+
+MuJoCo keeps the wheels on the floor, without friction (condim 1). Friction is a law of `friction` on the
+loads of the same step, implicit in the velocities: with the engine's solution v̂ under the friction f̂ of the
+step before,
+
+$$ \bigl(A + J_n^T R^{-1} J_n\bigr)(v - \hat v) = h \sum_w J_w^T \bigl(f_w(J_w \bar v) - \hat f_w\bigr)
+   + h\,\bigl(c(v_-) - c(\bar v)\bigr), \qquad \bar v = (v_- + v)/2, $$
+
+where A is the metric in which the engine solves, M + hD + h²K, c are Coriolis forces (those of c(v̄) from v̂),
+and J_n the rows of the normals that press, with the engine's softness R: what stands on the floor does not
+yield to friction downward. Their forces follow, by −J_n (v − v̂)/(h R).
+
+Newton's method. Its matrix has the pattern of M and is factored like M, because a wheel moves with the
+ancestors of its connector alone: as in the composite-rigid-body algorithm, what wheels add is summed from the
+ends of the chain to its root. Spatial vectors are rotation first, about the centre of mass, as in `cdof`.
+
+Positions are those of the middle of the step, so that springs, friction and Coriolis forces are of second
+order in it; dampers act with the velocity at its end (`mjcf.classes`), which is of first.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+import mujoco
+import numpy as np
+from numba import types
+
+from srs_twin import friction
+from srs_twin.compiled import compiled, inside
+from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.wheels import softness, treads
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+
+_AXIS, _WHEEL, _ELLIPSE = range(3)
+_KINDS = {"axis": _AXIS, "wheel": _WHEEL, "ellipse": _ELLIPSE}
+_axis, _ellipse, _rolling = (inside(law) for law in (friction.axis, friction.ellipse, friction.rolling))
+_VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
+_MOST_ITERATIONS, _SHORTEST = 30, 1e-3
+_SMALL = 1e-12  # of the first residual's square: friction is then right to a millionth
+_ALONG, _ACROSS, _UP = range(3)
+
+llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+
+
+def _engine(name: str, *more: Any) -> Any:
+    """Return a C function of MuJoCo's that takes a model, data, and more; kernels call it by its name."""
+    return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
+
+
+mj_step1, mj_comVel = _engine("mj_step1"), _engine("mj_comVel")
+mj_forwardSkip = _engine("mj_forwardSkip", types.int32, types.int32)
+mj_rne = _engine("mj_rne", types.int32, types.intp)
+mj_integratePos = _engine("mj_integratePos", types.intp, types.float64)
+
+
+class Engine(NamedTuple):
+    """Addresses of a model and its data; what the loop reads and writes there, views named as in MjData."""
+
+    model: int
+    data: int
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    qfrc_applied: np.ndarray
+    qacc: np.ndarray
+    qacc_warmstart: np.ndarray
+    qfrc_bias: np.ndarray
+    M: np.ndarray
+    xpos: np.ndarray
+    xmat: np.ndarray
+    cdof: np.ndarray
+    subtree_com: np.ndarray
+    sensordata: np.ndarray
+
+
+class Pattern(NamedTuple):
+    """Lower triangle of M, row by row: the ancestors of a degree of freedom, itself last.
+
+    Attributes:
+        entries: of each row, their number.
+        first: where a row begins.
+        column: of each entry.
+        parent: the ancestor before, −1 where there is none.
+        extra: what A has besides on its diagonal.
+    """
+
+    entries: np.ndarray
+    first: np.ndarray
+    column: np.ndarray
+    parent: np.ndarray
+    extra: np.ndarray
+
+
+class Wheels(NamedTuple):
+    """Where the W wheels are and what they feel.
+
+    Attributes:
+        body: of each, shape (W,).
+        place: of the centre in the body's frame, shape (W, 3), m.
+        last: last of the degrees of freedom that move it, shape (W,).
+        softness: R of its normal, shape (W,), 1/kg.
+        sensor: where its load stands in `sensordata`, shape (W,).
+        radius: m.
+        kind: of the law.
+        law: μ_t, μ_n, slip speed (m/s), mass that the spin adds (kg).
+    """
+
+    body: np.ndarray
+    place: np.ndarray
+    last: np.ndarray
+    softness: np.ndarray
+    sensor: np.ndarray
+    radius: float
+    kind: int
+    law: tuple[float, float, float, float]
+
+
+class Feet(NamedTuple):
+    """What each wheel keeps from step to step.
+
+    Attributes:
+        push: friction along and across the heading, shape (W, 2), N.
+        rim: speed of the rim, shape (W,), m/s.
+        load: shape (W,), N.
+    """
+
+    push: np.ndarray
+    rim: np.ndarray
+    load: np.ndarray
+
+
+class Work(NamedTuple):
+    """Memory of the loop.
+
+    Attributes:
+        rows: what gives a contact's velocity along, across, up, shape (W, 3, 6).
+        heading: cosine and sine, shape (W, 2).
+        found: friction, slopes (along by along, along by across, across by across), rim's speed at mid-step,
+            and by how much less the floor presses, shape (W, 7).
+        start: spatial velocity beyond each degree of freedom at mid-step, without the change, shape (nv, 6).
+        motion: what the change adds, or the forces on it, same shape.
+        yielding: spatial slopes of the forces beyond each degree of freedom, shape (nv, 6, 6).
+        matrix: as M.
+        before: v₋, shape (nv,).
+        predicted: v̂, same shape.
+        bias: c(v₋) − c(v̄), same shape.
+        change: v − v̂, same shape.
+        residual: same shape.
+        other: same shape.
+        direction: same shape.
+    """
+
+    rows: np.ndarray
+    heading: np.ndarray
+    found: np.ndarray
+    start: np.ndarray
+    motion: np.ndarray
+    yielding: np.ndarray
+    matrix: np.ndarray
+    before: np.ndarray
+    predicted: np.ndarray
+    bias: np.ndarray
+    change: np.ndarray
+    residual: np.ndarray
+    other: np.ndarray
+    direction: np.ndarray
+
+
+class LoadedContact:
+    """The wheels of one twin on the loads of its own data.
+
+    Attributes:
+        feet: what they keep from step to step.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, spec: RobotSpec, numerics: Numerics
+    ) -> None:
+        """Look up what the loop needs.
+
+        Args:
+            model: compiled from `numerics`, contact "loaded".
+            data: what it steps.
+            spec: the robot.
+            numerics: its law and time step.
+        """
+        g, wheels, nv, self._h = spec.geometry, 2 * spec.geometry.connectors, model.nv, numerics.timestep
+        body = np.array([model.body(f"connector_{i}").id for i in range(1, g.connectors + 1)]).repeat(2)
+        y, z = np.tile([g.half_track, -g.half_track], g.connectors), g.wheel_radius - g.com_height
+        spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
+        self._wheels = Wheels(
+            body=body,
+            place=np.stack([0 * y, y, z + 0 * y], axis=1),
+            last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
+            softness=softness(model, spec),
+            sensor=np.array([model.sensor(f"floor_force_{tread}").adr[0] + 2 for tread in treads(spec)]),
+            radius=g.wheel_radius,
+            kind=_KINDS[numerics.friction],
+            law=(spec.friction.mu_t, spec.friction.mu_n, numerics.slip_speed, spin),
+        )
+        hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+        spring = np.zeros(nv)
+        spring[model.jnt_dofadr[hinges]] = model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
+        extra = self._h * model.dof_damping + self._h**2 * spring
+        self._pattern = Pattern(
+            entries=model.M_rownnz.astype(int),
+            first=model.M_rowadr.astype(int),
+            column=model.M_colind.astype(int),
+            parent=model.dof_parentid.astype(int),
+            extra=extra,
+        )
+        views = (getattr(data, name) for name in Engine._fields[2:])
+        self._engine = Engine(model._address, data._address, *views)
+        self._kept = model, data  # addresses alone keep nothing alive
+        self._work = Work(
+            np.zeros((wheels, 3, 6)),
+            np.zeros((wheels, 2)),
+            np.zeros((wheels, 7)),
+            np.zeros((nv, 6)),
+            np.zeros((nv, 6)),
+            np.zeros((nv, 6, 6)),
+            np.zeros(len(data.M)),
+            *np.zeros((7, nv)),
+        )
+        self._rest = np.repeat(spec.mass.array() * GRAVITY / 2, 2)
+        self.reset()
+
+    def reset(self) -> None:
+        """Let the wheels stand, each with its share of the weight."""
+        self.feet = Feet(np.zeros((len(self._rest), 2)), np.zeros(len(self._rest)), self._rest.copy())
+
+    def run(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Make a step for each row of controls.
+
+        Args:
+            controls: shape (steps, nu).
+
+        Returns:
+            Time, qpos and qvel at the steps' ends, NaN after one that diverged; sensors; the floor's force on
+            each wheel, shape (steps, N, 2, 3), N, world; and the power that friction takes, (steps,), W.
+        """
+        (model, data), steps, wheels = self._kept, len(controls), len(self._rest)
+        states = np.full((steps, 1 + model.nq + model.nv), np.nan)
+        sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, wheels, 3))
+        power = np.zeros(steps)
+        out = states, sensed, force, power
+        _run(self._engine, self._wheels, self._pattern, self.feet, self._work, self._h, controls, out)
+        states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
+        data.time += self._h * steps
+        return states, sensed, force.reshape(steps, -1, 2, 3), power
+
+
+@compiled
+def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
+    """Make steps; `out` is what `LoadedContact.run` returns."""
+    states, sensed, force, power = out
+    model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
+    position, velocity = engine.qpos.ctypes.data, engine.qvel.ctypes.data
+    for step in range(controls.shape[0]):
+        _copy(controls[step], engine.ctrl)
+        mj_integratePos(model, position, velocity, h / 2)
+        _copy(engine.qvel, work.before)
+        mj_step1(model, data)
+        _look(engine, wheels, work)
+        _forces(engine.cdof, wheels, pattern, feet.push, work, engine.qfrc_applied)
+        mj_forwardSkip(model, data, _VELOCITIES_KNOWN, 0)
+        _copy(engine.qacc, engine.qacc_warmstart)
+        for i in range(nv):
+            work.predicted[i] = work.before[i] + h * engine.qacc[i]
+            engine.qvel[i] = 0.5 * (work.before[i] + work.predicted[i])
+        mj_comVel(model, data)
+        mj_rne(model, data, 0, work.residual.ctypes.data)
+        for i in range(nv):
+            work.bias[i] = engine.qfrc_bias[i] - work.residual[i]
+        _carry(engine.cdof, pattern, engine.qvel, work.start)
+        for w in range(wheels.body.shape[0]):
+            feet.load[w] = max(engine.sensordata[wheels.sensor[w]], 0.0)
+        _solve(engine, wheels, pattern, feet, work, h)
+        total = 0.0
+        for i in range(nv):
+            engine.qvel[i] = work.predicted[i] + work.change[i]
+            total += engine.qvel[i] * engine.qvel[i]
+        if not np.isfinite(total):
+            break
+        mj_integratePos(model, position, velocity, h / 2)
+        _copy(engine.qpos, states[step, 1:])
+        _copy(engine.qvel, states[step, 1 + nq :])
+        _copy(engine.sensordata, sensed[step])
+        for w in range(wheels.body.shape[0]):
+            f_t, f_n, rim, less = work.found[w, 0], work.found[w, 1], work.found[w, 5], work.found[w, 6]
+            along, across = _slip(wheels, work, w)
+            power[step] -= f_t * along + f_n * across
+            feet.push[w, 0], feet.push[w, 1], feet.rim[w] = f_t, f_n, 2 * rim - feet.rim[w]
+            feet.load[w] = max(feet.load[w] - less, 0.0)
+            c, s = work.heading[w, 0], work.heading[w, 1]
+            force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
+            force[step, w, 2] = feet.load[w]
+    _clear(engine.qfrc_applied)
+
+
+@inside
+def _copy(of, to):  # type: ignore[no-untyped-def]
+    # Loops: a slice that is assigned to takes numba seconds to compile, for the words of an error.
+    for k in range(of.shape[0]):
+        to[k] = of[k]
+
+
+@inside
+def _clear(array):  # type: ignore[no-untyped-def]
+    for k in range(array.size):
+        array.flat[k] = 0.0
+
+
+@inside
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
+
+
+@inside
+def _look(engine, wheels, work):  # type: ignore[no-untyped-def]
+    """Fill the rows of each contact, which lies below its wheel's centre, and the headings."""
+    com = engine.subtree_com[1]
+    for w in range(wheels.body.shape[0]):
+        body, place = wheels.body[w], wheels.place[w]
+        m = engine.xmat[body]
+        norm = 1 / np.sqrt(m[0] * m[0] + m[3] * m[3])
+        c, s = m[0] * norm, m[3] * norm
+        work.heading[w, 0], work.heading[w, 1] = c, s
+        x = engine.xpos[body, 0] + m[1] * place[1] + m[2] * place[2] - com[0]
+        y = engine.xpos[body, 1] + m[4] * place[1] + m[5] * place[2] - com[1]
+        z = engine.xpos[body, 2] + m[7] * place[1] + m[8] * place[2] - com[2] - wheels.radius
+        for k, (ex, ey, ez) in enumerate(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0))):
+            row = work.rows[w, k]
+            row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
+            row[3], row[4], row[5] = ex, ey, ez
+
+
+@inside
+def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
+    """Fill the spatial velocity beyond each degree of freedom."""
+    for i in range(velocity.shape[0]):
+        p = pattern.parent[i]
+        for k in range(6):
+            motion[i, k] = cdof[i, k] * velocity[i] + (motion[p, k] if p >= 0 else 0.0)
+
+
+@inside
+def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
+    """Sum spatial forces toward the root and fill what they do on each degree of freedom."""
+    for i in range(out.shape[0] - 1, -1, -1):
+        out[i] = _dot(cdof[i], motion[i])
+        p = pattern.parent[i]
+        if p >= 0:
+            for k in range(6):
+                motion[p, k] += motion[i, k]
+
+
+@inside
+def _forces(cdof, wheels, pattern, push, work, out):  # type: ignore[no-untyped-def]
+    """Fill the generalised forces of friction."""
+    _clear(work.motion)
+    for w in range(wheels.body.shape[0]):
+        for k in range(6):
+            part = push[w, 0] * work.rows[w, _ALONG, k] + push[w, 1] * work.rows[w, _ACROSS, k]
+            work.motion[wheels.last[w], k] += part
+    _project(cdof, pattern, work.motion, out)
+
+
+@inside
+def _slip(wheels, work, w):  # type: ignore[no-untyped-def]
+    """Return a contact's velocity along and across at mid-step, m/s; the change's `motion` is known."""
+    start, change = work.start[wheels.last[w]], work.motion[wheels.last[w]]
+    ahead, aside = work.rows[w, _ALONG], work.rows[w, _ACROSS]
+    return _dot(ahead, start) + 0.5 * _dot(ahead, change), _dot(aside, start) + 0.5 * _dot(aside, change)
+
+
+@inside
+def _law(wheels, along, across, load, rim, h):  # type: ignore[no-untyped-def]
+    """Return force, slopes (along by along, along by across, across by across), rim's speed at mid-step."""
+    mu_t, mu_n, slip, mass = wheels.law
+    lag = 2 * mass / h
+    if wheels.kind == _WHEEL:
+        return _rolling(along, across, load, mu_t, mu_n, slip, rim, lag)
+    if wheels.kind == _ELLIPSE:
+        f_t, f_n, tt, tn, _, nn = _ellipse(along, across, load, mu_t, mu_n, slip)
+        return f_t, f_n, tt, tn, nn, along
+    f_t, f_n, tt, tn, _, nn = _axis(along, across, load, mu_t, mu_n, slip)
+    return f_t - lag * (along - rim), f_n, tt - lag, tn, nn, along
+
+
+@inside
+def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-def]
+    """Find friction and the change of velocity that it makes, by Newton's method with a line search."""
+    change, direction = work.change, work.direction
+    _clear(change)
+    best = first = _residual(engine, wheels, pattern, feet, work, h, work.residual)
+    for _ in range(_MOST_ITERATIONS):
+        if not best > _SMALL * first:
+            return
+        _assemble(engine, wheels, pattern, feet, work, h)
+        _factor(work.matrix, pattern)
+        _copy(work.residual, direction)
+        _substitute(work.matrix, pattern, direction)
+        for i in range(change.shape[0]):
+            change[i] -= direction[i]
+        scale = 1.0
+        while True:
+            merit = _residual(engine, wheels, pattern, feet, work, h, work.other)
+            if merit < best or scale < _SHORTEST:
+                break
+            scale *= 0.5
+            for i in range(change.shape[0]):
+                change[i] += scale * direction[i]
+        _copy(work.other, work.residual)
+        best = merit
+
+
+@inside
+def _residual(engine, wheels, pattern, feet, work, h, out):  # type: ignore[no-untyped-def]
+    """Fill what the equation lacks, kg·m/s; return its square; note what the law says."""
+    change, mass, motion, rows, found = work.change, engine.M, work.motion, work.rows, work.found
+    _carry(engine.cdof, pattern, change, motion)
+    for w in range(wheels.body.shape[0]):
+        along, across = _slip(wheels, work, w)
+        said = _law(wheels, along, across, feet.load[w], feet.rim[w], h)
+        for k in range(6):
+            found[w, k] = said[k]
+        rise = _dot(rows[w, _UP], motion[wheels.last[w]])
+        found[w, 6] = rise / (h * wheels.softness[w]) if feet.load[w] > 0.0 else 0.0
+    other = work.yielding[:, 0]
+    for i in range(other.shape[0]):
+        for k in range(6):
+            other[i, k] = 0.0
+    for w in range(wheels.body.shape[0]):
+        f_t, f_n = h * (found[w, 0] - feet.push[w, 0]), h * (found[w, 1] - feet.push[w, 1])
+        for k in range(6):
+            less = h * found[w, 6] * rows[w, _UP, k]
+            other[wheels.last[w], k] += less - f_t * rows[w, _ALONG, k] - f_n * rows[w, _ACROSS, k]
+    _project(engine.cdof, pattern, other, out)
+    for i in range(change.shape[0]):
+        row, last = pattern.first[i], pattern.first[i] + pattern.entries[i] - 1
+        for k in range(row, last):
+            out[i] += mass[k] * change[pattern.column[k]]
+            out[pattern.column[k]] += mass[k] * change[i]
+        out[i] += (mass[last] + pattern.extra[i]) * change[i] - h * work.bias[i]
+    total = 0.0
+    for i in range(change.shape[0]):
+        total += out[i] * out[i]
+    return total
+
+
+@inside
+def _assemble(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-def]
+    """Fill Newton's matrix: A, the normals that press, friction's slopes."""
+    matrix, rows, found, yielding = work.matrix, work.rows, work.found, work.yielding
+    _clear(yielding)
+    for w in range(wheels.body.shape[0]):
+        tt, tn, nn = -0.5 * h * found[w, 2], -0.5 * h * found[w, 3], -0.5 * h * found[w, 4]
+        up = 1 / wheels.softness[w] if feet.load[w] > 0.0 else 0.0
+        ahead, aside, above, own = rows[w, _ALONG], rows[w, _ACROSS], rows[w, _UP], yielding[wheels.last[w]]
+        for a in range(6):
+            t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
+            for b in range(6):
+                own[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
+    _copy(engine.M, matrix)
+    for i in range(pattern.entries.shape[0] - 1, -1, -1):
+        d, own, p, row = engine.cdof[i], yielding[i], pattern.parent[i], pattern.first[i]
+        on = (
+            _dot(own[0], d),
+            _dot(own[1], d),
+            _dot(own[2], d),
+            _dot(own[3], d),
+            _dot(own[4], d),
+            _dot(own[5], d),
+        )
+        for k in range(row, row + pattern.entries[i]):
+            matrix[k] += _dot(on, engine.cdof[pattern.column[k]])
+        matrix[row + pattern.entries[i] - 1] += pattern.extra[i]
+        if p >= 0:
+            for a in range(6):
+                for b in range(6):
+                    yielding[p, a, b] += own[a, b]
+
+
+@inside
+def _factor(matrix, pattern):  # type: ignore[no-untyped-def]
+    """Factor a matrix of M's pattern into LᵀDL, in place: no entry appears that M does not have."""
+    for k in range(pattern.entries.shape[0] - 1, -1, -1):
+        row, last = pattern.first[k], pattern.entries[k] - 1
+        over = 1 / matrix[row + last]
+        for a in range(last - 1, -1, -1):
+            part, to = matrix[row + a] * over, pattern.first[pattern.column[row + a]]
+            for b in range(a + 1):
+                matrix[to + b] -= part * matrix[row + b]
+            matrix[row + a] = part
+
+
+@inside
+def _substitute(matrix, pattern, x):  # type: ignore[no-untyped-def]
+    """Solve LᵀDL x = b in place."""
+    for i in range(x.shape[0] - 1, -1, -1):
+        for k in range(pattern.first[i], pattern.first[i] + pattern.entries[i] - 1):
+            x[pattern.column[k]] -= matrix[k] * x[i]
+    for i in range(x.shape[0]):
+        last = pattern.first[i] + pattern.entries[i] - 1
+        value = x[i] / matrix[last]
+        for k in range(pattern.first[i], last):
+            value -= matrix[k] * x[pattern.column[k]]
+        x[i] = value

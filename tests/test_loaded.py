@@ -1,0 +1,138 @@
+"""The twin on momentary loads: against an explicit simulation with its own MJCF and law, and by laws."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from load_reference import POINTS, measured, numbers, simulate
+from snakes import GRAVITY, robot
+
+from srs_twin import Gait, InputError, Job, TwinBatch, TwinSnake, rollout, run_many
+from srs_twin.friction import rolling, wheel
+
+SPEC = robot()
+LOAD = 0.3
+SPEED = st.floats(-1, 1, allow_subnormal=False)
+MU = st.floats(0.01, 1.0)
+
+
+@given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10))
+def test_what_contact_and_axle_give_is_what_the_rim_gains(v_t, v_n, rim, mu_t, mu_n, lag):
+    f_t, f_n, _, _, _, w = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, rim, lag)
+    assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
+    drag = -f_t - lag * (w - rim)  # what the axle takes
+    assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
+    if w != 0:
+        assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
+    # With a rim at rest friction only takes power.
+    assert rim != 0 or f_t * v_t + f_n * v_n <= 1e-15
+
+
+@given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
+def test_a_wheel_without_inertia_is_the_wheel_law(v_t, v_n, mu_n, share):
+    slip = 1e-6
+    assert rolling(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 1e-12)[:2] == pytest.approx(
+        wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2], abs=1e-4 * LOAD if abs(v_n) > 1e-3 else LOAD
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_slopes_of_a_wheel_that_spins_are_those_of_its_forces(seed):
+    v_t, v_n, rim, mu_t, mu_n = np.random.default_rng(seed).uniform(
+        [-1, -1, -1, 0.01, 0.1], [1, 1, 1, 0.1, 1]
+    )
+    step, arguments = 1e-7, (LOAD, mu_t, mu_n, 1e-2, rim, 0.5)
+    _, _, tt, tn, nn, _ = rolling(v_t, v_n, *arguments)
+    ahead, behind = rolling(v_t + step, v_n, *arguments), rolling(v_t - step, v_n, *arguments)
+    left, right = rolling(v_t, v_n + step, *arguments), rolling(v_t, v_n - step, *arguments)
+    found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [(left[1] - right[1]) / (2 * step)]
+    assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
+
+
+def crawled(name: str, periods: int, timestep: float = 0.001):
+    """The twin on a point of the reference, as `load_reference.simulate` reports it."""
+    point = POINTS[name]
+    spec = robot(point.robot)
+    if point.stiffness is not None:
+        spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
+    period = round(1 / point.frequency_hz / timestep) * timestep
+    kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
+    plant = TwinSnake(spec, contact="loaded", supply_pa=1000 * kpa, timestep=timestep, tick=timestep)
+    feet = []
+    run = rollout(
+        plant,
+        Gait(1 / period, point.offset),
+        periods * period,
+        record_hz=1 / timestep,
+        observers=[lambda _: feet.append(plant.physics.wheel_loads().ravel())],
+    )
+    com = np.stack([run["com_x"], run["com_y"]], axis=1)[1:]
+    rest = np.repeat(spec.mass.array() * GRAVITY / 2, 2)
+    steps = round(period / timestep)
+    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, steps, timestep)
+
+
+def agree(name: str, periods: int, drift: float = 2e-3) -> None:
+    twin, explicit = crawled(name, periods), simulate(POINTS[name], periods)
+    assert twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.01)
+    assert twin.yaw_rate == pytest.approx(explicit.yaw_rate, rel=0.02, abs=drift)
+    assert twin.swing == pytest.approx(explicit.swing, rel=0.1)
+    assert abs(twin.ripple - explicit.ripple) < 0.04
+    assert abs(twin.air - explicit.air) < 0.02
+
+
+def test_two_periods_are_those_of_the_explicit_simulation():
+    agree("gen2_straight", 2, drift=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", POINTS)
+def test_every_point_is_that_of_the_explicit_simulation(name):
+    agree(name, 5 if POINTS[name].frequency_hz > 0.5 else 3)
+
+
+@pytest.mark.parametrize("name", ["gen2_turn", "stiff_turn"])
+def test_half_the_step_gives_the_same(name):
+    coarse, fine = crawled(name, 4), crawled(name, 4, 0.0005)
+    assert coarse.speed_mm_s == pytest.approx(fine.speed_mm_s, rel=0.01)
+    assert coarse.yaw_rate == pytest.approx(fine.yaw_rate, rel=0.02)
+
+
+def test_what_air_does_goes_into_motion_floor_and_rubber():
+    plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
+    run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
+    bend, torque = run.stack("bend"), run.stack("torque")
+    # Springs and dampers of the bends are off `torque` already; those of pitch and roll take a little.
+    done = ((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
+    supplied = np.abs((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
+    assert run["work"][-1] == pytest.approx(done, abs=0.02 * supplied)
+
+
+def test_equal_runs_are_equal_to_the_bit_wherever_they_run():
+    batch = TwinBatch([SPEC] * 3, supply_pa=48e3, threads=2, contact="loaded")
+    runs = [rollout(batch.twins[0], Gait(2.0, 0.3), 0.3)]
+    alone = TwinSnake(SPEC, contact="loaded", supply_pa=48e3)
+    runs += [rollout(alone, Gait(2.0, 0.3), 0.3), rollout(alone, Gait(2.0, 0.3), 0.3)]
+    assert all((run.position == runs[0].position).all() for run in runs)
+    batch.reset()
+    for run in run_many([Job(twin, Gait(2.0, 0.3), 0.3) for twin in batch.twins], threads=2):
+        assert (run.position == runs[0].position).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"contact": "lose"}, "did you mean"),
+        ({"friction": "wheel"}, "'preloaded'"),
+        ({"contact": "loaded", "friction": "viscous"}, "viscous"),
+        ({"contact": "loaded", "preload": 3.0}, "preload"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(given, words):
+    with pytest.raises(InputError, match=words):
+        TwinSnake(SPEC, **given)
