@@ -60,7 +60,8 @@ def crawled(name: str, periods: int, timestep: float = 0.001):
     spec = robot(point.robot)
     if point.stiffness is not None:
         spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
-    period = round(1 / point.frequency_hz / timestep) * timestep
+    # Both half waves of whole steps: left and right are then sampled alike, and what is straight stays so.
+    period = 2 * round(0.5 / point.frequency_hz / timestep) * timestep
     kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
     plant = TwinSnake(spec, contact="loaded", supply_pa=1000 * kpa, timestep=timestep, tick=timestep)
     feet = []
