@@ -12,8 +12,6 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from srs_twin.plants.physics import StepBatch
-from srs_twin.plants.twin import TwinSnake
 from srs_twin.rollout import Recorder
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
@@ -57,20 +55,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         out = engine.rollout(steps, controls, record=(_SEEN, "sensordata"))
         for k, twin in enumerate(twins):
             mujoco.mj_setState(models[k], twin.physics.data.ptr, engine.state[k], _WHOLE)
-            stretch = _stretch(twin, out[_SEEN][k], out["sensordata"][k])
+            stretch = twin.physics.recorded(out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
             recorders[k].add(twin._history(second + times, trace, stretch, steps // samples))
     return [recorder.trajectory() for recorder in recorders]
-
-
-def _stretch(twin: TwinSnake, states: np.ndarray, sensed: np.ndarray) -> StepBatch:
-    physics = twin.physics
-    physics.refresh()
-    return StepBatch(
-        states,
-        physics._at_feet(sensed, physics._force_columns),
-        physics._at_feet(sensed, physics._foot_columns),
-        sensed[:, physics._energy_column],
-        np.zeros((len(sensed), twin.spec.geometry.connectors, 3)),
-        np.zeros(len(sensed)),
-    )

@@ -214,20 +214,34 @@ class SnakePhysics(dm.Physics):
         pressure = pressure[:-1] if self.loaded is None else (pressure[:-1] + pressure[1:]) / 2
         # MuJoCo's muscles are linear in their control.
         felt = as_felt(self._spec, pressure).reshape(len(pressure), -1)
-        if self.loaded is None:
-            states, sensed = self._roll(felt)
+        return self.recorded(*(self._roll(felt) if self.loaded is None else self.loaded.run(felt)))
+
+    def recorded(
+        self,
+        states: np.ndarray,
+        sensed: np.ndarray,
+        force: np.ndarray | None = None,
+        spent: np.ndarray | None = None,
+    ) -> StepBatch:
+        """Return what the engine did over some steps, at whose end it stands.
+
+        Args:
+            states: as `StepBatch` has them.
+            sensed: all sensors, shape (steps, nsensordata).
+            force: the floor's, as `StepBatch` has it, and
+            spent: what it takes, shape (steps,), W; None: from the sensors.
+        """
+        self.refresh()
+        if force is None or spent is None:
             force = self._at_feet(sensed, self._force_columns)
             # The floor's force acts with the velocity that it leads to, at the end of its step.
             earlier = np.concatenate([self._last_push[None], force[:-1]])[..., :2]
             spent = -(earlier * self._at_feet(sensed, self._foot_columns)[..., :2]).sum(axis=(1, 2, 3))
-        else:
-            states, sensed, force, spent = self.loaded.run(felt)
-        self.refresh()
         push = sensed[:, self._hull_force]
-        spent = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
+        power = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
         bumps = np.einsum("ih,thk->tik", self._owners, push)
         self._floor_force, self._last_push = force.mean(axis=0), force[-1]
-        return StepBatch(states, force, sensed[:, self._energy_column], bumps, spent)
+        return StepBatch(states, force, sensed[:, self._energy_column], bumps, power)
 
     def _roll(self, felt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Let the engine make all steps in one; return states and sensors."""
