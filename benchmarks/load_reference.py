@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,6 @@ class Point:
         offset: of the gait.
         kpa: supply; None: the robot's nominal one.
         stiffness: of a segment, N·m/rad; None: the robot's.
-        tail: height (m) and mass (kg) of a load on the last connector; none: 0.
     """
 
     robot: str
@@ -50,7 +49,6 @@ class Point:
     offset: float = 0.0
     kpa: float | None = None
     stiffness: float | None = None
-    tail: tuple[float, float] = (0.0, 0.0)
 
 
 _GEN2 = Point("gen2", 2.0, kpa=48.3)
@@ -80,7 +78,6 @@ class Result:
         air: share of wheels and time without load.
         swing: standard deviation of each wheel's load over its static one, mean over the wheels.
         ripple: standard deviation of the sum of all loads over the weight.
-        loads: momentary, (steps, N, 2), N.
     """
 
     speed_mm_s: float
@@ -88,7 +85,6 @@ class Result:
     air: float
     swing: float
     ripple: float
-    loads: np.ndarray = field(repr=False)
 
 
 def wheel_force(
@@ -132,7 +128,7 @@ def numbers(point: Point) -> dict[str, Any]:
     return found
 
 
-def mjcf(n: dict[str, Any], step: float, tail: tuple[float, float] = (0.0, 0.0)) -> str:
+def mjcf(n: dict[str, Any], step: float) -> str:
     """Return the snake on a plane, grown from its head backward along -x; no friction anywhere."""
     track, radius, height = n["half_track_m"], n["wheel_radius_m"], n["com_height_m"]
     pitch, edge = n["segment_length_m"] + n["rigid_gap_m"], 1 / (2 * (HINGES + 1))
@@ -158,8 +154,6 @@ def mjcf(n: dict[str, Any], step: float, tail: tuple[float, float] = (0.0, 0.0))
         for side, y in (("left", track), ("right", -track)):
             hub = f'pos="0 {y} {radius - height}" size="{radius}"'
             parts.append(f'<geom class="foot" name="{side}_{i}" {hub}/>')
-        if i == n["connectors"] and tail[1] > 0:
-            parts.append(f'<body pos="0 0 {tail[0]}">{inertial(0.0, tail[1])}</body>')
         if i == 1:
             return _scene(
                 f'<body name="c1" pos="0 0 {height}"><freejoint/>{"".join(parts)}{body}</body>',
@@ -232,7 +226,7 @@ def simulate(point: Point, periods: int, step: float = 1e-4, static: bool = Fals
         static: friction takes each wheel's static load, as the analytical model does by default.
     """
     n = numbers(point)
-    model = mujoco.MjModel.from_xml_string(mjcf(n, step, point.tail))
+    model = mujoco.MjModel.from_xml_string(mjcf(n, step))
     data = mujoco.MjData(model)
     count, radius, track = n["connectors"], n["wheel_radius_m"], n["half_track_m"]
     bodies = np.repeat([model.body(f"c{i}").id for i in range(1, count + 1)], 2)
@@ -306,7 +300,6 @@ def measured(
         float((used <= 1e-9).mean()),
         float((used / rest).std(axis=0).mean()),
         float((used.sum(axis=1) / rest.sum()).std()),
-        used.reshape(len(used), -1, 2),
     )
 
 

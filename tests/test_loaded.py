@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from load_reference import POINTS, measured, numbers, simulate
 from snakes import GRAVITY, robot
@@ -35,10 +35,12 @@ def test_what_contact_and_axle_give_is_what_the_rim_gains(v_t, v_n, rim, mu_t, m
 
 @given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
 def test_a_wheel_without_inertia_is_the_wheel_law(v_t, v_n, mu_n, share):
+    # Straight ahead `wheel` smooths what is left across by v_n alone, this one by the whole slip.
+    assume(abs(v_n) > 1e-3)
     slip = 1e-6
-    assert rolling(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 1e-12)[:2] == pytest.approx(
-        wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2], abs=1e-4 * LOAD if abs(v_n) > 1e-3 else LOAD
-    )
+    expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
+    found = rolling(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 1e-12)[:2]
+    assert found == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -83,7 +85,7 @@ def agree(name: str, periods: int, drift: float = 2e-3, step: float = 1e-4) -> N
     assert twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.01)
     assert twin.yaw_rate == pytest.approx(explicit.yaw_rate, rel=0.02, abs=drift)
     assert twin.swing == pytest.approx(explicit.swing, rel=0.1)
-    assert abs(twin.ripple - explicit.ripple) < 0.04
+    assert abs(twin.ripple - explicit.ripple) < 0.02
     assert abs(twin.air - explicit.air) < 0.02
 
 
@@ -91,7 +93,11 @@ def test_two_periods_are_those_of_the_explicit_simulation():
     agree("gen2_straight", 2, drift=0.01, step=2e-4)
 
 
-MISSED = {"stiff_slow_turn": "turns 2.5 % faster at 1 ms, 0.8 % at 0.5 ms (docs/models.md)"}
+MISSED = {
+    "stiff_slow_turn": "turns 2.5 % faster at 1 ms, 0.8 % at 0.5 ms (docs/models.md)",
+    "stiff_straight": "the sum of the loads ripples by 2.3 points more",
+    "stiff_bend": "the sum of the loads ripples by 2.2 points more",
+}
 
 
 @pytest.mark.slow
@@ -123,7 +129,7 @@ def test_what_air_does_goes_into_motion_floor_and_rubber():
     # Springs and dampers of the bends are off `torque` already; those of pitch and roll take a little.
     done = ((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
     supplied = np.abs((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
-    assert run["work"][-1] == pytest.approx(done, abs=0.02 * supplied)
+    assert run["work"][-1] == pytest.approx(done, abs=0.01 * supplied)
 
 
 def test_equal_runs_are_equal_to_the_bit_wherever_they_run():

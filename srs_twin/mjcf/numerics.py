@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.friction import Law
 
 WALL_M = 0.001
 """Radius of the capsules along the sides of a polygon: what obstacles are larger by than drawn."""
@@ -21,14 +21,16 @@ one skid to the other and their loads swung by as much as their mean, with κ = 
 
 WHEELS = tuple(PRELOAD)
 
-CONTACTS = ("preloaded", "loaded")
+Contact = Literal["preloaded", "loaded"]
+CONTACTS: tuple[Contact, ...] = get_args(Contact)
 """How the floor holds a snake: wheels or skids pressed down, with MuJoCo's friction; or normals by MuJoCo and
 friction by a law of `friction` on the momentary loads."""
 
-ON_LOADS: tuple[Law, ...] = ("wheel", "ellipse", "axis")
+LawOnLoads = Literal["wheel", "ellipse", "axis"]
+ON_LOADS: tuple[LawOnLoads, ...] = get_args(LawOnLoads)
 """Laws that can act on momentary loads."""
 
-LAW_OF: dict[str, Law] = {"rolling": "wheel", "skid": "ellipse"}
+LAW_OF: dict[str, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 """What a snake stands on → the friction law that describes it."""
 
 
@@ -58,9 +60,9 @@ class Numerics:
 
     timestep: float = 0.001
     hinges_per_segment: int = 2
-    contact: str = "preloaded"
+    contact: Contact = "preloaded"
     wheels: str = "rolling"
-    friction: Law = "wheel"
+    friction: LawOnLoads = "wheel"
     slip_speed: float = 0.001
     contact_time: float = 0.001
     slip_time: float = 0.0003

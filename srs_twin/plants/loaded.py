@@ -31,19 +31,16 @@ from numba import types
 
 from srs_twin import friction
 from srs_twin.compiled import compiled, inside
-from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.numerics import ON_LOADS, Numerics
 from srs_twin.mjcf.wheels import softness, treads
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-_AXIS, _WHEEL, _ELLIPSE = range(3)
-_KINDS = {"axis": _AXIS, "wheel": _WHEEL, "ellipse": _ELLIPSE}
+_WHEEL, _ELLIPSE = ON_LOADS.index("wheel"), ON_LOADS.index("ellipse")
 _axis, _ellipse, _rolling = (inside(law) for law in (friction.axis, friction.ellipse, friction.rolling))
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _MOST_ITERATIONS, _SHORTEST = 30, 1e-3
 _SMALL = 1e-12  # of the first residual's square: friction is then right to a millionth
 _ALONG, _ACROSS, _UP = range(3)
-
-llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
 
 
 def _engine(name: str, *more: Any) -> Any:
@@ -188,6 +185,8 @@ class LoadedContact:
             spec: the robot.
             numerics: its law and time step.
         """
+        # The kernels call the engine by the names of its functions, which are looked up at their first call.
+        llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
         g, wheels, nv, self._h = spec.geometry, 2 * spec.geometry.connectors, model.nv, numerics.timestep
         body = np.array([model.body(f"connector_{i}").id for i in range(1, g.connectors + 1)]).repeat(2)
         y, z = np.tile([g.half_track, -g.half_track], g.connectors), g.wheel_radius - g.com_height
@@ -199,7 +198,7 @@ class LoadedContact:
             softness=softness(model, spec),
             sensor=np.array([model.sensor(f"floor_force_{tread}").adr[0] + 2 for tread in treads(spec)]),
             radius=g.wheel_radius,
-            kind=_KINDS[numerics.friction],
+            kind=ON_LOADS.index(numerics.friction),
             law=(spec.friction.mu_t, spec.friction.mu_n, numerics.slip_speed, spin),
         )
         hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE

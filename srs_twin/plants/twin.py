@@ -9,8 +9,16 @@ import numpy as np
 
 from srs_twin.arrays import joined
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
-from srs_twin.friction import Law
-from srs_twin.mjcf.numerics import CONTACTS, LAW_OF, ON_LOADS, PRELOAD, WHEELS, Numerics
+from srs_twin.mjcf.numerics import (
+    CONTACTS,
+    LAW_OF,
+    ON_LOADS,
+    PRELOAD,
+    WHEELS,
+    Contact,
+    LawOnLoads,
+    Numerics,
+)
 from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
@@ -43,8 +51,8 @@ class TwinSnake(PneumaticPlant):
         self,
         spec: RobotSpec,
         *,
-        contact: str = Numerics.contact,
-        friction: Law | None = None,
+        contact: Contact = Numerics.contact,
+        friction: LawOnLoads | None = None,
         wheels: str = "rolling",
         hinges_per_segment: int = Numerics.hinges_per_segment,
         timestep: float = Numerics.timestep,
@@ -91,8 +99,8 @@ class TwinSnake(PneumaticPlant):
 
         Raises:
             InputError: an unknown contact, law, wheel or layout, a law or a preload that the contact does not
-                have, a tick that is no multiple of the time step, or a time
-                step that is too long for the chambers.
+                have, a tick that is no multiple of the time step, or a time step that is too long for the
+                chambers.
         """
         one_of("contact", contact, CONTACTS)
         one_of("wheels", wheels, WHEELS)

@@ -10,7 +10,7 @@ from pydantic import field_validator, model_validator
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
 from srs_twin.friction import Law
-from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.numerics import Contact, LawOnLoads, Numerics
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
@@ -88,10 +88,10 @@ class TwinFile(_PlantFile):
     """Time step of the integrator."""
     wheels: Literal["rolling", "skid"] = constructor_default()
     """What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse)."""
-    contact: Literal["loaded", "preloaded"] = constructor_default()
+    contact: Contact = constructor_default()
     """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
     own friction on wheels or skids that are pressed down."""
-    friction: Literal["wheel", "ellipse", "axis"] | None = None
+    friction: LawOnLoads | None = None
     """Law of a loaded contact (default: what suits the wheels)."""
     hinges_per_segment: int = quantity(1, 32)
     """Bending hinges a segment."""
