@@ -44,8 +44,9 @@ class Numerics:
         contact: one of `CONTACTS`.
         wheels: what the snake stands on, one of `WHEELS`; "rolling" under `loaded`.
         friction: law on the momentary loads, under `loaded`.
-        slip_speed: below which that law is smoothed, m/s.
-        contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step.
+        slip_speed: below which a contact yields before it slides under that law (`friction.held`), m/s.
+        contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step, and
+            under `loaded` loads flutter below 2 of them.
         slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
         axle_time: the same for the axles' friction, s.
         preload: κ, by how many times its static load each wheel is pressed down besides; 0: none. What

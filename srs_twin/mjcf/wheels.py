@@ -148,6 +148,8 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
         pair.solref = [round(numerics.contact_time * slower, 7), 1]
     for tread in treads(spec):
         add_force_sensor(mj, f"floor_force_{tread}", mjtObj.mjOBJ_GEOM, "floor", on=tread)
+    if numerics.contact == "loaded":
+        return  # there friction is known with its power
     for tread in treads(spec):
         foot = tread.replace("tread", "foot")
         add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)

@@ -4,19 +4,22 @@ MuJoCo keeps the wheels on the floor, without friction (condim 1). Friction is a
 loads of the same step, implicit in the velocities: with the engine's solution v̂ under the friction f̂ of the
 step before,
 
-$$ \bigl(A + J_n^T R^{-1} J_n\bigr)(v - \hat v) = h \sum_w J_w^T \bigl(f_w(J_w \bar v) - \hat f_w\bigr)
-   + h\,\bigl(c(v_-) - c(\bar v)\bigr), \qquad \bar v = (v_- + v)/2, $$
+$$ \bigl(A + J_n^T R^{-1} J_n\bigr)(v - \hat v) = h \sum_w J_w^T (f_w - \hat f_w)
+   + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-), \qquad \bar v = (v_- + v)/2, $$
 
-where A is the metric in which the engine solves, M + hD + h²K, c are Coriolis forces (those of c(v̄) from v̂),
-and J_n the rows of the normals that press, with the engine's softness R: what stands on the floor does not
-yield to friction downward. Their forces follow, by −J_n (v − v̂)/(h R).
+where A = M + C, C are the dampers (`_dampers`), h D the engine's, c the Coriolis forces (those of c(v̄) from
+v̂), and J_n the rows of the normals that press, with the engine's softness R: what stands on the floor does
+not yield to friction downward. Their forces follow, by −J_n (v − v̂)/(h R).
+
+Friction is taken at mid-step where a wheel slides, towards the step's end where it sticks (`_theta`). It acts
+on a connector where its wheel touches the floor, but for what spins the wheel, which acts at the hub.
 
 Newton's method. Its matrix has the pattern of M and is factored like M, because a wheel moves with the
 ancestors of its connector alone: as in the composite-rigid-body algorithm, what wheels add is summed from the
 ends of the chain to its root. Spatial vectors are rotation first, about the centre of mass, as in `cdof`.
 
 Positions are those of the middle of the step, so that springs, friction and Coriolis forces are of second
-order in it; dampers act with the velocity at its end (`mjcf.classes`), which is of first.
+order in it. MuJoCo's contacts act with what they are at the step's end: they are stiff, 2 steps in time.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from typing import Any, NamedTuple
 import llvmlite.binding as llvm
 import mujoco
 import numpy as np
+import scipy.linalg
 from numba import types
 
 from srs_twin import friction
@@ -36,11 +40,12 @@ from srs_twin.mjcf.wheels import softness, treads
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _WHEEL, _ELLIPSE = ON_LOADS.index("wheel"), ON_LOADS.index("ellipse")
-_axis, _ellipse, _rolling = (inside(law) for law in (friction.axis, friction.ellipse, friction.rolling))
+_held, _rolling = inside(friction.held), inside(friction.rolling)
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _MOST_ITERATIONS, _SHORTEST = 30, 1e-3
-_SMALL = 1e-12  # of the first residual's square: friction is then right to a millionth
-_ALONG, _ACROSS, _UP = range(3)
+_SMALL = 1e-9  # of the first residual's square: friction is then right to some parts in a hundred thousand
+_ALONG, _ACROSS, _UP, _HUB = range(4)
+_SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
 
 
 def _engine(name: str, *more: Any) -> Any:
@@ -82,14 +87,16 @@ class Pattern(NamedTuple):
         first: where a row begins.
         column: of each entry.
         parent: the ancestor before, −1 where there is none.
-        extra: what A has besides on its diagonal.
+        damping: what A has besides M, entry by entry.
+        less: by how much the engine's has more, entry by entry.
     """
 
     entries: np.ndarray
     first: np.ndarray
     column: np.ndarray
     parent: np.ndarray
-    extra: np.ndarray
+    damping: np.ndarray
+    less: np.ndarray
 
 
 class Wheels(NamedTuple):
@@ -100,16 +107,18 @@ class Wheels(NamedTuple):
         place: of the centre in the body's frame, shape (W, 3), m.
         last: last of the degrees of freedom that move it, shape (W,).
         softness: R of its normal, shape (W,), 1/kg.
+        ease: how fast an impulse across makes it, shape (W,), 1/kg.
         sensor: where its load stands in `sensordata`, shape (W,).
         radius: m.
         kind: of the law.
-        law: μ_t, μ_n, slip speed (m/s), mass that the spin adds (kg).
+        law: μ_t, μ_n, slip speed ε (m/s), mass that the spin adds (kg).
     """
 
     body: np.ndarray
     place: np.ndarray
     last: np.ndarray
     softness: np.ndarray
+    ease: np.ndarray
     sensor: np.ndarray
     radius: float
     kind: int
@@ -120,31 +129,37 @@ class Feet(NamedTuple):
     """What each wheel keeps from step to step.
 
     Attributes:
-        push: friction along and across the heading, shape (W, 2), N.
+        push: friction along and across the heading, and what of it spins the wheel, shape (W, 3), N.
         rim: speed of the rim, shape (W,), m/s.
         load: shape (W,), N.
+        slip: speed at which it slides, shape (W,), m/s.
     """
 
     push: np.ndarray
     rim: np.ndarray
     load: np.ndarray
+    slip: np.ndarray
 
 
 class Work(NamedTuple):
     """Memory of the loop.
 
     Attributes:
-        rows: what gives a contact's velocity along, across, up, shape (W, 3, 6).
+        rows: what gives a contact's velocity along, across, up, and its hub's along, shape (W, 4, 6).
         heading: cosine and sine, shape (W, 2).
-        found: friction, slopes (along by along, along by across, across by across), rim's speed at mid-step,
-            and by how much less the floor presses, shape (W, 7).
-        start: spatial velocity beyond each degree of freedom at mid-step, without the change, shape (nv, 6).
+        found: friction, slopes (along by along, along by across, across by across), rim's speed where
+            friction is taken, by how much less the floor presses, what spins the wheel, shape (W, 8).
+        press: loads under v̂, shape (W,), N.
+        theta: where in the step friction is taken, 1/2 to 1, same shape.
+        gain: what v̂ − v₋ adds to the spatial velocity beyond each degree of freedom, shape (nv, 6).
+        start: that velocity at mid-step, without the change, same shape.
         motion: what the change adds, or the forces on it, same shape.
         yielding: spatial slopes of the forces beyond each degree of freedom, shape (nv, 6, 6).
-        matrix: as M.
+        metric: A, as M.
+        matrix: Newton's, as M.
         before: v₋, shape (nv,).
         predicted: v̂, same shape.
-        bias: c(v₋) − c(v̄), same shape.
+        bias: momentum that the last two terms of the equation give, same shape.
         change: v − v̂, same shape.
         residual: same shape.
         other: same shape.
@@ -154,9 +169,13 @@ class Work(NamedTuple):
     rows: np.ndarray
     heading: np.ndarray
     found: np.ndarray
+    press: np.ndarray
+    theta: np.ndarray
+    gain: np.ndarray
     start: np.ndarray
     motion: np.ndarray
     yielding: np.ndarray
+    metric: np.ndarray
     matrix: np.ndarray
     before: np.ndarray
     predicted: np.ndarray
@@ -189,6 +208,9 @@ class LoadedContact:
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
         g, wheels, nv, self._h = spec.geometry, 2 * spec.geometry.connectors, model.nv, numerics.timestep
         body = np.array([model.body(f"connector_{i}").id for i in range(1, g.connectors + 1)]).repeat(2)
+        mass, across = _reference(model, spec)
+        damping, less = _dampers(model, mass, self._h)
+        triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
         y, z = np.tile([g.half_track, -g.half_track], g.connectors), g.wheel_radius - g.com_height
         spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
         self._wheels = Wheels(
@@ -196,32 +218,34 @@ class LoadedContact:
             place=np.stack([0 * y, y, z + 0 * y], axis=1),
             last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
             softness=softness(model, spec),
+            ease=np.einsum("wi,ij,wj->w", across, np.linalg.inv(mass + damping), across),
             sensor=np.array([model.sensor(f"floor_force_{tread}").adr[0] + 2 for tread in treads(spec)]),
             radius=g.wheel_radius,
             kind=ON_LOADS.index(numerics.friction),
             law=(spec.friction.mu_t, spec.friction.mu_n, numerics.slip_speed, spin),
         )
-        hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
-        spring = np.zeros(nv)
-        spring[model.jnt_dofadr[hinges]] = model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
-        extra = self._h * model.dof_damping + self._h**2 * spring
         self._pattern = Pattern(
             entries=model.M_rownnz.astype(int),
             first=model.M_rowadr.astype(int),
             column=model.M_colind.astype(int),
             parent=model.dof_parentid.astype(int),
-            extra=extra,
+            damping=damping[triangle],
+            less=less[triangle],
         )
         views = (getattr(data, name) for name in Engine._fields[2:])
         self._engine = Engine(model._address, data._address, *views)
         self._kept = model, data  # addresses alone keep nothing alive
         self._work = Work(
-            np.zeros((wheels, 3, 6)),
+            np.zeros((wheels, 4, 6)),
             np.zeros((wheels, 2)),
-            np.zeros((wheels, 7)),
+            np.zeros((wheels, 8)),
+            np.zeros(wheels),
+            np.zeros(wheels),
+            np.zeros((nv, 6)),
             np.zeros((nv, 6)),
             np.zeros((nv, 6)),
             np.zeros((nv, 6, 6)),
+            np.zeros(len(data.M)),
             np.zeros(len(data.M)),
             *np.zeros((7, nv)),
         )
@@ -230,7 +254,8 @@ class LoadedContact:
 
     def reset(self) -> None:
         """Let the wheels stand, each with its share of the weight."""
-        self.feet = Feet(np.zeros((len(self._rest), 2)), np.zeros(len(self._rest)), self._rest.copy())
+        wheels = len(self._rest)
+        self.feet = Feet(np.zeros((wheels, 3)), np.zeros(wheels), self._rest.copy(), np.zeros(wheels))
 
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Make a step for each row of controls.
@@ -251,6 +276,41 @@ class LoadedContact:
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         return states, sensed, force.reshape(steps, -1, 2, 3), power
+
+
+def _reference(model: mujoco.MjModel, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return M (nv, nv) of the straight snake, and what gives the wheels' velocities across, (W, nv)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    mass, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    across = []
+    for tread in treads(spec):
+        geom = data.geom(tread)
+        mujoco.mj_jac(model, data, jacobian, None, geom.xpos, model.geom_bodyid[geom.id])
+        across.append(jacobian[1].copy())
+    return mass, np.array(across)
+
+
+def _dampers(model: mujoco.MjModel, mass: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    r"""Return what the dampers add to A, and by how much the engine's h D + h² K is more, (nv, nv).
+
+    The engine's dampers act with the velocity at the end of a step. Taken as
+
+    $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots, $$
+
+    a step with (M + C)(v − v₋) = h (f − D v₋) decays as an exponential does: of second order, and without
+    ringing however fast. M is that of the straight snake; any other would do for the order.
+    """
+    hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    rates = h * model.dof_damping
+    rates[model.jnt_dofadr[hinges]] += h**2 * model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
+    decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
+    decays = np.maximum(decays, _SLOWEST)
+    shapes = mass @ modes
+    damping: np.ndarray = (shapes * (decays / -np.expm1(-decays) - 1)) @ shapes.T
+    return damping, np.diag(rates) - damping
 
 
 @compiled
@@ -275,9 +335,18 @@ def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore
         mj_rne(model, data, 0, work.residual.ctypes.data)
         for i in range(nv):
             work.bias[i] = engine.qfrc_bias[i] - work.residual[i]
+            work.bias[i] *= h
+            work.other[i] = work.predicted[i] - work.before[i]
+        _multiply(pattern, pattern.less, work.other, work.bias)
+        for k in range(work.metric.shape[0]):
+            work.metric[k] = engine.M[k] + pattern.damping[k]
         _carry(engine.cdof, pattern, engine.qvel, work.start)
+        _carry(engine.cdof, pattern, work.other, work.gain)
         for w in range(wheels.body.shape[0]):
-            feet.load[w] = max(engine.sensordata[wheels.sensor[w]], 0.0)
+            work.press[w] = max(engine.sensordata[wheels.sensor[w]], 0.0)
+            before = feet.slip[w]
+            grip = wheels.law[1] * work.press[w] / max(before, wheels.law[2])
+            work.theta[w] = _theta(h * grip * wheels.ease[w])
         _solve(engine, wheels, pattern, feet, work, h)
         total = 0.0
         for i in range(nv):
@@ -291,10 +360,13 @@ def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore
         _copy(engine.sensordata, sensed[step])
         for w in range(wheels.body.shape[0]):
             f_t, f_n, rim, less = work.found[w, 0], work.found[w, 1], work.found[w, 5], work.found[w, 6]
-            along, across = _slip(wheels, work, w)
+            along, across = _slip(wheels, work, w, 0.5)
             power[step] -= f_t * along + f_n * across
-            feet.push[w, 0], feet.push[w, 1], feet.rim[w] = f_t, f_n, 2 * rim - feet.rim[w]
-            feet.load[w] = max(feet.load[w] - less, 0.0)
+            gap = along - rim if wheels.kind == _WHEEL else along
+            feet.slip[w] = np.sqrt(gap * gap + across * across)
+            feet.push[w, 0], feet.push[w, 1], feet.push[w, 2] = f_t, f_n, work.found[w, 7]
+            feet.rim[w] += (rim - feet.rim[w]) / work.theta[w]
+            feet.load[w] = max(work.press[w] - less, 0.0)
             c, s = work.heading[w, 0], work.heading[w, 1]
             force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
             force[step, w, 2] = feet.load[w]
@@ -312,6 +384,17 @@ def _copy(of, to):  # type: ignore[no-untyped-def]
 def _clear(array):  # type: ignore[no-untyped-def]
     for k in range(array.size):
         array.flat[k] = 0.0
+
+
+@inside
+def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
+    """Add the product of a symmetric matrix of a pattern."""
+    for i in range(x.shape[0]):
+        row, last = pattern.first[i], pattern.first[i] + pattern.entries[i] - 1
+        for k in range(row, last):
+            out[i] += matrix[k] * x[pattern.column[k]]
+            out[pattern.column[k]] += matrix[k] * x[i]
+        out[i] += matrix[last] * x[i]
 
 
 @inside
@@ -336,6 +419,9 @@ def _look(engine, wheels, work):  # type: ignore[no-untyped-def]
             row = work.rows[w, k]
             row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
             row[3], row[4], row[5] = ex, ey, ez
+        row, ahead = work.rows[w, _HUB], work.rows[w, _ALONG]
+        _copy(ahead, row)
+        row[0], row[1] = row[0] - wheels.radius * s, row[1] + wheels.radius * c
 
 
 @inside
@@ -365,30 +451,42 @@ def _forces(cdof, wheels, pattern, push, work, out):  # type: ignore[no-untyped-
     for w in range(wheels.body.shape[0]):
         for k in range(6):
             part = push[w, 0] * work.rows[w, _ALONG, k] + push[w, 1] * work.rows[w, _ACROSS, k]
+            part += push[w, 2] * (work.rows[w, _HUB, k] - work.rows[w, _ALONG, k])
             work.motion[wheels.last[w], k] += part
     _project(cdof, pattern, work.motion, out)
 
 
 @inside
-def _slip(wheels, work, w):  # type: ignore[no-untyped-def]
+def _slip(wheels, work, w, theta):  # type: ignore[no-untyped-def]
     """Return a contact's velocity along and across at mid-step, m/s; the change's `motion` is known."""
-    start, change = work.start[wheels.last[w]], work.motion[wheels.last[w]]
-    ahead, aside = work.rows[w, _ALONG], work.rows[w, _ACROSS]
-    return _dot(ahead, start) + 0.5 * _dot(ahead, change), _dot(aside, start) + 0.5 * _dot(aside, change)
+    last = wheels.last[w]
+    start, gain, change = work.start[last], work.gain[last], work.motion[last]
+    ahead, aside, more = work.rows[w, _ALONG], work.rows[w, _ACROSS], theta - 0.5
+    return (
+        _dot(ahead, start) + more * _dot(ahead, gain) + theta * _dot(ahead, change),
+        _dot(aside, start) + more * _dot(aside, gain) + theta * _dot(aside, change),
+    )
 
 
 @inside
-def _law(wheels, along, across, load, rim, h):  # type: ignore[no-untyped-def]
+def _theta(x):  # type: ignore[no-untyped-def]
+    """Return where in a step friction is taken that lets slip decay by x: its middle, or its end if fast."""
+    return -1 / np.expm1(-x) - 1 / x if x > 1e-3 else 0.5 + x / 12
+
+
+@inside
+def _law(wheels, along, across, load, push, rim, h):  # type: ignore[no-untyped-def]
     """Return force, slopes (along by along, along by across, across by across), rim's speed at mid-step."""
     mu_t, mu_n, slip, mass = wheels.law
-    lag = 2 * mass / h
+    lag, drag = mass / h, push[0] - push[2]
     if wheels.kind == _WHEEL:
-        return _rolling(along, across, load, mu_t, mu_n, slip, rim, lag)
+        return _rolling(_held, along, across, load, mu_t, mu_n, slip, push[0], push[1], rim, lag)
     if wheels.kind == _ELLIPSE:
-        f_t, f_n, tt, tn, _, nn = _ellipse(along, across, load, mu_t, mu_n, slip)
+        f_t, f_n, tt, tn, nn = _held(along, across, load, mu_t, mu_n, slip, drag, push[1])
         return f_t, f_n, tt, tn, nn, along
-    f_t, f_n, tt, tn, _, nn = _axis(along, across, load, mu_t, mu_n, slip)
-    return f_t - lag * (along - rim), f_n, tt - lag, tn, nn, along
+    f_t, _, tt, _, _ = _held(along, 0.0, load, mu_t, mu_n, slip, drag, 0.0)
+    _, f_n, _, _, nn = _held(0.0, across, load, mu_t, mu_n, slip, 0.0, push[1])
+    return f_t - lag * (along - rim), f_n, tt - lag, 0.0, nn, along
 
 
 @inside
@@ -396,56 +494,63 @@ def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-d
     """Find friction and the change of velocity that it makes, by Newton's method with a line search."""
     change, direction = work.change, work.direction
     _clear(change)
-    best = first = _residual(engine, wheels, pattern, feet, work, h, work.residual)
-    for _ in range(_MOST_ITERATIONS):
-        if not best > _SMALL * first:
-            return
-        _assemble(engine, wheels, pattern, feet, work, h)
-        _factor(work.matrix, pattern)
-        _copy(work.residual, direction)
-        _substitute(work.matrix, pattern, direction)
-        for i in range(change.shape[0]):
-            change[i] -= direction[i]
-        scale = 1.0
-        while True:
-            merit = _residual(engine, wheels, pattern, feet, work, h, work.other)
-            if merit < best or scale < _SHORTEST:
+    _clear(work.found)
+    first = 0.0
+    # The second time on the loads that friction leaves; the first need not be exact.
+    for most in (1, _MOST_ITERATIONS):
+        for w in range(wheels.body.shape[0]):
+            feet.load[w] = max(work.press[w] - work.found[w, 6], 0.0)
+        best = _residual(engine, wheels, pattern, feet, work, h, work.residual)
+        first = max(first, best)
+        for _ in range(most):
+            if not best > _SMALL * first:
                 break
-            scale *= 0.5
+            _assemble(engine, wheels, pattern, feet, work, h)
+            _factor(work.matrix, pattern)
+            _copy(work.residual, direction)
+            _substitute(work.matrix, pattern, direction)
             for i in range(change.shape[0]):
-                change[i] += scale * direction[i]
-        _copy(work.other, work.residual)
-        best = merit
+                change[i] -= direction[i]
+            scale = 1.0
+            while True:
+                merit = _residual(engine, wheels, pattern, feet, work, h, work.other)
+                if merit < best or scale < _SHORTEST:
+                    break
+                scale *= 0.5
+                for i in range(change.shape[0]):
+                    change[i] += scale * direction[i]
+            _copy(work.other, work.residual)
+            best = merit
 
 
 @inside
 def _residual(engine, wheels, pattern, feet, work, h, out):  # type: ignore[no-untyped-def]
     """Fill what the equation lacks, kg·m/s; return its square; note what the law says."""
-    change, mass, motion, rows, found = work.change, engine.M, work.motion, work.rows, work.found
+    change, motion, rows, found = work.change, work.motion, work.rows, work.found
     _carry(engine.cdof, pattern, change, motion)
     for w in range(wheels.body.shape[0]):
-        along, across = _slip(wheels, work, w)
-        said = _law(wheels, along, across, feet.load[w], feet.rim[w], h)
+        along, across = _slip(wheels, work, w, work.theta[w])
+        said = _law(wheels, along, across, feet.load[w], feet.push[w], feet.rim[w], h * work.theta[w])
         for k in range(6):
             found[w, k] = said[k]
+        found[w, 7] = -wheels.law[3] / (h * work.theta[w]) * (said[5] - feet.rim[w])
         rise = _dot(rows[w, _UP], motion[wheels.last[w]])
-        found[w, 6] = rise / (h * wheels.softness[w]) if feet.load[w] > 0.0 else 0.0
+        found[w, 6] = rise / (h * wheels.softness[w]) if work.press[w] > 0.0 else 0.0
     other = work.yielding[:, 0]
     for i in range(other.shape[0]):
         for k in range(6):
             other[i, k] = 0.0
     for w in range(wheels.body.shape[0]):
         f_t, f_n = h * (found[w, 0] - feet.push[w, 0]), h * (found[w, 1] - feet.push[w, 1])
+        spun = h * (found[w, 7] - feet.push[w, 2])
         for k in range(6):
             less = h * found[w, 6] * rows[w, _UP, k]
-            other[wheels.last[w], k] += less - f_t * rows[w, _ALONG, k] - f_n * rows[w, _ACROSS, k]
+            pushed = (f_t - spun) * rows[w, _ALONG, k] + spun * rows[w, _HUB, k] + f_n * rows[w, _ACROSS, k]
+            other[wheels.last[w], k] += less - pushed
     _project(engine.cdof, pattern, other, out)
     for i in range(change.shape[0]):
-        row, last = pattern.first[i], pattern.first[i] + pattern.entries[i] - 1
-        for k in range(row, last):
-            out[i] += mass[k] * change[pattern.column[k]]
-            out[pattern.column[k]] += mass[k] * change[i]
-        out[i] += (mass[last] + pattern.extra[i]) * change[i] - h * work.bias[i]
+        out[i] -= work.bias[i]
+    _multiply(pattern, work.metric, change, out)
     total = 0.0
     for i in range(change.shape[0]):
         total += out[i] * out[i]
@@ -458,14 +563,16 @@ def _assemble(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untype
     matrix, rows, found, yielding = work.matrix, work.rows, work.found, work.yielding
     _clear(yielding)
     for w in range(wheels.body.shape[0]):
-        tt, tn, nn = -0.5 * h * found[w, 2], -0.5 * h * found[w, 3], -0.5 * h * found[w, 4]
-        up = 1 / wheels.softness[w] if feet.load[w] > 0.0 else 0.0
-        ahead, aside, above, own = rows[w, _ALONG], rows[w, _ACROSS], rows[w, _UP], yielding[wheels.last[w]]
+        part = -work.theta[w] * h
+        tt, tn, nn = part * found[w, 2], part * found[w, 3], part * found[w, 4]
+        up = 1 / wheels.softness[w] if work.press[w] > 0.0 else 0.0
+        ahead = rows[w, _HUB if found[w, 5] != 0.0 else _ALONG]
+        aside, above, own = rows[w, _ACROSS], rows[w, _UP], yielding[wheels.last[w]]
         for a in range(6):
             t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
             for b in range(6):
                 own[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
-    _copy(engine.M, matrix)
+    _copy(work.metric, matrix)
     for i in range(pattern.entries.shape[0] - 1, -1, -1):
         d, own, p, row = engine.cdof[i], yielding[i], pattern.parent[i], pattern.first[i]
         on = (
@@ -478,7 +585,6 @@ def _assemble(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untype
         )
         for k in range(row, row + pattern.entries[i]):
             matrix[k] += _dot(on, engine.cdof[pattern.column[k]])
-        matrix[row + pattern.entries[i] - 1] += pattern.extra[i]
         if p >= 0:
             for a in range(6):
                 for b in range(6):

@@ -126,7 +126,7 @@ class SnakePhysics(dm.Physics):
         feet = treads(spec) if self._free else []
         # Of each connector's left and right foot, shape (N, 2, 3).
         self._force_columns = self._columns([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
-        velocities = [foot.replace("tread", "velocity_foot") for foot in feet]
+        velocities = [] if loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
         self._attach_hulls(raw, spec)

@@ -85,7 +85,7 @@ class TwinSnake(PneumaticPlant):
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or chambers of one's own.
-            slip_speed: below which the law is smoothed, m/s.
+            slip_speed: below which a contact yields before it slides, m/s, under `loaded`.
             slip_time: time constant with which contact friction stops a slip, s.
             axle_time: the same for the axles' friction, s.
             preload: by how many times its static load each wheel is pressed down besides; default what
@@ -124,6 +124,7 @@ class TwinSnake(PneumaticPlant):
             slip_speed=slip_speed,
             slip_time=slip_time,
             axle_time=axle_time,
+            contact_time=2 * timestep if loaded else Numerics.contact_time,
             preload=0.0 if loaded else PRELOAD[wheels] if preload is None else preload,
             link_share=link_share,
             wheel_spin=wheel_spin,
