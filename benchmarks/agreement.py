@@ -1,10 +1,12 @@
 """How far twin and analytical model agree, over the whole published grid of generation 2.
 
-    uv run python benchmarks/agreement.py [--default | --skid] [--quick]
+    uv run python benchmarks/agreement.py [--default | --skid | --loads KIND] [--quick]
 
 Matched physics: `wheel` law and the same track on both sides, bends stiff enough to follow their free
 value. Without `--default` that is what is shown; with it, the shipped robot and the default friction. With
-`--skid`, matched physics on skids: the `ellipse` law.
+`--skid`, matched physics on skids: the `ellipse` law. With `--loads`, `contact: loaded` with wheels without
+inertia about their axles: `momentary` on both sides, `across` with the analytical model's share of loads on
+the twin as well, `static` with those at rest on both.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from grid import Run, run_all, table
 
 from srs_twin import compare
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.mjcf.numerics import LOADS
 
 FREQUENCIES_HZ = (1.0, 1.5, 2.0)
 PRESSURES_KPA = (41.0, 48.0, 55.0)
@@ -27,11 +30,16 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--default", action="store_true", help="default settings instead of matched ones")
     arguments.add_argument("--skid", action="store_true", help="skids and the ellipse law")
+    arguments.add_argument("--loads", choices=LOADS, help="what the twin's friction takes")
     arguments.add_argument("--quick", action="store_true", help="the corner and middle points only")
     given = arguments.parse_args()
-    common = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
+    common: dict[str, float] = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
     law = "axis" if given.default else "ellipse" if given.skid else "wheel"
-    wheels = {"wheels": "skid"} if given.skid else {}
+    wheels: dict[str, object] = {"wheels": "skid"} if given.skid else {}
+    loads: dict[str, object] = {}
+    if given.loads:
+        wheels = {"contact": "loaded", "wheel_spin": 0.0, "load": given.loads}
+        loads = {"load": "static" if given.loads == "static" else "momentary", "inertia": "connector"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if given.quick:
         points = points[::4]
@@ -39,7 +47,7 @@ def main() -> None:
         runs = [
             Run(plant, frequency=f, supply_pa=p * 1e3, offset=offset, gaps=gaps, options=options, **common)
             for f, p in points
-            for plant, options in (("analytical", {"friction": law}), ("twin", wheels))
+            for plant, options in (("analytical", {"friction": law} | loads), ("twin", wheels))
         ]
         done = run_all(runs)
         print(f"\n{'with' if gaps else 'without'} gaps, offset {offset}\n")

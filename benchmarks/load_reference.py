@@ -1,7 +1,7 @@
 """Gaits on momentary wheel loads, simulated a second time: explicitly, and with nothing of srs_twin in it.
 
-    uv run python benchmarks/load_reference.py                 # all points, 0.1 ms
-    uv run python benchmarks/load_reference.py --step-ms 0.05 gen2_turn
+    uv run python benchmarks/load_reference.py                 # all points, 0.05 ms
+    uv run python benchmarks/load_reference.py --step-ms 0.02 gen2_turn
 
 MuJoCo finds the normal forces of wheels without friction (condim 1); the wheel law, written here once more
 from its formulas, acts explicitly with the loads of the step before. Chambers, gait, MJCF and the law are
@@ -27,8 +27,8 @@ import yaml
 ROBOTS = Path(__file__).parents[1] / "calibration/robots"
 G = 9.81
 GYRATION_M = 0.005
-SLIP_M_S = 0.001
-AXLE_M_S = 0.0002
+SLIP_M_S = 0.0003
+AXLE_M_S = 0.00006
 HINGES, LINK_SHARE = 2, 0.02
 
 
@@ -216,7 +216,7 @@ class Chambers:
         return moments
 
 
-def simulate(point: Point, periods: int, step: float = 1e-4, static: bool = False) -> Result:
+def simulate(point: Point, periods: int, step: float = 5e-5, static: bool = False) -> Result:
     """Run a gait from rest.
 
     Args:
@@ -307,7 +307,7 @@ def main() -> None:
     """Print a row a point."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default all")
-    parser.add_argument("--step-ms", type=float, default=0.1)
+    parser.add_argument("--step-ms", type=float, default=0.05)
     parser.add_argument("--periods", type=int, default=0, help="0: five, of gen 1 three")
     parser.add_argument("--static", action="store_true", help="friction takes the static loads")
     given = parser.parse_args()

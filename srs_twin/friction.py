@@ -31,6 +31,7 @@ AT_TRACK = ("wheel", "ellipse")
 """Laws that act in two points a connector, at ± half the track; the others act in one, on its centre line."""
 
 _LEAST_MU = 1e-12
+_LEAST_SHARE = 0.01  # of a coefficient in the other: a contact without friction along it must not divide by 0
 
 
 def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
@@ -108,7 +109,7 @@ def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
 def held(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force and slopes of a contact that goes on from the force it had, as numbers.
 
-    Where it can stick it yields by load · μ/ε times the velocity, from that force on: what stands on a slope
+    Where it can stick it yields by μ load/ε times the velocity, from that force on: what stands on a slope
     stays there. Else it slides with the force of `ellipse`, or of the cone where μ_t = μ_n.
 
     Args:
@@ -118,12 +119,13 @@ def held(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ignore[no-untyped
     Returns:
         f_t, f_n, df_t/dv_t, df_t/dv_n = df_n/dv_t, df_n/dv_n.
     """
-    most_t, most_n = mu_t * load, mu_n * load
-    if not (most_t > 0.0 and most_n > 0.0):
+    most_t, most_n, greatest = mu_t * load, mu_n * load, max(mu_t, mu_n)
+    if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
-    over = 1 / (slip * max(mu_t, mu_n))
+    # Yielding over a slip of ε in the direction of the smaller coefficient, over less in the other.
+    over = 1 / (slip * max(min(mu_t, mu_n), _LEAST_SHARE * greatest))
     # In units of what it can exert, along and across.
-    q_t, q_n = p_t / most_t, p_n / most_n
+    q_t, q_n = p_t / max(most_t, _LEAST_MU), p_n / max(most_n, _LEAST_MU)
     shrink = 1 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
     y_t, y_n = shrink * q_t - mu_t * over * v_t, shrink * q_n - mu_n * over * v_n
     size = np.sqrt(y_t * y_t + y_n * y_n)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -84,13 +85,52 @@ class Goal:
 
 
 @dataclass(frozen=True)
+class Floor:
+    """A plane that may slope; x and y are along it, z is off it.
+
+    Attributes:
+        tilt: angle of the slope, rad.
+        uphill: which way it rises, counter-clockwise from x, rad.
+    """
+
+    tilt: float = 0.0
+    uphill: float = 0.0
+
+    @property
+    def down(self) -> tuple[float, float, float]:
+        """Which way things fall, a unit vector; exactly (0, 0, −1) on a level floor."""
+        slope = math.sin(self.tilt)
+        return 0.0 - slope * math.cos(self.uphill), 0.0 - slope * math.sin(self.uphill), -math.cos(self.tilt)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Where the floor rises or falls, along the whole line at x.
+
+    Attributes:
+        x: m.
+        height: by how much it is higher beyond, m.
+    """
+
+    x: float
+    height: float
+
+
+@dataclass(frozen=True)
 class World:
-    """Obstacles, bounds and goal; all may be absent."""
+    """Floor, obstacles, bounds and goal; all may be absent."""
 
     obstacles: tuple[Circle, ...] = ()
     bounds: Bounds | None = None
     goal: Goal | None = None
     polygons: tuple[Polygon, ...] = ()
+    floor: Floor = Floor()
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def uneven(self) -> bool:
+        """Whether the floor slopes or has steps."""
+        return self.floor.tilt != 0.0 or bool(self.steps)
 
     @property
     def solid(self) -> bool:

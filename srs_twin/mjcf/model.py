@@ -21,7 +21,7 @@ from mujoco import MjsBody, MjsJoint, MjSpec
 from srs_twin.errors import InputError
 from srs_twin.mjcf.classes import add_classes, drawn_height
 from srs_twin.mjcf.numerics import Numerics, hinge_stations
-from srs_twin.mjcf.surroundings import add_hull_class, add_obstacles, add_surroundings
+from srs_twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
 from srs_twin.mjcf.wheels import add_contacts, add_feet, add_preload, add_wheels, fixed_inertia
 from srs_twin.robot.spec import GRAVITY, GYRATION, RobotSpec
 from srs_twin.world import World
@@ -85,15 +85,17 @@ def scene_mjcf(
 ) -> MjSpec:
     """Build the robot on a floor among obstacles, with its contact pairs and force sensors (world frame, N).
 
-    Arguments as in `robot_mjcf`, and the world, of which the obstacles matter.
+    Arguments as in `robot_mjcf`, and the world, of which floor and obstacles matter.
     """
-    solid = world is not None and world.solid
-    mj = robot_mjcf(spec, numerics, supply_pa=supply_pa, hull=solid)
+    world = world or World()
+    mj = robot_mjcf(spec, numerics, supply_pa=supply_pa, hull=world.solid)
+    mj.option.gravity = [GRAVITY * share for share in world.floor.down]
     add_surroundings(mj, spec.geometry.body_length)
-    if world is not None and solid:
+    if world.solid:
         add_obstacles(mj, spec, world)
+    levels = add_steps(mj, world.steps)
     if numerics.base == "free":
-        add_contacts(mj, spec, numerics)
+        add_contacts(mj, spec, numerics, levels)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
     return mj
 
@@ -111,7 +113,6 @@ def root_connector(spec: RobotSpec) -> int:
 def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option = mj.option
     option.timestep = numerics.timestep
-    option.gravity = [0, 0, -GRAVITY]
     option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     # Rows of friction make a dense one slow; normals alone are few, and the engine chooses by size.

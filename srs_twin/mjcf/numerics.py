@@ -30,6 +30,10 @@ LawOnLoads = Literal["wheel", "ellipse", "axis"]
 ON_LOADS: tuple[LawOnLoads, ...] = get_args(LawOnLoads)
 """Laws that can act on momentary loads."""
 
+LOADS = ("momentary", "across", "static")
+"""Of a wheel, that such a law takes: what presses it at that moment; its connector's weight, shared between
+the two as these are at that moment, which is what the analytical model has; half of that weight."""
+
 LAW_OF: dict[str, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 """What a snake stands on → the friction law that describes it."""
 
@@ -44,6 +48,7 @@ class Numerics:
         contact: one of `CONTACTS`.
         wheels: what the snake stands on, one of `WHEELS`; "rolling" under `loaded`.
         friction: law on the momentary loads, under `loaded`.
+        load: of a wheel, that this law takes, one of `LOADS`.
         slip_speed: below which a contact yields before it slides under that law (`friction.held`), m/s.
         contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step, and
             under `loaded` loads flutter below 2 of them.
@@ -64,6 +69,7 @@ class Numerics:
     contact: Contact = "preloaded"
     wheels: str = "rolling"
     friction: LawOnLoads = "wheel"
+    load: str = "momentary"
     slip_speed: float = 0.001
     contact_time: float = 0.001
     slip_time: float = 0.0003

@@ -17,7 +17,7 @@ from srs_twin.mjcf.classes import ROOT
 from srs_twin.mjcf.numerics import WALL_M, Numerics
 from srs_twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.world import World
+from srs_twin.world import Step, World
 
 FRICTION = 0.5
 """Of silicone on a smooth obstacle, isotropic; an estimate, the text gives none."""
@@ -25,6 +25,7 @@ FRICTION = 0.5
 _BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 _HEIGHT = 2.0  # of a round obstacle over the body's width
 _SHARPEST = 2.0  # contact time over the time step: what MuJoCo takes at least
+_FAR = 100.0  # m, of a level's end where no step ends it
 _GREY = [0.45, 0.47, 0.5, 1]
 _UNSEEN = 4  # geom group
 _GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
@@ -60,6 +61,27 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     for hull in hulls(mj):
         add_force_sensor(mj, f"obstacle_force_{hull}", mjtObj.mjOBJ_BODY, "world", on=hull)
         add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
+
+
+def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...]) -> list[str]:
+    """Put boxes on the floor, which is lowered to the lowest level; return their names.
+
+    Where no step has been, at the least x, the floor's height is 0.
+    """
+    ordered = sorted(steps, key=lambda step: step.x)
+    edges = [-_FAR, *(step.x for step in ordered), _FAR]
+    heights = np.cumsum([0.0, *(step.height for step in ordered)])
+    lowest = float(heights.min())
+    mj.geom("floor").pos = [0, 0, lowest]
+    names = []
+    for k, (begin, end, height) in enumerate(zip(edges[:-1], edges[1:], heights, strict=True)):
+        if height > lowest:
+            names.append(f"level_{k}")
+            size = [(end - begin) / 2, _FAR, (height - lowest) / 2]
+            place = [(begin + end) / 2, 0, (height + lowest) / 2]
+            box = mj.worldbody.add_geom(name=names[-1], type=mjtGeom.mjGEOM_BOX, size=size, pos=place)
+            box.contype, box.conaffinity, box.rgba = 0, 0, _GREY
+    return names
 
 
 def _add_capsule(mj: mujoco.MjSpec, name: str, radius: float, begin: list[float], end: list[float]) -> None:

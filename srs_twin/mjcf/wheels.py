@@ -20,6 +20,7 @@ docs/models.md says what it costs.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import mujoco
@@ -133,8 +134,8 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
             mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{side}_{i}", pos=place)
 
 
-def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
-    """Add the pairs of all wheels or skids with the floor, and sensors of what happens there.
+def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics, levels: list[str]) -> None:
+    """Add the pairs of all wheels or skids with the floor and its levels, and sensors of what happens there.
 
     Sensors: the floor's force on each (world frame, N), the velocity of the point of the connector above it
     (world, m/s).
@@ -144,10 +145,16 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
     for attribute, value in contact(spec, numerics).items():
         setattr(default.pair, attribute, value)
     pairs = [mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread) for tread in treads(spec)]
-    for pair, slower in zip(pairs, _slower(mj, spec), strict=True):
+    for floor in levels:
+        pairs += [
+            mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
+            for tread in treads(spec)
+        ]
+    for pair, slower in zip(pairs, itertools.cycle(_slower(mj, spec)), strict=False):
         pair.solref = [round(numerics.contact_time * slower, 7), 1]
     for tread in treads(spec):
-        add_force_sensor(mj, f"floor_force_{tread}", mjtObj.mjOBJ_GEOM, "floor", on=tread)
+        what = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
+        add_force_sensor(mj, f"floor_force_{tread}", *what, on=tread)
     if numerics.contact == "loaded":
         return  # there friction is known with its power
     for tread in treads(spec):

@@ -35,10 +35,11 @@ from numba import types
 
 from srs_twin import friction
 from srs_twin.compiled import compiled, inside
-from srs_twin.mjcf.numerics import ON_LOADS, Numerics
+from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
 from srs_twin.mjcf.wheels import softness, treads
-from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.robot.spec import RobotSpec
 
+_MOMENTARY, _ACROSS_ONLY = LOADS.index("momentary"), LOADS.index("across")
 _WHEEL, _ELLIPSE = ON_LOADS.index("wheel"), ON_LOADS.index("ellipse")
 _held, _rolling = inside(friction.held), inside(friction.rolling)
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -108,6 +109,8 @@ class Wheels(NamedTuple):
         last: last of the degrees of freedom that move it, shape (W,).
         softness: R of its normal, shape (W,), 1/kg.
         ease: how fast an impulse across makes it, shape (W,), 1/kg.
+        rest: its share of the weight, shape (W,), N.
+        load: which one friction takes, a place in `numerics.LOADS`.
         sensor: where its load stands in `sensordata`, shape (W,).
         radius: m.
         kind: of the law.
@@ -119,6 +122,8 @@ class Wheels(NamedTuple):
     last: np.ndarray
     softness: np.ndarray
     ease: np.ndarray
+    rest: np.ndarray
+    load: int
     sensor: np.ndarray
     radius: float
     kind: int
@@ -131,7 +136,7 @@ class Feet(NamedTuple):
     Attributes:
         push: friction along and across the heading, and what of it spins the wheel, shape (W, 3), N.
         rim: speed of the rim, shape (W,), m/s.
-        load: shape (W,), N.
+        load: that friction takes, shape (W,), N.
         slip: speed at which it slides, shape (W,), m/s.
     """
 
@@ -219,6 +224,8 @@ class LoadedContact:
             last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
             softness=softness(model, spec),
             ease=np.einsum("wi,ij,wj->w", across, np.linalg.inv(mass + damping), across),
+            rest=np.repeat(spec.mass.array() * -model.opt.gravity[2] / 2, 2),
+            load=LOADS.index(numerics.load),
             sensor=np.array([model.sensor(f"floor_force_{tread}").adr[0] + 2 for tread in treads(spec)]),
             radius=g.wheel_radius,
             kind=ON_LOADS.index(numerics.friction),
@@ -249,13 +256,12 @@ class LoadedContact:
             np.zeros(len(data.M)),
             *np.zeros((7, nv)),
         )
-        self._rest = np.repeat(spec.mass.array() * GRAVITY / 2, 2)
         self.reset()
 
     def reset(self) -> None:
         """Let the wheels stand, each with its share of the weight."""
-        wheels = len(self._rest)
-        self.feet = Feet(np.zeros((wheels, 3)), np.zeros(wheels), self._rest.copy(), np.zeros(wheels))
+        rest = self._wheels.rest
+        self.feet = Feet(np.zeros((len(rest), 3)), np.zeros(len(rest)), rest.copy(), np.zeros(len(rest)))
 
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Make a step for each row of controls.
@@ -267,7 +273,7 @@ class LoadedContact:
             Time, qpos and qvel at the steps' ends, NaN after one that diverged; sensors; the floor's force on
             each wheel, shape (steps, N, 2, 3), N, world; and the power that friction takes, (steps,), W.
         """
-        (model, data), steps, wheels = self._kept, len(controls), len(self._rest)
+        (model, data), steps, wheels = self._kept, len(controls), len(self._wheels.rest)
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
         sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, wheels, 3))
         power = np.zeros(steps)
@@ -359,17 +365,16 @@ def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore
         _copy(engine.qvel, states[step, 1 + nq :])
         _copy(engine.sensordata, sensed[step])
         for w in range(wheels.body.shape[0]):
-            f_t, f_n, rim, less = work.found[w, 0], work.found[w, 1], work.found[w, 5], work.found[w, 6]
+            f_t, f_n, rim = work.found[w, 0], work.found[w, 1], work.found[w, 5]
             along, across = _slip(wheels, work, w, 0.5)
             power[step] -= f_t * along + f_n * across
             gap = along - rim if wheels.kind == _WHEEL else along
             feet.slip[w] = np.sqrt(gap * gap + across * across)
             feet.push[w, 0], feet.push[w, 1], feet.push[w, 2] = f_t, f_n, work.found[w, 7]
             feet.rim[w] += (rim - feet.rim[w]) / work.theta[w]
-            feet.load[w] = max(work.press[w] - less, 0.0)
             c, s = work.heading[w, 0], work.heading[w, 1]
             force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
-            force[step, w, 2] = feet.load[w]
+            force[step, w, 2] = max(work.press[w] - work.found[w, 6], 0.0)
     _clear(engine.qfrc_applied)
 
 
@@ -469,6 +474,16 @@ def _slip(wheels, work, w, theta):  # type: ignore[no-untyped-def]
 
 
 @inside
+def _load(wheels, work, w):  # type: ignore[no-untyped-def]
+    """Return the load that friction takes, N."""
+    pressed, rest = max(work.press[w] - work.found[w, 6], 0.0), wheels.rest[w]
+    if wheels.load == _MOMENTARY:
+        return pressed
+    other = max(work.press[w ^ 1] - work.found[w ^ 1, 6], 0.0)
+    return 2 * rest * pressed / (pressed + other) if wheels.load == _ACROSS_ONLY and pressed > 0.0 else rest
+
+
+@inside
 def _theta(x):  # type: ignore[no-untyped-def]
     """Return where in a step friction is taken that lets slip decay by x: its middle, or its end if fast."""
     return -1 / np.expm1(-x) - 1 / x if x > 1e-3 else 0.5 + x / 12
@@ -484,8 +499,8 @@ def _law(wheels, along, across, load, push, rim, h):  # type: ignore[no-untyped-
     if wheels.kind == _ELLIPSE:
         f_t, f_n, tt, tn, nn = _held(along, across, load, mu_t, mu_n, slip, drag, push[1])
         return f_t, f_n, tt, tn, nn, along
-    f_t, _, tt, _, _ = _held(along, 0.0, load, mu_t, mu_n, slip, drag, 0.0)
-    _, f_n, _, _, nn = _held(0.0, across, load, mu_t, mu_n, slip, 0.0, push[1])
+    f_t, _, tt, _, _ = _held(along, 0.0, load, mu_t, mu_t, slip, drag, 0.0)
+    _, f_n, _, _, nn = _held(0.0, across, load, mu_n, mu_n, slip, 0.0, push[1])
     return f_t - lag * (along - rim), f_n, tt - lag, 0.0, nn, along
 
 
@@ -499,7 +514,7 @@ def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-d
     # The second time on the loads that friction leaves; the first need not be exact.
     for most in (1, _MOST_ITERATIONS):
         for w in range(wheels.body.shape[0]):
-            feet.load[w] = max(work.press[w] - work.found[w, 6], 0.0)
+            feet.load[w] = _load(wheels, work, w)
         best = _residual(engine, wheels, pattern, feet, work, h, work.residual)
         first = max(first, best)
         for _ in range(most):

@@ -15,7 +15,7 @@ from srs_twin.plants.base import Pose
 from srs_twin.plants.loaded import LoadedContact
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import as_felt
-from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.world import World
 
 # Physics needs no screen. dm_control would look for one and warn; whoever renders sets it beforehand.
@@ -108,7 +108,8 @@ class SnakePhysics(dm.Physics):
             world: what it may run into; None: nothing.
         """
         # A copy: whoever changes a number in the model of one twin must not change the others'.
-        model = copy.copy(_compiled(spec, numerics, supply_pa, world if world and world.solid else None))
+        felt = world if world and (world.solid or world.uneven) else None
+        model = copy.copy(_compiled(spec, numerics, supply_pa, felt))
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
         physics._attach(spec, numerics, chambers)
         return physics
@@ -119,7 +120,7 @@ class SnakePhysics(dm.Physics):
         self._free = numerics.base == "free"
         loaded = numerics.contact == "loaded" and self._free
         self._preload = preload_force(spec, numerics) * (self._free and not loaded)
-        self._rest_load = np.repeat(spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+        self._rest_load = np.repeat(spec.mass.array()[:, None] * -raw.opt.gravity[2] / 2, 2, axis=1)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))

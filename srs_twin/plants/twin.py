@@ -12,6 +12,7 @@ from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.mjcf.numerics import (
     CONTACTS,
     LAW_OF,
+    LOADS,
     ON_LOADS,
     PRELOAD,
     WHEELS,
@@ -60,6 +61,7 @@ class TwinSnake(PneumaticPlant):
         tick: float = 0.02,
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
+        load: str = Numerics.load,
         slip_speed: float = Numerics.slip_speed,
         slip_time: float = Numerics.slip_time,
         axle_time: float = Numerics.axle_time,
@@ -85,6 +87,8 @@ class TwinSnake(PneumaticPlant):
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or chambers of one's own.
+            load: that this law takes, "momentary"; to see what that changes, "across" or "static", see
+                `mjcf.numerics.LOADS`.
             slip_speed: below which a contact yields before it slides, m/s, under `loaded`.
             slip_time: time constant with which contact friction stops a slip, s.
             axle_time: the same for the axles' friction, s.
@@ -104,12 +108,15 @@ class TwinSnake(PneumaticPlant):
         """
         one_of("contact", contact, CONTACTS)
         one_of("wheels", wheels, WHEELS)
+        one_of("load", load, LOADS)
         if friction is not None:
             one_of("friction", friction, ON_LOADS)
         loaded = contact == "loaded"
         for name, given, other in (("friction", friction, not loaded), ("preload", preload, loaded)):
             if given is not None and other:
                 raise InputError(f"{name} {given!r} is not allowed with contact {contact!r}")
+        if world is not None and world.uneven and not loaded:
+            raise InputError("a floor that slopes or has steps needs contact 'loaded'")
         one_of("base", base, BASES)
         whole_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep = spec, tick, timestep
@@ -121,6 +128,7 @@ class TwinSnake(PneumaticPlant):
             contact=contact,
             wheels="rolling" if loaded else wheels,  # the law says how it slides, the bodies are wheels
             friction=friction or LAW_OF[wheels],
+            load=load,
             slip_speed=slip_speed,
             slip_time=slip_time,
             axle_time=axle_time,
@@ -137,7 +145,7 @@ class TwinSnake(PneumaticPlant):
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
                 f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
-        self.touches = world is not None and world.solid
+        self.touches, self._uneven = world is not None and world.solid, world is not None and world.uneven
         largest = supply * self.pneumatics.overshoot
         self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, largest, world)
         self.reset()
@@ -146,6 +154,7 @@ class TwinSnake(PneumaticPlant):
         """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
         physics = self.physics
         physics.lay_down(pose)
+        self._raised = self._height(physics.center_of_mass())
         self._ticks, self._seed = 0, seed
         self._spent = 0.0
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
@@ -177,7 +186,7 @@ class TwinSnake(PneumaticPlant):
         numbers, times = self._numerics, ["timestep", "slip_time", "axle_time"]
         names = ["wheels", "hinges_per_segment", "preload", "link_share", "wheel_spin", "constant_curvature"]
         if self.contact == "loaded":
-            names[2:3], times = ["contact", "friction", "slip_speed"], ["timestep"]
+            names[2:3], times = ["contact", "friction", "load", "slip_speed"], ["timestep"]
         given = {name: getattr(numbers, name) for name in (*names, "base")}
         return super().describe() | given | {f"{name}_s": getattr(numbers, name) for name in times}
 
@@ -229,6 +238,8 @@ class TwinSnake(PneumaticPlant):
         """Return the history of these states; loads: forces of floor and obstacles, N, and the work, J."""
         force, obstacles, work = loads
         seen = self.physics.look(states)
+        if self._uneven:
+            work = work + self._height(seen.com) - self._raised
         # Unwrap against the last sample: a connector turns by far less than π in between.
         theta = np.concatenate([self._theta[None], seen.headings])
         if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
@@ -257,6 +268,11 @@ class TwinSnake(PneumaticPlant):
             air=trace.air,
             qpos=seen.qpos,
         )
+
+    def _height(self, com: np.ndarray) -> np.ndarray:
+        """Return the potential energy of a centre of mass, shape (…, 3), J."""
+        energy: np.ndarray = -self.spec.mass.total * (com @ self.physics.model.opt.gravity)
+        return energy
 
     def _plausible_steps(self, states: np.ndarray) -> int:
         """Return how many steps, from the first, led to finite and plausible states."""

@@ -27,10 +27,22 @@ def check(document: Document, file: ScenarioFile) -> None:
     _check_times(document, file)
     if file.bench:
         _check_bench(document, file)
+    _check_floor(document, file)
     _check_expectations(document, file)
     _check_gap_factor(document, file)
     _check_following(document, file)
     _check_replay(document, file)
+
+
+def _check_floor(document: Document, file: ScenarioFile) -> None:
+    """Not every plant can stand on every floor."""
+    world, plants = file.world, file.plants
+    if world.steps and plants.analytical is not None:
+        document.report(("world", "steps"), "the analytical model's floor is a plane; only the twin climbs")
+    uneven = "steps" if world.steps else "floor"
+    preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
+    if preloaded and (world.steps or world.floor.tilt_deg):
+        document.report(("world", uneven), "a twin on a floor like this needs contact: loaded (plants.twin)")
 
 
 def overpressure(document: Document, robot: RobotFile) -> list[str]:

@@ -9,7 +9,7 @@ from pydantic import field_validator, model_validator
 
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
-from srs_twin.friction import Law
+from srs_twin.friction import AT_TRACK, Law
 from srs_twin.mjcf.numerics import Contact, LawOnLoads, Numerics
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.scenario.fields import Section, constructor_default, quantity
@@ -48,7 +48,7 @@ class AnalyticalFile(_PlantFile):
     """The dissertation's planar model."""
 
     constructors = (AnalyticalSnake,)
-    on_a_floor = ("friction", "friction_torque", "slip_speed_m_s")
+    on_a_floor = ("friction", "load", "friction_torque", "slip_speed_m_s")
 
     timestep_s: float = quantity(1e-5, 0.02)
     """Longest step of the integrator."""
@@ -63,6 +63,9 @@ class AnalyticalFile(_PlantFile):
     friction: Law = constructor_default()
     """Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, ellipse:
     two skids at the track, viscous: a law for tests."""
+    load: Literal["static", "momentary"] = constructor_default()
+    """Of a wheel or skid; static: half its connector's weight, momentary: what the force across shifts
+    between the two (not with axis)."""
     slip_speed_m_s: float = quantity(1e-6, 0.1)
     """Slip speed below which friction is smoothed."""
 
@@ -70,6 +73,10 @@ class AnalyticalFile(_PlantFile):
     def _torque_is_there(self) -> AnalyticalFile:
         if not self.friction_torque and self.model != "simplified":
             raise ValueError(f"model {self.model} has a friction torque; only simplified goes without")
+        if self.load == "momentary" and self.friction not in AT_TRACK:
+            raise ValueError(
+                f"friction {self.friction} acts in one point a connector; momentary loads need two"
+            )
         return self
 
 

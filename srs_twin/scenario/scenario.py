@@ -143,11 +143,12 @@ class Scenario:
         if not arguments.pop("gaps"):
             robot = replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))
         arguments["pneumatics"] = self._chambers(robot)
+        arguments["world"] = None if self.file.bench else self.world
         if kind == "analytical":
             return AnalyticalSnake(robot, **arguments)
         from srs_twin.plants.twin import TwinSnake
 
-        return TwinSnake(robot, world=None if self.file.bench else self.world, **arguments)
+        return TwinSnake(robot, **arguments)
 
     def build_controller(self) -> Controller:
         """Return a fresh controller.

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from srs_twin.planning.fields import fig54_world, strewn
 from srs_twin.scenario.fields import Section, constructor_default, quantity
-from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]
@@ -141,6 +141,28 @@ class RandomFile(Section):
         return strewn(bounds=area.build(), **given) if area else ()
 
 
+class FloorFile(Section):
+    """What the snake lies on; x and y are along it."""
+
+    constructors = (Floor,)
+
+    tilt_deg: float = quantity(0.0, 60.0)
+    """Angle of its slope."""
+    uphill_deg: float = quantity(-360.0, 360.0)
+    """Which way it rises, counter-clockwise from x."""
+
+
+class StepFile(Section):
+    """Where the floor rises or falls, along the whole line at x."""
+
+    constructors = (Step,)
+
+    x_m: float = quantity(-1000.0, 1000.0)
+    """x of the line."""
+    height_m: float = quantity(-0.1, 0.1)
+    """By how much the floor is higher beyond it."""
+
+
 class WorldFile(Section):
     """What surrounds the snake."""
 
@@ -150,6 +172,10 @@ class WorldFile(Section):
     """Obstacles with straight sides."""
     random: RandomFile | None = None
     """More round obstacles, drawn by a seed."""
+    floor: FloorFile = FloorFile()
+    """The floor's slope."""
+    steps: Annotated[list[StepFile], Field(max_length=100)] = []
+    """Steps of the floor."""
     bounds: BoundsFile | None = None
     """The rectangle to stay in."""
     goal: GoalFile | None = None
@@ -169,4 +195,6 @@ class WorldFile(Section):
             bounds=self.bounds.build() if self.bounds else None,
             goal=goal,
             polygons=tuple(each.build() for each in self.polygons),
+            floor=self.floor.build(),
+            steps=tuple(each.build() for each in self.steps),
         )

@@ -33,8 +33,9 @@ from srs_twin.plants.analytical.steps import Steps, advance
 from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.sensing import Sensor
+from srs_twin.world import World
 
 
 class Motion(NamedTuple):
@@ -266,6 +267,7 @@ class YieldingBends(Body):
 
 
 MODELS = ("complete", "simplified", "compliant")
+LOADS = ("static", "momentary")
 INERTIAS = ("point", "connector", "lumped")
 _MASSLESS_S = 0.0001  # at 0.25 ms pressures of point masses swing below ambient; half of this changes nothing
 
@@ -291,6 +293,7 @@ class AnalyticalSnake(PneumaticPlant):
         *,
         model: str = "complete",
         friction: str = "axis",
+        load: str = "static",
         friction_torque: bool = True,
         inertia: str = "point",
         supply_pa: float | None = None,
@@ -303,6 +306,7 @@ class AnalyticalSnake(PneumaticPlant):
         track: float | None = None,
         base: str = "free",
         sensor: str | Sensor = "ideal",
+        world: World | None = None,
     ) -> None:
         """Build the model.
 
@@ -312,6 +316,8 @@ class AnalyticalSnake(PneumaticPlant):
                 "compliant" (bends that load and inertia deflect).
             friction: "axis" (one point a connector, the text's law), "wheel" (two wheels at the track),
                 "ellipse" (two skids there) or "viscous" (a law to test with).
+            load: of a wheel or skid, "static" (half its connector's weight) or "momentary" (what the force
+                across shifts between the two, `floor`).
             friction_torque: whether friction's moment about the centre of mass acts; False is the text's
                 first model, `simplified` only.
             inertia: of each connector about itself: "point" none, "connector" that of a compact body with
@@ -329,14 +335,22 @@ class AnalyticalSnake(PneumaticPlant):
                 that acts at the wheels and 0, one contact, for the others.
             base: "free", or "clamped": held at the head, in the air (not with "compliant").
             sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
+            world: whose floor it lies on; None: a level one. Nothing else of it is felt.
 
         Raises:
-            InputError: an unknown model, law, inertia or layout, a tick, time step or tolerance that is not
-                above 0, or no friction torque with another model.
+            InputError: an unknown model, law, load, inertia or layout, a tick, time step or tolerance that is
+                not above 0, no friction torque with another model, momentary loads of a law that does not act
+                at the wheels, or a floor with steps.
         """
         one_of("model", model, MODELS)
         one_of("friction law", friction, LAWS)
+        one_of("load", load, LOADS)
         one_of("inertia", inertia, INERTIAS)
+        if load == "momentary" and friction not in AT_TRACK:
+            raise InputError(f"friction '{friction}' acts in one point a connector; momentary loads need two")
+        world = world or World()
+        if world.steps:
+            raise InputError("the analytical model's floor is a plane; only the twin climbs steps")
         one_of("base", base, BASES)
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
@@ -353,7 +367,11 @@ class AnalyticalSnake(PneumaticPlant):
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction
         self._tolerance = tolerance
-        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed)
+        self.load = load
+        lean = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
+        x, y, z = world.floor.down
+        gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
+        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed, lean, gravity)
         self._body = self._make_body()
         self.reset()
 
@@ -413,6 +431,7 @@ class AnalyticalSnake(PneumaticPlant):
             "model": self._model,
             "base": self.base,
             "friction": self.friction,
+            "load": self.load,
             "friction_torque": self._turning,
             "inertia": self._inertia,
             "track_m": self._floor.track,

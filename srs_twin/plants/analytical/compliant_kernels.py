@@ -25,7 +25,7 @@ import math
 import numpy as np
 
 from srs_twin.compiled import compiled
-from srs_twin.plants.analytical.floor import connector_friction
+from srs_twin.plants.analytical.floor import connector_friction, smoothed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
     HEADING,
@@ -40,12 +40,11 @@ from srs_twin.plants.analytical.kernels import (
     copy,
 )
 from srs_twin.plants.analytical.kinematics import ROWS, fill_rows, pose_body
-from srs_twin.robot.spec import GRAVITY
 
 BENDS = STATES
 """Index of the first bend in the state; the first are those of `kernels`, the bends' momenta end it."""
 
-_NEWTON_STEPS = 100
+_NEWTON_STEPS = 1000  # at rest on a slope the law is a kink
 _NEWTON_TOLERANCE = 1e-9
 _OVERSHOT = 0.1  # rise after a Newton step, over the fall before it, from which it was too long
 
@@ -78,7 +77,7 @@ def add_connectors(u, a, solid, floor, rows, rates, momentum, force, matrix):  #
             along += row[0, k] * u[k]
             across += row[1, k] * u[k]
             spin += row[2, k] * u[k]
-        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass[i] * GRAVITY, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass[i] * floor.down, floor)
         power -= t * along + n * across + m * spin
         p_t, p_n, p_m = mass[i] * along, mass[i] * across, inertia[i] * spin
         tt, nn, mm = mass[i] - a * tt, mass[i] - a * nn, inertia[i] - a * mm
@@ -151,15 +150,16 @@ def _solve(matrix, b, x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _residual(known, a, u, weight, momentum, force, out):  # type: ignore[no-untyped-def]
+def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore[no-untyped-def]
     """Fill out = p(u) − p_known − a dp/dt in the frame of the mean heading."""
     heading = known[HEADING] + a * u[2]
     c, s = math.cos(heading), math.sin(heading)
     size = u.shape[0]
     for j in range(size):
         out[j] = momentum[j] - a * force[j]
-    out[0] -= weight * (known[STATE_VX] * c + known[STATE_VY] * s)
-    out[1] -= weight * (known[STATE_VY] * c - known[STATE_VX] * s)
+    v_x, v_y = known[STATE_VX] + a * floor.pull_x, known[STATE_VY] + a * floor.pull_y
+    out[0] -= weight * (v_x * c + v_y * s)
+    out[1] -= weight * (v_y * c - v_x * s)
     out[2] -= known[MOMENT]
     for j in range(3, size):
         out[j] -= known[BENDS + size - 6 + j]
@@ -170,7 +170,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success."""
     momentum, force, matrix, posed, q, residual, step = work
     segments, size = moment.shape[0], u.shape[0]
-    weight = model[0].mass.sum()
+    floor, weight = model[2], model[0].mass.sum()
     share = 0.0  # of the last step that has been made
     fall = 0.0  # of the potential along that step, at its start
     converged = False
@@ -179,7 +179,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
         for j in range(segments):
             q[j] = known[BENDS + j] + a * u[3 + j]
         power = balance(q, u, moment, a, model, momentum, force, matrix, posed)
-        _residual(known, a, u, weight, momentum, force, residual)
+        _residual(known, a, u, weight, floor, momentum, force, residual)
         falls = 0.0
         for j in range(size):
             falls += residual[j] * step[j]
@@ -205,8 +205,9 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     c, s = math.cos(heading), math.sin(heading)
     k[STATE_X] = u[0] * c - u[1] * s
     k[STATE_Y] = u[0] * s + u[1] * c
-    k[STATE_VX] = (force[0] * c - force[1] * s) / weight
-    k[STATE_VY] = (force[0] * s + force[1] * c) / weight
+    k[STATE_VX] = (force[0] * c - force[1] * s) / weight + floor.pull_x
+    k[STATE_VY] = (force[0] * s + force[1] * c) / weight + floor.pull_y
+    power -= weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
     k[HEADING], k[MOMENT], k[SPENT] = u[2], force[2], power
     for j in range(segments):
         k[BENDS + j], k[BENDS + segments + j] = u[3 + j], force[3 + j]
@@ -235,6 +236,8 @@ def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped
         seen: out, states and velocities at the marks, shapes (samples, …).
     """
     (state, u), (states, velocities) = now, seen
+    solid, spring, floor = model
+    reach = (solid.length + solid.gap) / 2
     n, size = model[0].mass.shape[0], u.shape[0]
     posed = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
     sides = np.empty(size), np.empty(size), np.empty((size, size))
@@ -245,6 +248,10 @@ def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped
     for i in range(steps.shape[0]):
         h = steps[i]
         a = GAMMA * h
+        fastest = abs(u[0]) + abs(u[1])
+        for j in range(2, size):
+            fastest = max(fastest, reach * abs(u[j]))
+        model = solid, spring, smoothed(floor, fastest)
         # Velocities drawn on in a straight line from stage to stage save every second of Newton's steps.
         _draw_on(u, drift, a, last)
         fine = _stage(state, a, moments[i, 0], model, u, k1, work)

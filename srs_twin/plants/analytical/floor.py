@@ -10,6 +10,16 @@ spinning as well lengthen the way along by 1 + s, because the floor brakes them 
 their axles do. Nothing pushes such a body, so neither velocity ever changes its sign: each is followed by
 the midpoint rule until it is 0, and stays so. Places are smooth in the velocities and coefficients, as a
 fit needs them.
+
+Momentary loads: a connector whose centre of mass lies at the height h stands on two wheels at ± a, and what
+pushes it aside presses the outer one. It does not roll over, so that with the law's forces φ a unit load,
+left and right,
+
+$$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
+   = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}; $$
+
+a wheel that would pull carries nothing. Their slopes are taken with these loads held, which keeps them
+symmetric: Newton's method then takes a few more steps to the same solution.
 """
 
 from __future__ import annotations
@@ -36,6 +46,10 @@ class FloorFriction(NamedTuple):
         mu_t: coefficient along.
         mu_n: coefficient across.
         slip: regularisation speed ε, m/s.
+        lean: k, by how much of the force across the loads of the wheels shift; 0: they do not.
+        down: gravity across the floor, m/s².
+        pull_x: gravity along it, world frame, m/s².
+        pull_y: the same.
     """
 
     case: tuple[None, ...]
@@ -43,6 +57,10 @@ class FloorFriction(NamedTuple):
     mu_t: float
     mu_n: float
     slip: float
+    lean: float
+    down: float
+    pull_x: float
+    pull_y: float
 
 
 @compiled
@@ -65,14 +83,67 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
     )
 
 
+@compiled
+def _two_on_loads(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    """Return what `connector_friction` does, of two contacts at the track, each with its momentary load."""
+    mu_t, mu_n, slip, arm = floor.mu_t, floor.mu_n, floor.slip, floor.track
+    a_t, a_n, a_tt, a_tn, _, a_nn = law(along - spin * arm, across, 1.0, mu_t, mu_n, slip)
+    b_t, b_n, b_tt, b_tn, _, b_nn = law(along + spin * arm, across, 1.0, mu_t, mu_n, slip)
+    push = weight / 2 * (a_n + b_n) / (1 - floor.lean * (b_n - a_n))
+    a = min(max(weight / 2 - floor.lean * push, 0.0), weight)
+    b = weight - a
+    return (
+        *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
+        *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
+        *(a * a_nn + b * b_nn, arm * (b * b_tn - a * a_tn), arm * arm * (a * a_tt + b * b_tt)),
+    )
+
+
 _LAWS = tuple(compiled(getattr(friction, name)) for name in LAWS)
-_CASES = tuple((contacts, law) for contacts in (_one_contact, _two_contacts) for law in _LAWS)
+_CASES = tuple((contacts, law) for contacts in (_one_contact, _two_contacts, _two_on_loads) for law in _LAWS)
 
 
-def floor_friction(law: str, track: float, mu_t: float, mu_n: float, slip: float) -> FloorFriction:
-    """Return a floor with one of `friction.LAWS`; other arguments as the attributes."""
-    case = LAWS.index(law) + len(LAWS) * (track != 0.0)
-    return FloorFriction((None,) * case, track, mu_t, mu_n, slip)
+_LEVEL = (0.0, 0.0, -GRAVITY)
+
+
+def floor_friction(
+    law: str,
+    track: float,
+    mu_t: float,
+    mu_n: float,
+    slip: float,
+    lean: float = 0.0,
+    gravity: tuple[float, float, float] = _LEVEL,
+) -> FloorFriction:
+    """Return a floor with one of `friction.LAWS` and a gravity (m/s², z off it), else as its attributes."""
+    contacts = 0 if track == 0.0 else 1 if lean == 0.0 else 2
+    case = LAWS.index(law) + len(LAWS) * contacts
+    pull_x, pull_y, up = gravity
+    return FloorFriction((None,) * case, track, mu_t, mu_n, slip, lean, -up, pull_x, pull_y)
+
+
+@compiled
+def smoothed(floor, speed):  # type: ignore[no-untyped-def]
+    """Return a floor that sloping lets nothing creep: the closer to rest, the less its law is smoothed.
+
+    Args:
+        floor: a level one is returned as it is.
+        speed: about that of what moves fastest, m/s.
+    """
+    slip = floor.slip
+    if floor.pull_x != 0.0 or floor.pull_y != 0.0:
+        slip = min(slip, max(speed / _REST, _FINEST))
+    return FloorFriction(
+        floor.case,
+        floor.track,
+        floor.mu_t,
+        floor.mu_n,
+        slip,
+        floor.lean,
+        floor.down,
+        floor.pull_x,
+        floor.pull_y,
+    )
 
 
 def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
@@ -107,7 +178,7 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
 
     Args:
         body: what `kinematics.pose_body` filled, shape (ROWS, N).
-        mass: shape (N,), kg; connector i carries the load m_i g.
+        mass: shape (N,), kg; connector i carries the load m_i g, of the gravity across the floor.
         forth, aside: velocity of the centre of mass in the body frame, m/s.
         yaw: yaw rate, rad/s.
         floor: the floor.
@@ -125,7 +196,7 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         spin = yaw + turning[i]
         vx, vy = forth - yaw * py + rate_x[i], aside + yaw * px + rate_y[i]
         along, across = vx * c + vy * s, vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass[i] * GRAVITY, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass[i] * floor.down, floor)
         # How velocity along and across depend on the yaw rate; by d'Alembert the arms of the forces.
         t_arm, n_arm = px * s - py * c, px * c + py * s
         fx += t * c - n * s
@@ -155,10 +226,12 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         c, s = body[COS, i], body[SIN, i]
         vx, vy = u[0] - u[2] * body[Y, i] + body[VX, i], u[1] + u[2] * body[X, i] + body[VY, i]
         along, across, spin = vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i]
-        found = connector_friction(along, across, spin, mass[i] * GRAVITY, floor)
+        found = connector_friction(along, across, spin, mass[i] * floor.down, floor)
         force[i, 0], force[i, 1], force[i, 2] = found[0], found[1], found[2]
 
 
+_REST = 1000.0  # times the slip speed a smoothed law has all but 1e-4 of its force, an ellipse of 1:14 too
+_FINEST = 1e-7  # m/s
 _STEP = 5e-4  # s
 _SLIP = 1e-9  # m/s: nothing but 0/0 is to be avoided
 

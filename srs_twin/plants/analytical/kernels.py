@@ -163,7 +163,7 @@ GAMMA = 1 - math.sqrt(0.5)
 
 STATE_X, STATE_Y, HEADING, STATE_VX, STATE_VY, MOMENT, SPENT = range(7)
 """Indices into the state: centre of mass (m), mean heading (rad), its velocity (m/s), L (kg·m²/s), and the
-energy that the floor has taken (J)."""
+energy that the floor has taken, or height (J)."""
 
 STATES = 7
 SPEED_LIMIT = 100.0
@@ -227,7 +227,8 @@ def _stage(known, a, q, rate, turn, model, u, k, body):  # type: ignore[no-untyp
     solid, floor, turning = model
     weight, acts = solid.mass.sum(), 1.0 if turning else 0.0
     inertia, moment = pose_body(q, rate, solid, body)
-    known_x, known_y, known_moment = known[STATE_VX], known[STATE_VY], known[MOMENT]
+    known_x, known_y = known[STATE_VX] + a * floor.pull_x, known[STATE_VY] + a * floor.pull_y
+    known_moment = known[MOMENT]
     x, y, z = u[0], u[1], u[2]
     step_x = step_y = step_z = 0.0
     share = 0.0  # of the last step that has been made
@@ -265,9 +266,9 @@ def _stage(known, a, q, rate, turn, model, u, k, body):  # type: ignore[no-untyp
     u[0], u[1], u[2] = x, y, z
     # What the stage's equation says of f(Y) costs no further evaluation.
     k[STATE_X], k[STATE_Y], k[HEADING] = x * c - y * s, x * s + y * c, z
-    k[STATE_VX], k[STATE_VY] = (k[STATE_X] - known_x) / a, (k[STATE_Y] - known_y) / a
+    k[STATE_VX], k[STATE_VY] = (k[STATE_X] - known[STATE_VX]) / a, (k[STATE_Y] - known[STATE_VY]) / a
     k[MOMENT] = (inertia * z + moment - known_moment) / a
-    k[SPENT] = power
+    k[SPENT] = power - weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
     return converged
 
 

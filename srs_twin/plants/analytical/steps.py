@@ -25,6 +25,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from srs_twin.compiled import compiled
+from srs_twin.plants.analytical.floor import smoothed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
     MOMENT,
@@ -163,7 +164,8 @@ def advance(now, steps, trace, marks, model, tolerance, seen):  # type: ignore[n
         How many steps were made, fewer if one failed, and in how many parts, those made anew included.
     """
     (state, slope, u), (states, velocities) = now, seen
-    solid, bends, rates = model[0], trace.bend, trace.bend_rate
+    (solid, floor, turning), bends, rates = model, trace.bend, trace.bend_rate
+    reach = (solid.length + solid.gap) / 2
     n = solid.mass.shape[0]
     body = np.empty((ROWS, n))
     weight = solid.mass.sum()
@@ -175,6 +177,10 @@ def advance(now, steps, trace, marks, model, tolerance, seen):  # type: ignore[n
     for i in range(steps.shape[0]):
         given_bends, given_rates = bends[2 * i : 2 * i + 3], rates[2 * i : 2 * i + 3]
         done, size = 0, PARTS
+        fastest = max(abs(u[0]) + abs(u[1]), reach * abs(u[2]))
+        for j in range(n - 1):
+            fastest = max(fastest, reach * abs(given_rates[0, j]))
+        model = solid, smoothed(floor, fastest), turning
         while done < PARTS:
             h = steps[i] * size / PARTS
             copy(u, guess)

@@ -1,0 +1,135 @@
+"""Floors that slope or have steps, and loads that follow the force across, on both plants."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from snakes import GRAVITY, robot
+
+from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, rollout
+from srs_twin.control.replay import HoldValves
+from srs_twin.world import Floor, Step, World
+
+SPEC = robot()
+MU = {"along": SPEC.friction.mu_t, "across": SPEC.friction.mu_n}
+DOWNHILL = {"along": math.pi, "across": -math.pi / 2}
+PLANTS = {
+    "twin": lambda **given: TwinSnake(SPEC, contact="loaded", **given),
+    "twin on skids": lambda **given: TwinSnake(SPEC, contact="loaded", friction="ellipse", **given),
+    "complete": lambda **given: AnalyticalSnake(SPEC, **given),
+    "compliant": lambda **given: AnalyticalSnake(
+        SPEC, model="compliant", friction="wheel", load="momentary", **given
+    ),
+}
+AIRLESS = HoldValves("vent", "vent")
+
+
+def on_slope(plant: str, way: str, share: float):
+    """Lie on a slope of a share of the friction angle's tangent; return way and speed downhill of 1 s."""
+    tilt = math.atan(share * MU[way])
+    world = World(floor=Floor(tilt, DOWNHILL[way] + math.pi))
+    run = rollout(PLANTS[plant](world=world), AIRLESS, 1.0, record_hz=50)
+    ahead = np.array([math.cos(DOWNHILL[way]), math.sin(DOWNHILL[way])])
+    com = np.stack([run["com_x"], run["com_y"]], axis=1) @ ahead
+    return com[-1] - com[0], (com[-1] - com[-2]) * 50, run
+
+
+@pytest.mark.parametrize("way", MU)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_at_rest_on_a_slope_nothing_creeps(plant, way):
+    assert abs(on_slope(plant, way, 0.5)[1]) < 1e-6
+    assert abs(on_slope(plant, way, 0.995)[1]) < 2e-4  # just slower than what follows
+
+
+@pytest.mark.parametrize("way", MU)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_beyond_its_friction_angle_it_slides_as_coulomb_says(plant, way):
+    assert on_slope(plant, way, 1.005)[1] > 1e-3
+    path, _, run = on_slope(plant, way, 1.2)
+    tilt = math.atan(1.2 * MU[way])
+    pulled = GRAVITY * (math.sin(tilt) - MU[way] * math.cos(tilt))
+    spun = 1 + SPEC.geometry.connectors * SPEC.mass.wheel / SPEC.mass.total
+    expected = pulled / 2 / (spun if plant == "twin" and way == "along" else 1)
+    assert path == pytest.approx(expected, rel=0.01)
+    # Nothing but the slope moves it.
+    lost = SPEC.mass.total * GRAVITY * math.sin(tilt) * path
+    assert abs(run["work"][-1]) < 0.01 * lost
+
+
+def test_both_climb_the_same_slope_about_as_fast():
+    tilt = math.radians(4.0)
+    speeds = []
+    for uphill in (0.0, 2.0):
+        world = World(floor=Floor(tilt, uphill))
+        for plant in ("twin", "compliant"):
+            run = rollout(PLANTS[plant](world=world, supply_pa=48.3e3), Gait(2.0), 2.0, pose=(0, 0, uphill))
+            speeds.append(
+                math.hypot(run["com_x"][-1] - run["com_x"][50], run["com_y"][-1] - run["com_y"][50])
+            )
+    level = rollout(PLANTS["twin"](supply_pa=48.3e3), Gait(2.0), 2.0)
+    assert speeds[0] == pytest.approx(speeds[1], rel=0.1)
+    assert speeds[2:] == pytest.approx(speeds[:2], rel=1e-3)  # whichever way it lies
+    assert speeds[0] < 0.8 * (level["com_x"][-1] - level["com_x"][50])
+
+
+def test_a_load_shifts_with_the_force_across():
+    # Thrown sideways all wheels slide: h/(2a) of the friction of both goes from one to the other.
+    plant = TwinSnake(SPEC, contact="loaded")
+    plant.physics.data.qvel[1] = 0.5
+    plant.step(np.full((SPEC.segments, 2), -1))
+    loads, force = plant.physics.wheel_loads(), plant.physics.floor_forces()[..., 1].sum(axis=1)
+    shift = SPEC.geometry.com_height / (2 * SPEC.geometry.half_track) * force
+    assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.02)
+
+
+def test_momentary_loads_of_the_analytical_model_are_those_of_the_twin():
+    # On both plants what loads change is the same where the twin's connectors keep their own weights.
+    changes = {}
+    for kind in ("twin", "compliant"):
+        turned = []
+        for load in ("static", "momentary"):
+            given = {"load": "across" if (kind, load) == ("twin", "momentary") else load}
+            plant = (
+                TwinSnake(SPEC, contact="loaded", wheel_spin=0.0, supply_pa=48.3e3, **given)
+                if kind == "twin"
+                else AnalyticalSnake(
+                    SPEC, model="compliant", friction="wheel", inertia="connector", supply_pa=48.3e3, **given
+                )
+            )
+            run = rollout(plant, Gait(2.0, 0.3), 5.0)
+            turned.append(run["heading"][-1] - run["heading"][50])
+        changes[kind] = turned[1] / turned[0] - 1
+    assert changes["twin"] == pytest.approx(changes["compliant"], abs=0.01)
+
+
+@pytest.mark.parametrize(("height", "reached"), [(0.002, True), (-0.005, True), (0.02, False)])
+def test_wheels_climb_what_is_low_enough(height, reached):
+    front = SPEC.geometry.body_length / 2
+    world = World(steps=(Step(front + 0.03, height),))
+    twin = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3, world=world)
+    run = rollout(twin, Gait(2.0), 4.0)
+    head = run.position[-1, 0, 0]
+    assert (head > front + 0.1) == reached
+    if reached:
+        heights = twin.physics.connector_positions()[:, 2] - SPEC.geometry.com_height
+        assert heights[0] == pytest.approx(height, abs=5e-4)
+    assert twin.physics.wheel_loads().sum() == pytest.approx(SPEC.mass.total * GRAVITY, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda world: TwinSnake(SPEC, world=world), "'loaded'"),
+        (lambda world: AnalyticalSnake(SPEC, world=world), "plane"),
+    ],
+)
+def test_a_floor_that_a_plant_cannot_stand_on_is_refused(build, words):
+    with pytest.raises(InputError, match=words):
+        build(World(steps=(Step(0.5, 0.002),)))
+
+
+def test_momentary_loads_need_two_wheels():
+    with pytest.raises(InputError, match="momentary"):
+        AnalyticalSnake(SPEC, load="momentary")
