@@ -25,7 +25,7 @@ import numpy as np
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.mjcf.numerics import LAW_OF, PRELOAD, Numerics
+from srs_twin.mjcf.numerics import LAW_OF, PRELOAD, LawOnLoads, Numerics
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
@@ -137,7 +137,7 @@ class Ladder:
 
     def _all_switches(self) -> list[Switch]:
         model, twin, spec = self._model, self._twin, self._scenario.robot
-        law, lag = twin.friction or LAW_OF[twin.wheels], spec.bending.damping_time
+        law, lag = self._law, spec.bending.damping_time
         point = model.friction not in LAW_OF.values()
         springs = model.model != "compliant"
         damped = springs and lag != spec.actuator.tau_mode
@@ -158,31 +158,54 @@ class Ladder:
             Switch("connector inertia", inertia, model.inertia != "connector", {"inertia": "connector"}),
         ]
 
-    def _refinements(self) -> list[Refinement]:
+    def _contact_refinements(self) -> list[Refinement]:
+        """Return those of how the floor holds the twin."""
         numerics = Numerics(wheels=self._twin.wheels, preload=PRELOAD[self._twin.wheels])
-        softness = {
-            "slip_time": numerics.slip_time / 2,
-            "axle_time": numerics.axle_time / 2,
-            "preload": 2 * numerics.preload,
-        }
+        if self._twin.contact == "preloaded":
+            softness = {
+                "slip_time": numerics.slip_time / 2,
+                "axle_time": numerics.axle_time / 2,
+                "preload": 2 * numerics.preload,
+            }
+            return [Refinement("contact softness", "contacts that slip before they hold", softness, 2.0)]
+        shared = {"load": "across" if self._model.load == "momentary" else "static"}
+        loads = Refinement("loads that follow the motion", "what the model's have not of them", shared, 1.0)
+        bodies = {law: wheels for wheels, law in LAW_OF.items()}.get(self._law)
+        if bodies is None or self._scenario.world.uneven:
+            return [loads]
+        static = {"load": "static"}
+        pressed = {"contact": "preloaded", "friction": None, "wheels": bodies}
+        solver = Refinement(
+            "friction solver", "a law that holds, against MuJoCo's own friction", pressed, 1.0, base=static
+        )
+        return [loads, solver]
+
+    @property
+    def _law(self) -> LawOnLoads:
+        """Return the twin's friction law."""
+        return self._twin.friction or LAW_OF[self._twin.wheels]
+
+    def _refinements(self) -> list[Refinement]:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
         arcs = {"constant_curvature": True}
         model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
         finer = arcs | {"hinges_per_segment": 2 * hinges}
-        lighter = {"link_share": numerics.link_share / 2}
-        spin = Refinement("wheel inertia", "wheels' inertia about their axles", {"wheel_spin": 0.25}, 4 / 3)
-        soft = Refinement("contact softness", "contacts that slip before they hold", softness, 2.0)
+        lighter = {"link_share": Numerics.link_share / 2}
+        # Axles need inertia, and the preloaded twin is of first order in its step; the loaded one is neither.
+        loaded = self._twin.contact == "loaded"
+        less, most = ({"wheel_spin": 0.0}, 1.0) if loaded else ({"wheel_spin": 0.25}, 4 / 3)
+        spin = Refinement("wheel inertia", "wheels' inertia about their axles", less, most)
         rigid = Refinement("out-of-plane motion", "segments that pitch and roll", {}, 4 / 3)
         hinged = f"{hinges} hinges a segment for an arc"
         model_step = "the model's time step and slip speed"
         return [
             Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
             Refinement("bending discretisation", hinged, finer, 4 / 3, base=arcs),
-            *([spin] if self._twin.wheels == "rolling" else []),
-            *([soft] if self._twin.contact == "preloaded" else []),
+            *([spin] if self._law != "ellipse" else []),
+            *self._contact_refinements(),
             replace(rigid, change=_stiffer_out_of_plane),
             Refinement("link mass", "mass between the hinges", lighter, 2.0),
-            Refinement("twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 2.0),
+            Refinement("twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 4 / 3 if loaded else 2.0),
             Refinement("model time step", model_step, model, 4 / 3, plant="analytical"),
         ]
 

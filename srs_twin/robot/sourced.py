@@ -7,6 +7,7 @@ from a table with another unit is refused.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -26,6 +27,7 @@ UNITS = {
     "_m_s": "m/s",
     "_kpa": "kPa",
     "_rad": "rad",
+    "_deg": "deg",
     "_hz": "Hz",
     "_kg": "kg",
     "_mm": "mm",
@@ -38,7 +40,14 @@ UNITS = {
 """How a key ends → the unit of its number; longer ends first."""
 
 # One of the unit in SI, as a numerator and a denominator: 3.1 mm divided by 1000 are the double 0.0031.
-_IN_SI = {"kPa": (1000, 1), "mm": (1, 1000), "ml": (1, 1e6), "µV": (1, 1e6), "L/min": (1, 60_000)}
+_IN_SI = {
+    "kPa": (1000, 1),
+    "mm": (1, 1000),
+    "ml": (1, 1e6),
+    "µV": (1, 1e6),
+    "L/min": (1, 60_000),
+    "deg": (math.pi, 180),
+}
 
 
 def split_unit(key: str) -> tuple[str, str]:
