@@ -205,7 +205,9 @@ class Ladder:
             *self._contact_refinements(),
             replace(rigid, change=_stiffer_out_of_plane),
             Refinement("link mass", "mass between the hinges", lighter, 2.0),
-            Refinement("twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 4 / 3 if loaded else 2.0),
+            Refinement(
+                "twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 4 / 3 if loaded else 2.0
+            ),
             Refinement("model time step", model_step, model, 4 / 3, plant="analytical"),
         ]
 

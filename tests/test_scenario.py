@@ -512,6 +512,7 @@ TOGETHER = {
     "sensor": {"sensor": {"kind": "hall"}},
     "pneumatics": {"pneumatics": {"kind": "orifice", "flow_limit_l_per_min": 100.0}, "plants": plants()},
     "comparison": {"plants": {"analytical": {"gaps": False}, "twin": {}}},
+    "world": {"plants": {"twin": {"contact": "loaded"}}},
 }
 """What the keys of a section need besides."""
 SET = {
@@ -522,6 +523,8 @@ SET = {
     ("world", "obstacles"): [{"x_m": 3.0, "y_m": 2.0, "radius_m": 0.25}],
     ("world", "polygons"): [{"corners_m": [[3.0, 3.0], [4.0, 3.0], [4.0, 5.0]]}],
     ("world", "random"): {"count": 2, "seed": 5, "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]}},
+    ("world", "floor"): {"tilt_deg": 3.0, "uphill_deg": 90.0},
+    ("world", "steps"): [{"x_m": 0.5, "height_m": 0.002}],
     ("world", "bounds"): {"x_m": [-9.0, 9.0], "y_m": [-9.0, 9.0]},
     ("world", "goal"): {"x_m": 1.0, "y_m": 2.0, "heading_rad": 0.5},
     ("plants", "analytical"): {"gaps": False, "model": "simplified", "friction_torque": False},

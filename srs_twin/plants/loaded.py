@@ -24,6 +24,7 @@ order in it. MuJoCo's contacts act with what they are at the step's end: they ar
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,8 +45,9 @@ _WHEEL, _ELLIPSE = ON_LOADS.index("wheel"), ON_LOADS.index("ellipse")
 _held, _rolling = inside(friction.held), inside(friction.rolling)
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _MOST_ITERATIONS, _SHORTEST = 30, 1e-3
-_SMALL = 1e-9  # of the first residual's square: friction is then right to some parts in a hundred thousand
+_SMALL = 1e-9  # of the first residual's square: friction is then right to some hundred-thousandths
 _ALONG, _ACROSS, _UP, _HUB = range(4)
+_SINKS_IN_S = 0.05
 _SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
 
 
@@ -256,10 +258,25 @@ class LoadedContact:
             np.zeros(len(data.M)),
             *np.zeros((7, nv)),
         )
-        self.reset()
+        self._stand()
 
     def reset(self) -> None:
-        """Let the wheels stand, each with its share of the weight."""
+        """Let the wheels stand, each with its share of the weight.
+
+        The snake sinks in by some micrometres, first, on a level floor and without friction: what it moves
+        along the floor meanwhile would stay as friction that holds.
+        """
+        model, data = self._kept
+        wheels, gravity = self._wheels, model.opt.gravity.copy()
+        self._wheels = wheels._replace(law=(0.0, 0.0, *wheels.law[2:]))
+        model.opt.gravity[:2] = 0.0
+        self._stand()
+        self.run(np.zeros((math.ceil(_SINKS_IN_S / self._h), model.nu)))
+        self._wheels, model.opt.gravity[:] = wheels, gravity
+        data.qvel[:], data.time = 0.0, 0.0
+        self._stand()
+
+    def _stand(self) -> None:
         rest = self._wheels.rest
         self.feet = Feet(np.zeros((len(rest), 3)), np.zeros(len(rest)), rest.copy(), np.zeros(len(rest)))
 

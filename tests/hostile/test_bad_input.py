@@ -67,8 +67,24 @@ def test_a_frequency_that_is_none(refused, written, given):
         (
             "world: {}",
             "world: []",
-            "6:8: world: must be a block of keys (obstacles, polygons, random, bounds, goal), not a list",
+            "6:8: world: must be a block of keys (obstacles, polygons, random, floor, steps, bounds, goal), ",
         ),
+        (
+            "world: {}",
+            "world: {floor: {tilt_deg: 3}}",
+            "6:16: world.floor: a twin on a floor like this needs contact: loaded",
+        ),
+        (
+            "world: {}",
+            "world: {floor: {tilt_deg: 90}}",
+            "6:27: world.floor.tilt_deg: must be a number from 0 to 60, not 90",
+        ),
+        (
+            "world: {}",
+            "world: {steps: [{x_m: 0.5, height_m: 0.002}]}",
+            "6:16: world.steps: the analytical model's floor is a plane; only the twin climbs",
+        ),
+        ("friction: axis", "load: momentary", "8:15: plants.analytical: friction axis acts in one point a"),
         ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin has nothing after it; write 'twin: {}' for"),
         ("kind: gait", "kind: smc", "5:20: controller.kind: must be one of gait, ilc, direct_smc, "),
         (

@@ -20,6 +20,8 @@ PLANTS = {
     "loaded ellipse": lambda: TwinSnake(robot(), contact="loaded", friction="ellipse"),
 }
 OFFSET = 0.2
+# What sticks or slides multiplies rounding: by 3e7 in 2 s where friction across is ten times that along.
+ROUNDING = {"loaded ellipse": 1e-8}
 
 
 @cache
@@ -40,9 +42,10 @@ def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, po
     here, there = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
     c, s = np.cos(angle), np.sin(angle)
     turned = here.position @ np.array([[c, s], [-s, c]]) + [x, y]
-    assert np.abs(there.position - turned).max() < 1e-9
-    assert np.abs(there["heading"] - here["heading"] - angle).max() < 1e-9
-    assert np.abs(there.stack("bend") - here.stack("bend")).max() < 1e-9
+    rounding = ROUNDING.get(name, 1e-9)
+    assert np.abs(there.position - turned).max() < rounding
+    assert np.abs(there["heading"] - here["heading"] - angle).max() < rounding
+    assert np.abs(there.stack("bend") - here.stack("bend")).max() < rounding
 
 
 @pytest.mark.parametrize("name", PLANTS)
