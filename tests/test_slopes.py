@@ -10,7 +10,7 @@ from snakes import GRAVITY, robot
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, rollout
 from srs_twin.control.replay import HoldValves
-from srs_twin.world import Floor, Step, World
+from srs_twin.world import Floor, Polygon, Step, World
 
 SPEC = robot()
 MU = {"along": SPEC.friction.mu_t, "across": SPEC.friction.mu_n}
@@ -116,6 +116,23 @@ def test_wheels_climb_what_is_low_enough(height, reached):
         heights = twin.physics.connector_positions()[:, 2] - SPEC.geometry.com_height
         assert heights[0] == pytest.approx(height, abs=5e-4)
     assert twin.physics.wheel_loads().sum() == pytest.approx(SPEC.mass.total * GRAVITY, rel=0.3)
+
+
+def test_what_leans_on_a_wall_stands_as_statics_says():
+    tilt, side = math.radians(40), -SPEC.geometry.width
+    wall = Polygon(((-1.0, side - 0.2), (1.0, side - 0.2), (1.0, side), (-1.0, side)))
+    world = World(floor=Floor(tilt, math.pi / 2), polygons=(wall,))
+    twin = TwinSnake(SPEC, contact="loaded", world=world)
+    run = rollout(twin, AIRLESS, 3.0)
+    assert abs(run["com_y"][-1] - run["com_y"][-11]) < 1e-6
+    weight = SPEC.mass.total * GRAVITY
+    loads, across = twin.physics.wheel_loads(), twin.physics.floor_forces()[..., 1].sum(axis=1)
+    assert loads.sum() == pytest.approx(weight * math.cos(tilt), rel=1e-3)
+    # The wall pushes at the height of the centres of mass: only the floor's force tips a connector.
+    shift = SPEC.geometry.com_height / (2 * SPEC.geometry.half_track) * across
+    assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.01, abs=1e-3 * weight)
+    pushed = sum(run[f"obstacle_force_y_{i}"][-1] for i in range(1, SPEC.geometry.connectors + 1))
+    assert pushed + across.sum() == pytest.approx(weight * math.sin(tilt), rel=1e-3)
 
 
 @pytest.mark.parametrize(

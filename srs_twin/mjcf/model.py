@@ -93,7 +93,7 @@ def scene_mjcf(
     add_surroundings(mj, spec.geometry.body_length)
     if world.solid:
         add_obstacles(mj, spec, world)
-    levels = add_steps(mj, world.steps)
+    levels = add_steps(mj, world.steps, spec.geometry.body_length)
     if numerics.base == "free":
         add_contacts(mj, spec, numerics, levels)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)

@@ -63,11 +63,19 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
         add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
 
 
-def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...]) -> list[str]:
+def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], body_length: float) -> list[str]:
     """Put boxes on the floor, which is lowered to the lowest level; return their names.
 
     Where no step has been, at the least x, the floor's height is 0.
+
+    Args:
+        mj: the model.
+        steps: of the floor.
+        body_length: of the snake, m, which cameras go by: else they would by that of the boxes.
     """
+    if not steps:
+        return []
+    mj.stat.extent, mj.stat.center = body_length, [0, 0, 0]
     ordered = sorted(steps, key=lambda step: step.x)
     edges = [-_FAR, *(step.x for step in ordered), _FAR]
     heights = np.cumsum([0.0, *(step.height for step in ordered)])
@@ -80,7 +88,7 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...]) -> list[str]:
             size = [(end - begin) / 2, _FAR, (height - lowest) / 2]
             place = [(begin + end) / 2, 0, (height + lowest) / 2]
             box = mj.worldbody.add_geom(name=names[-1], type=mjtGeom.mjGEOM_BOX, size=size, pos=place)
-            box.contype, box.conaffinity, box.rgba = 0, 0, _GREY
+            box.contype, box.conaffinity, box.material = 0, 0, "floor"
     return names
 
 
