@@ -56,6 +56,9 @@ _NOWHERE = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, mat
 Replan = Callable[[Pose], Plan]
 
 
+_PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")  # of a world: its floor is the plants'
+
+
 @dataclass(frozen=True)
 class Conditions:
     """What stands between follower and snake, and when it gives up.
@@ -178,7 +181,7 @@ class Follower(Controller):
                 "law": type(self.law).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
                 "footprint": asdict(self.body or self.footprint),
-                "world": asdict(self.world),
+                "world": {name: part for name, part in asdict(self.world).items() if name in _PLANNED_IN},
                 "goal": goal,
                 "conditions": conditions,
                 "ending": self.ending,

@@ -427,18 +427,21 @@ class AnalyticalSnake(PneumaticPlant):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
-        return super().describe() | {
-            "model": self._model,
-            "base": self.base,
-            "friction": self.friction,
-            "load": self.load,
-            "friction_torque": self._turning,
-            "inertia": self._inertia,
-            "track_m": self._floor.track,
-            "timestep_s": self.timestep,
-            "slip_speed_m_s": self._floor.slip,
-            "tolerance_m_s": self._tolerance,
-        }
+        return (
+            super().describe()
+            | {
+                "model": self._model,
+                "base": self.base,
+                "friction": self.friction,
+                "friction_torque": self._turning,
+                "inertia": self._inertia,
+                "track_m": self._floor.track,
+                "timestep_s": self.timestep,
+                "slip_speed_m_s": self._floor.slip,
+                "tolerance_m_s": self._tolerance,
+            }
+            | ({} if self.load == "static" else {"load": self.load})
+        )
 
     def _make_body(self) -> Body:
         g = self.spec.geometry
