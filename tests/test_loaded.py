@@ -116,6 +116,19 @@ def test_half_the_step_gives_the_same(name):
     assert coarse.yaw_rate == pytest.approx(fine.yaw_rate, rel=0.02)
 
 
+def test_what_spins_a_wheel_up_does_not_pitch_the_snake():
+    # Thrown along with wheels at rest, the floor's force F at the hubs and the bearings' drag tip it forward.
+    plant, g = TwinSnake(SPEC, contact="loaded", tick=0.004), SPEC.geometry
+    plant.physics.data.qvel[0] = 0.5
+    plant.step(np.full((SPEC.segments, 2), -1))
+    force, loads = -plant.physics.floor_forces()[..., 0].sum(), plant.physics.wheel_loads().sum(axis=1)
+    assert force == pytest.approx(SPEC.friction.mu_n * loads.sum(), rel=1e-3)
+    places = plant.physics.connector_positions()[:, 0]
+    moment = loads @ (places - plant.physics.center_of_mass()[0])
+    drag = SPEC.friction.mu_t * loads.sum() * g.wheel_radius
+    assert moment == pytest.approx(force * (g.com_height - g.wheel_radius) + drag, rel=0.005)
+
+
 def test_what_air_does_goes_into_motion_floor_and_rubber():
     plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
     run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
