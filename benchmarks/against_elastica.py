@@ -6,6 +6,8 @@ buys. How far the twin's speed at its defaults is from its own refined limit, `r
 
 from __future__ import annotations
 
+from functools import partial
+
 from timing import Ratio, Result, Task, interleaved
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
@@ -28,20 +30,24 @@ def run(quick: bool) -> Result:
     simulated = SIMULATED / 5 if quick else SIMULATED
     spec = load_robot("gen2")
     plain, recording = ContinuumSnake(record=False), ContinuumSnake(record=True)
-    twin, analytical = TwinSnake(spec), AnalyticalSnake(spec)
+    snakes = {
+        "twin": (TwinSnake(spec), 4 * simulated),
+        "twin, loaded": (TwinSnake(spec, contact="loaded"), 4 * simulated),
+        "twin, loaded, 2 ms": (TwinSnake(spec, contact="loaded", timestep=0.002), 4 * simulated),
+        "analytical": (AnalyticalSnake(spec), 10 * simulated),
+    }
     tasks = {
         "PyElastica": Task(lambda: plain.advance(simulated), simulated),
         "PyElastica, recording": Task(lambda: recording.advance(simulated), simulated),
-        "twin": Task(lambda: rollout(twin, Gait(2.0), 4 * simulated), 4 * simulated),
-        "analytical": Task(lambda: rollout(analytical, Gait(2.0), 10 * simulated), 10 * simulated),
     }
+    for name, (snake, time) in snakes.items():
+        tasks[name] = Task(partial(rollout, snake, Gait(2.0), time), time)
     for task in tasks.values():
         task.run()  # compiles
     times = interleaved(tasks)
-    ours = ("twin", "analytical")
     ratios = {
         f"{plant} over {theirs}": Ratio.of(times[theirs], times[plant])
-        for plant in ours
+        for plant in snakes
         for theirs in ("PyElastica", "PyElastica, recording")
     }
     rows = [
