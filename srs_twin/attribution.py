@@ -160,8 +160,8 @@ class Ladder:
 
     def _contact_refinements(self) -> list[Refinement]:
         """Return those of how the floor holds the twin."""
-        numerics = Numerics(wheels=self._twin.wheels, preload=PRELOAD[self._twin.wheels])
         if self._twin.contact == "preloaded":
+            numerics = Numerics(wheels=self._twin.wheels, preload=PRELOAD[self._twin.wheels])
             softness = {
                 "slip_time": numerics.slip_time / 2,
                 "axle_time": numerics.axle_time / 2,
@@ -169,7 +169,12 @@ class Ladder:
             }
             return [Refinement("contact softness", "contacts that slip before they hold", softness, 2.0)]
         shared = {"load": "across" if self._model.load == "momentary" else "static"}
-        loads = Refinement("loads that follow the motion", "what the model's have not of them", shared, 1.0)
+        loads = Refinement(
+            "loads that follow the motion",
+            "friction on what presses a wheel, not on the model's loads",
+            shared,
+            1.0,
+        )
         bodies = {law: wheels for wheels, law in LAW_OF.items()}.get(self._law)
         if bodies is None or self._scenario.world.uneven:
             return [loads]

@@ -40,6 +40,9 @@ def test_what_contact_and_axle_give_is_what_the_rim_gains(v_t, v_n, rim, mu_t, m
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
+    # With a rim at rest and no force from before friction only takes power.
+    f_t, f_n, *_ = rolling(held, v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
+    assert f_t * v_t + f_n * v_n <= 1e-15
 
 
 @given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
@@ -155,6 +158,7 @@ def test_equal_runs_are_equal_to_the_bit_wherever_they_run():
     [
         ({"contact": "lose"}, "did you mean"),
         ({"friction": "wheel"}, "'preloaded'"),
+        ({"load": "static"}, "'preloaded'"),
         ({"contact": "loaded", "friction": "viscous"}, "viscous"),
         ({"contact": "loaded", "preload": 3.0}, "preload"),
     ],

@@ -25,7 +25,7 @@ FRICTION = 0.5
 _BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 _HEIGHT = 2.0  # of a round obstacle over the body's width
 _SHARPEST = 2.0  # contact time over the time step: what MuJoCo takes at least
-_FAR = 100.0  # m, of a level's end where no step ends it
+_FAR = 100.0  # m, beyond the last step, of a level's end
 _GREY = [0.45, 0.47, 0.5, 1]
 _UNSEEN = 4  # geom group
 _GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
@@ -77,15 +77,16 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], body_length: float) ->
         return []
     mj.stat.extent, mj.stat.center = body_length, [0, 0, 0]
     ordered = sorted(steps, key=lambda step: step.x)
-    edges = [-_FAR, *(step.x for step in ordered), _FAR]
+    far = _FAR + max(abs(step.x) for step in ordered)
+    edges = [-far, *(step.x for step in ordered), far]
     heights = np.cumsum([0.0, *(step.height for step in ordered)])
     lowest = float(heights.min())
     mj.geom("floor").pos = [0, 0, lowest]
     names = []
     for k, (begin, end, height) in enumerate(zip(edges[:-1], edges[1:], heights, strict=True)):
-        if height > lowest:
+        if height > lowest and end > begin:
             names.append(f"level_{k}")
-            size = [(end - begin) / 2, _FAR, (height - lowest) / 2]
+            size = [(end - begin) / 2, far, (height - lowest) / 2]
             place = [(begin + end) / 2, 0, (height + lowest) / 2]
             box = mj.worldbody.add_geom(name=names[-1], type=mjtGeom.mjGEOM_BOX, size=size, pos=place)
             box.contype, box.conaffinity, box.material = 0, 0, "floor"

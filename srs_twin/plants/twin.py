@@ -112,7 +112,13 @@ class TwinSnake(PneumaticPlant):
         if friction is not None:
             one_of("friction", friction, ON_LOADS)
         loaded = contact == "loaded"
-        for name, given, other in (("friction", friction, not loaded), ("preload", preload, loaded)):
+        taken = None if load == Numerics.load else load
+        belongs = (
+            ("friction", friction, not loaded),
+            ("load", taken, not loaded),
+            ("preload", preload, loaded),
+        )
+        for name, given, other in belongs:
             if given is not None and other:
                 raise InputError(f"{name} {given!r} is not allowed with contact {contact!r}")
         if world is not None and world.uneven and not loaded:
@@ -146,6 +152,7 @@ class TwinSnake(PneumaticPlant):
                 f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
         self.touches, self._uneven = world is not None and world.solid, world is not None and world.uneven
+        self._first_step = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.overshoot
         self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, largest, world)
         self.reset()
@@ -154,6 +161,12 @@ class TwinSnake(PneumaticPlant):
         """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
         physics = self.physics
         physics.lay_down(pose)
+        foremost = float(physics.connector_positions()[:, 0].max()) + self.spec.geometry.wheel_radius
+        if foremost >= self._first_step:
+            raise InputError(
+                f"a snake begins before the first step, which is at x = {self._first_step:g} m, not at "
+                f"{foremost:.3g} m"
+            )
         self._raised = self._height(physics.center_of_mass())
         self._ticks, self._seed = 0, seed
         self._spent = 0.0
