@@ -5,24 +5,34 @@
 Every setting runs the same gaits of generation 2 (1, 1.5, 2 Hz, offset 0 and 0.2; for the twin at the shipped
 stiffness and at 20 N·m/rad). Its error is the largest difference of the mean speed from that of a much finer
 one, its cost the processor time of one run over that of the default's, the settings timed in turns.
+
+Contacts of the twin are held against the explicit simulation of `load_reference.py` instead, at all its
+points (about 20 minutes): largest errors of speed, and of the yaw rate where a snake turns.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
+from load_reference import POINTS, Result, measured, numbers, simulate
 from timing import ROUNDS
 
+from srs_twin import Gait, TwinSnake, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.robot.spec import GRAVITY, Tail
 
 GAITS = list(product((1.0, 1.5, 2.0), (0.0, 0.2)))
+STEPS_S = (0.0005, 0.001, 0.002, 0.004)
 STIFFNESSES = {"analytical": (None,), "twin": (None, MATCHED_STIFFNESS)}
 FINEST: dict[str, dict[str, Any]] = {
     "analytical": {"timestep": 0.0001, "slip_speed": 0.00005, "tolerance": 0.00002},
@@ -48,13 +58,25 @@ SETTINGS: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("no preload", {"preload": 0.0}),
     ],
 }
+CONTACTS: list[tuple[str, dict[str, Any]]] = [
+    ("preloaded, 1 ms (default)", {}),
+    ("preloaded, 2 ms", {"timestep": 0.002}),
+    *((f"loaded, {1e3 * step:g} ms", {"contact": "loaded", "timestep": step}) for step in STEPS_S),
+    ("loaded, 1 ms, 1 hinge", {"contact": "loaded", "hinges_per_segment": 1}),
+    ("loaded, 1 ms, 4 hinges", {"contact": "loaded", "hinges_per_segment": 4}),
+    ("loaded, 1 ms, law of the static load", {"contact": "loaded", "load": "static"}),
+]
 
 
 def main() -> None:
-    """Print one table a plant."""
+    """Print one table a plant, and one of the contacts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="which plants")
+    tables = [*SETTINGS, "contacts"]
+    parser.add_argument("--only", nargs="+", choices=tables, default=tables, help="which tables")
     for plant in parser.parse_args().only:
+        if plant == "contacts":
+            _contacts()
+            continue
         settings = SETTINGS[plant]
         fine = _speeds(run_all(_runs(plant, FINEST[plant])))
         costs = _costs({name: _runs(plant, options)[-1] for name, options in settings})
@@ -66,6 +88,62 @@ def main() -> None:
             rows.append([name, f"{cost:.2f}", f"{worst:.2f}", f"{rms:.2f}"])
         print(f"\n{plant}\n")
         print(table(["setting", "cost", "largest error, %", "RMS error, %"], rows), flush=True)
+
+
+def crawled(name: str, periods: int, timestep: float = 0.001, **options: Any) -> Result:
+    """Return what the twin does at a point of the reference, as `load_reference.simulate` reports it.
+
+    Args:
+        name: of the point.
+        periods: how many periods of the gait.
+        timestep: s.
+        options: of the twin.
+    """
+    point, spec = POINTS[name], load_robot(POINTS[name].robot)
+    if point.stiffness is not None:
+        spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
+    if point.tail is not None:
+        spec = replace(spec, tail=Tail(*point.tail))
+    # Both half waves of whole steps: left and right are then sampled alike, and what is straight stays so.
+    period = 2 * round(0.5 / point.frequency_hz / timestep) * timestep
+    kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
+    plant = TwinSnake(spec, supply_pa=1000 * kpa, timestep=timestep, tick=timestep, **options)
+    feet: list[np.ndarray] = []
+    run = rollout(
+        plant,
+        Gait(1 / period, point.offset),
+        periods * period,
+        record_hz=1 / timestep,
+        observers=[lambda _: feet.append(plant.physics.wheel_loads().ravel())],
+    )
+    com = np.stack([run["com_x"], run["com_y"]], axis=1)[1:]
+    rest = np.repeat([axle.mass * GRAVITY / 2 for axle in spec.axles], 2)
+    steps = round(period / timestep)
+    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, steps, timestep)
+
+
+def whole(name: str) -> int:
+    """Return over how many periods a point of the reference is measured."""
+    return 5 if POINTS[name].frequency_hz > 0.5 else 3
+
+
+def _contacts() -> None:
+    names = [name for name, point in POINTS.items() if point.tail is None]
+    runs = {label: Run("twin", supply_pa=48.3e3, offset=0.4, options=more) for label, more in CONTACTS}
+    costs, rows = _costs(runs), []
+    with ProcessPoolExecutor() as pool:
+        explicit = list(pool.map(simulate, [POINTS[name] for name in names], map(whole, names)))
+        for label, options in CONTACTS:
+            found = [pool.submit(crawled, name, whole(name), **options) for name in names]
+            both = [(each.result(), reference) for each, reference in zip(found, explicit, strict=True)]
+            speed = 100 * np.array([a.speed_mm_s / b.speed_mm_s - 1 for a, b in both])
+            turn = 100 * np.array([a.yaw_rate / b.yaw_rate - 1 for a, b in both if abs(b.yaw_rate) > 0.1])
+            cells = [
+                f"{np.abs(errors).max():.1f} ({np.sqrt((errors**2).mean()):.1f})" for errors in (speed, turn)
+            ]
+            rows.append([label, f"{costs[label] / costs[CONTACTS[0][0]]:.2f}", *cells])
+            print(label, *(f"{n} {a:+.1f}" for n, a in zip(names, speed, strict=True)), file=sys.stderr)
+    print(table(["contact", "cost", "speed: largest (RMS) error, %", "yaw rate"], rows), flush=True)
 
 
 def _runs(plant: str, options: dict[str, Any]) -> list[Run]:

@@ -42,6 +42,8 @@ class Point:
         offset: of the gait.
         kpa: supply; None: the robot's nominal one.
         stiffness: of a segment, N·m/rad; None: the robot's.
+        tail: of a tail on two axles: how far the second is behind the last connector's, its centre of mass
+            behind that, the height of this, and the radius of gyration, m.
     """
 
     robot: str
@@ -49,6 +51,7 @@ class Point:
     offset: float = 0.0
     kpa: float | None = None
     stiffness: float | None = None
+    tail: tuple[float, float, float, float] | None = None
 
 
 _GEN2 = Point("gen2", 2.0, kpa=48.3)
@@ -65,6 +68,7 @@ POINTS = {
     "gen1_straight": Point("gen1", 1 / 3),
     "gen3_straight": Point("gen3", 0.9),
     "gen4_straight": Point("gen4", 1.5),
+    "gen3_tail": Point("gen3", 0.9, tail=(0.06, 0.045, 0.025, 0.025)),
 }
 
 
@@ -125,6 +129,11 @@ def numbers(point: Point) -> dict[str, Any]:
         found["connectors_kg"] = [found["connectors_kg"]] * found["connectors"]
     if point.stiffness is not None:
         found["stiffness_nm_per_rad"] = point.stiffness
+    # Axles: place in the list of connectors, how far behind, mass they carry.
+    found["tail"], found["axles"] = point.tail, [(i, 0.0, m) for i, m in enumerate(found["connectors_kg"])]
+    if point.tail is not None:
+        (i, _, mass), (back, com, _, _) = found["axles"].pop(), point.tail
+        found["axles"] += [(i, 0.0, mass * (1 - com / back)), (i, back, mass * com / back)]
     return found
 
 
@@ -150,10 +159,17 @@ def mjcf(n: dict[str, Any], step: float) -> str:
     body = ""
     for i in range(n["connectors"], 0, -1):
         neighbours = 1 if i in (1, n["connectors"]) else 2
-        parts = [inertial(0.0, n["connectors_kg"][i - 1] - 2 * wheel - neighbours / 2 * link, 2 * wheel)]
-        for side, y in (("left", track), ("right", -track)):
-            hub = f'pos="0 {y} {radius - height}" size="{radius}"'
-            parts.append(f'<geom class="foot" name="{side}_{i}" {hub}/>')
+        own = n["connectors_kg"][i - 1] - neighbours / 2 * link
+        parts = [inertial(0.0, own - 2 * wheel, 2 * wheel)]
+        if n["tail"] is not None and i == n["connectors"]:
+            _, com, up, gyration = n["tail"]
+            about = n["connectors_kg"][i - 1] * gyration**2
+            place = f'pos="{-com} 0 {up - height}" mass="{own}"'
+            parts = [f'<inertial {place} diaginertia="{about} {about} {about}"/>']
+        for a, (at, behind, _) in enumerate(n["axles"]):
+            for side, y in (("left", track), ("right", -track)):
+                hub = f'pos="{-behind} {y} {radius - height}" size="{radius}"'
+                parts += [f'<geom class="foot" name="{side}_{a}" {hub}/>'] * (at == i - 1)
         if i == 1:
             return _scene(
                 f'<body name="c1" pos="0 0 {height}"><freejoint/>{"".join(parts)}{body}</body>',
@@ -228,18 +244,18 @@ def simulate(point: Point, periods: int, step: float = 5e-5, static: bool = Fals
     n = numbers(point)
     model = mujoco.MjModel.from_xml_string(mjcf(n, step))
     data = mujoco.MjData(model)
-    count, radius, track = n["connectors"], n["wheel_radius_m"], n["half_track_m"]
-    bodies = np.repeat([model.body(f"c{i}").id for i in range(1, count + 1)], 2)
+    count, radius, track = len(n["axles"]), n["wheel_radius_m"], n["half_track_m"]
+    bodies = np.repeat([model.body(f"c{i + 1}").id for i, _, _ in n["axles"]], 2)
+    connectors = np.unique(bodies)
     side = np.tile([track, -track], count)
+    back = np.repeat([behind for _, behind, _ in n["axles"]], 2)
     geoms = {
-        model.geom(f"{s}_{i + 1}").id: 2 * i + k
-        for i in range(count)
-        for k, s in enumerate(("left", "right"))
+        model.geom(f"{s}_{i}").id: 2 * i + k for i in range(count) for k, s in enumerate(("left", "right"))
     }
-    rest = np.repeat(np.array(n["connectors_kg"]) * G / 2, 2)
+    rest = np.repeat([mass * G / 2 for _, _, mass in n["axles"]], 2)
     load = rest.copy()
     steps = round(periods / point.frequency_hz / step)
-    com, yaw, loads = np.empty((steps, 2)), np.empty((steps, count)), np.empty((steps, 2 * count))
+    com, yaw, loads = np.empty((steps, 2)), np.empty((steps, n["connectors"])), np.empty((steps, 2 * count))
     chambers = Chambers(n, point, step)
     spin = np.zeros(2 * count)
     mujoco.mj_forward(model, data)
@@ -248,9 +264,8 @@ def simulate(point: Point, periods: int, step: float = 5e-5, static: bool = Fals
         frame = data.xmat[bodies].reshape(-1, 3, 3)
         ahead = frame[:, :2, 0] / np.linalg.norm(frame[:, :2, 0], axis=1)[:, None]
         left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-        hub = (
-            data.xpos[bodies] + frame[:, :, 1] * side[:, None] + frame[:, :, 2] * (radius - n["com_height_m"])
-        )
+        places = np.stack([-back, side, 0 * side + radius - n["com_height_m"]], axis=1)
+        hub = data.xpos[bodies] + np.einsum("wij,wj->wi", frame, places)
         foot = hub - [0, 0, radius]
         turn, move = data.cvel[bodies, :3], data.cvel[bodies, 3:]
         middle = data.subtree_com[model.body_rootid[bodies]]
@@ -269,7 +284,7 @@ def simulate(point: Point, periods: int, step: float = 5e-5, static: bool = Fals
             row = data.contact.efc_address[contact]
             load[geoms[data.contact.geom[contact, 1]]] = data.efc_force[row] if row >= 0 else 0.0
         com[k], loads[k] = data.subtree_com[0, :2], load
-        yaw[k] = np.arctan2(data.xmat[bodies[::2], 3], data.xmat[bodies[::2], 0])
+        yaw[k] = np.arctan2(data.xmat[connectors, 3], data.xmat[connectors, 0])
     return measured(com, np.unwrap(yaw, axis=0), loads, rest, round(1 / point.frequency_hz / step), step)
 
 

@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from front import crawled, whole
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from load_reference import POINTS, measured, numbers, simulate
+from load_reference import POINTS, simulate
 from snakes import GRAVITY, robot
 
-from srs_twin import Gait, InputError, Job, TwinBatch, TwinSnake, rollout, run_many
+from srs_twin import AnalyticalSnake, Gait, InputError, Job, TwinBatch, TwinSnake, rollout, run_many
 from srs_twin.friction import ellipse, held, rolling, wheel
+from srs_twin.robot.spec import Friction, Tail
 
 SPEC = robot()
 LOAD = 0.3
@@ -68,32 +70,8 @@ def test_slopes_of_a_wheel_that_spins_are_those_of_its_forces(seed, slip):
     assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
 
 
-def crawled(name: str, periods: int, timestep: float = 0.001):
-    """The twin on a point of the reference, as `load_reference.simulate` reports it."""
-    point = POINTS[name]
-    spec = robot(point.robot)
-    if point.stiffness is not None:
-        spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
-    # Both half waves of whole steps: left and right are then sampled alike, and what is straight stays so.
-    period = 2 * round(0.5 / point.frequency_hz / timestep) * timestep
-    kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
-    plant = TwinSnake(spec, contact="loaded", supply_pa=1000 * kpa, timestep=timestep, tick=timestep)
-    feet = []
-    run = rollout(
-        plant,
-        Gait(1 / period, point.offset),
-        periods * period,
-        record_hz=1 / timestep,
-        observers=[lambda _: feet.append(plant.physics.wheel_loads().ravel())],
-    )
-    com = np.stack([run["com_x"], run["com_y"]], axis=1)[1:]
-    rest = np.repeat(spec.mass.array() * GRAVITY / 2, 2)
-    steps = round(period / timestep)
-    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, steps, timestep)
-
-
 def agree(name: str, periods: int, drift: float = 2e-3, step: float = 5e-5) -> None:
-    twin, explicit = crawled(name, periods), simulate(POINTS[name], periods, step)
+    twin, explicit = crawled(name, periods, contact="loaded"), simulate(POINTS[name], periods, step)
     assert twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.01)
     assert twin.yaw_rate == pytest.approx(explicit.yaw_rate, rel=0.02, abs=drift)
     assert twin.swing == pytest.approx(explicit.swing, rel=0.1)
@@ -106,15 +84,59 @@ def test_two_periods_are_those_of_the_explicit_simulation():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", POINTS)
+@pytest.mark.parametrize("name", [name for name, point in POINTS.items() if point.tail is None])
 def test_every_point_is_that_of_the_explicit_simulation(name):
-    agree(name, 5 if POINTS[name].frequency_hz > 0.5 else 3)
+    agree(name, whole(name))
+
+
+@pytest.mark.slow
+def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
+    twin, explicit = crawled("gen3_tail", 4, contact="loaded"), simulate(POINTS["gen3_tail"], 4)
+    assert twin.air > 0.05
+    assert twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.01)
+    assert abs(twin.air - explicit.air) < 0.02
+
+
+TAIL = Tail(axle=0.06, com=0.045, com_height=0.025, gyration=0.025)
+
+
+def test_at_rest_two_axles_share_a_tail_by_their_levers():
+    spec = replace(robot("gen3"), tail=TAIL)
+    plant = TwinSnake(spec, contact="loaded")
+    state = plant.step(np.full((3, spec.segments, 2), -1))
+    tail = spec.mass.connectors[-1] * GRAVITY
+    assert plant.physics.wheel_loads()[-2:].sum(axis=1) == pytest.approx([0.25 * tail, 0.75 * tail], rel=0.01)
+    assert state.contact_force.shape == (spec.geometry.connectors, 2)
+
+
+def test_spun_on_the_spot_a_snake_loses_what_its_axles_lever_says():
+    spec = replace(robot("gen3"), tail=TAIL, friction=Friction(mu_t=0.5, mu_n=0.5))
+    plant = TwinSnake(spec, contact="loaded", friction="ellipse", tick=0.001)
+    physics, data = plant.physics, plant.physics.data
+    axles = physics.connector_positions()[[axle.connector - 1 for axle in spec.axles], 0]
+    levers = axles - [axle.behind for axle in spec.axles] - physics.center_of_mass()[0]
+    root = data.qpos[0] - physics.center_of_mass()[0]
+    data.qvel[[1, 5]] = 10.0 * root, 10.0
+    physics.refresh()
+    before = float(data.subtree_angmom[0, 2])
+    plant.step(np.full((spec.segments, 2), -1))
+    physics.refresh()
+    force, side = physics.floor_forces(), spec.geometry.half_track * np.array([1, -1])
+    moment = (levers[:, None] * force[..., 1] - side * force[..., 0]).sum()
+    assert data.subtree_angmom[0, 2] - before == pytest.approx(0.001 * moment, rel=1e-3)
+    assert moment < -0.1
+
+
+@pytest.mark.parametrize("plant", [TwinSnake, AnalyticalSnake])
+def test_a_plant_without_a_second_axle_refuses_a_tail_that_has_one(plant):
+    with pytest.raises(InputError, match="tail"):
+        plant(replace(robot("gen3"), tail=TAIL))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_turn", "stiff_turn"])
 def test_half_the_step_gives_the_same(name):
-    coarse, fine = crawled(name, 4), crawled(name, 4, 0.0005)
+    coarse, fine = (crawled(name, 4, step, contact="loaded") for step in (0.001, 0.0005))
     assert coarse.speed_mm_s == pytest.approx(fine.speed_mm_s, rel=0.01)
     assert coarse.yaw_rate == pytest.approx(fine.yaw_rate, rel=0.02)
 

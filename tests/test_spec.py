@@ -153,6 +153,10 @@ def test_everything_wrong_with_a_robot_comes_at_once(write):
     assert found[0].startswith("mine.yaml:5:12: ")
 
 
+METRES = {"unit": "m", "status": "estimated", "source": "for a test"}
+TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -163,6 +167,10 @@ def test_everything_wrong_with_a_robot_comes_at_once(write):
         (
             {"mass.wheel_kg.value": 0.02},
             "two wheels of 0.02 kg are too much for the lightest connector, 0.03 kg; 0.0135 kg each at most",
+        ),
+        (
+            {"tail": {key: METRES | {"value": value} for key, value in TAIL.items()}},
+            "0.07 m is behind the second axle at 0.06 m; the assembly would tip over",
         ),
         ({"supply.nominal_kpa.value": 80.0}, "80 kPa is above pulsed_limit_kpa, 68.9476 kPa"),
     ],

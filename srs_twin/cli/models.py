@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli.options import argument, option, with_options
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError, one_of
 
 if TYPE_CHECKING:
     from srs_twin.mjcf.check import ModelReport
@@ -21,17 +21,26 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 def export(
     names: Annotated[list[str] | None, argument("NAME")] = None,
     out: Annotated[str, option("--out DIR")] = "models",
+    contact: Annotated[str, option("--contact NAME")] = "preloaded",
 ) -> None:
     """Write robots as MJCF, each in a folder of its own.
 
     Options:
         names: Robots, or files of robots; default all.
         out: Where models/<robot>/ go.
+        contact: How the floor holds the snake; `preloaded`, the only one that an MJCF file can carry.
     """
     from srs_twin.io.files import open_folder, printable, shipped_names
     from srs_twin.mjcf.export import SCENE, export_robot
+    from srs_twin.mjcf.numerics import CONTACTS
     from srs_twin.robot.spec import load_robot
 
+    one_of("--contact", contact, CONTACTS)
+    if contact != "preloaded":
+        raise InputError(
+            "--contact loaded is not allowed: its friction is a law of srs_twin's own, which no MJCF file "
+            "carries; without it the snake would slide freely. Only preloaded can be written"
+        )
     robots = [load_robot(name) for name in names or shipped_names("robot")]
     folders = {Path(out) / robot.name: robot for robot in robots}
     for folder, robot in folders.items():

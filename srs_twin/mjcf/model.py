@@ -39,8 +39,11 @@ def robot_mjcf(
         hull: whether it has a body that touches obstacles (`surroundings`).
 
     Raises:
-        InputError: the time step is too long for the robot's damping time.
+        InputError: the time step is too long for the robot's damping time, or its tail has two axles and the
+            contact is not "loaded".
     """
+    if spec.tail is not None and numerics.contact != "loaded":
+        raise InputError("a tail on two axles needs contact 'loaded': pressed down it could not lift")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
     if not numerics.timestep < shortest:
         raise InputError(
@@ -144,7 +147,11 @@ def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     neighbours = (i > 1) + (i < g.connectors)
     links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
-    _set_inertia(body, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, numerics))
+    if spec.tail is not None and i == g.connectors:
+        body.mass, body.inertia = mass - links, np.full(3, mass * spec.tail.gyration**2)
+        body.ipos, body.explicitinertial = [-spec.tail.com, 0, spec.tail.com_height - g.com_height], True
+    else:
+        _set_inertia(body, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, numerics))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
     if numerics.base == "free":
         add_wheels(mj, body, spec, i, numerics)

@@ -21,6 +21,7 @@ docs/models.md says what it costs.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -41,7 +42,12 @@ _PRESSED = {"rolling": "axle", "skid": "sole"}  # what the sites that the preloa
 
 def treads(spec: RobotSpec) -> list[str]:
     """Return the names of the geoms that touch the floor: head first, left before right."""
-    return [f"tread_{side}_{i}" for i in range(1, spec.geometry.connectors + 1) for side in _SIDES]
+    return [f"tread_{side}_{i}" for i in range(1, len(spec.axles) + 1) for side in _SIDES]
+
+
+def rest_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
+    """Return the load of each wheel of a snake at rest, head first, shape (axles, 2), N."""
+    return np.repeat([[axle.mass * gravity / 2] for axle in spec.axles], 2, axis=1)
 
 
 def preload_force(spec: RobotSpec, numerics: Numerics) -> np.ndarray:
@@ -79,23 +85,28 @@ def fixed_inertia(spec: RobotSpec, numerics: Numerics) -> tuple[float, np.ndarra
 
 
 def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
-    """Put connector i on its two wheels or skids."""
+    """Put connector i on its wheels or skids."""
+    if numerics.contact == "loaded":
+        for (name, place), part in itertools.product(_wheels(spec, i), ("tread", "rim")):
+            body.add_geom(mj.find_default(part), name=f"{part}_{name}", pos=place)
+        return
     for side, sign in _SIDES.items():
-        if numerics.contact == "loaded":
-            place = [
-                0,
-                sign * spec.geometry.half_track,
-                spec.geometry.wheel_radius - spec.geometry.com_height,
-            ]
-            for part in ("tread", "rim"):
-                body.add_geom(mj.find_default(part), name=f"{part}_{side}_{i}", pos=place)
-        elif numerics.wheels == "rolling":
+        if numerics.wheels == "rolling":
             _add_wheel(mj, body, spec, i, side, numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
             z = foot_radius(spec, numerics) - spec.geometry.com_height - _DIP
             runner = [0, y, z, reach, y, z + _RISE * reach]
             body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
+
+
+def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
+    """Yield side and number of the wheels of connector i, with their centres in its frame."""
+    g = spec.geometry
+    for number, axle in enumerate(spec.axles, start=1):
+        for side, sign in _SIDES.items():
+            if axle.connector == i:
+                yield f"{side}_{number}", [-axle.behind, sign * g.half_track, g.wheel_radius - g.com_height]
 
 
 def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, scale: float) -> None:
@@ -129,9 +140,9 @@ def add_preload(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
 def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
     """Mark the points of each connector where it touches the floor."""
     for i in range(1, spec.geometry.connectors + 1):
-        for side, sign in _SIDES.items():
-            place = [0, sign * spec.geometry.half_track, -spec.geometry.com_height]
-            mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{side}_{i}", pos=place)
+        for name, (x, y, _) in _wheels(spec, i):
+            place = [x, y, -spec.geometry.com_height]
+            mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{name}", pos=place)
 
 
 def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics, levels: list[str]) -> None:
@@ -181,13 +192,13 @@ def _slower(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
     at gen 2's root as at its ends. What sinks deeper hands part of its load to its neighbours.
     """
     depth = softness(mj.compile(), spec)
-    depth *= np.repeat(spec.mass.array(), len(_SIDES))
+    depth *= rest_loads(spec).ravel()
     slower: np.ndarray = np.sqrt(depth.max() / depth)
     return slower
 
 
 def softness(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
-    """Return by how much each normal contact yields, MuJoCo's R, in the order of `treads`, (2 N,), 1/kg."""
+    """Return how softly each normal contact yields, MuJoCo's R, in the order of `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _TOUCHING

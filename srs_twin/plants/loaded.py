@@ -37,7 +37,7 @@ from numba import types
 from srs_twin import friction
 from srs_twin.compiled import compiled, inside
 from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
-from srs_twin.mjcf.wheels import softness, treads
+from srs_twin.mjcf.wheels import rest_loads, softness, treads
 from srs_twin.robot.spec import RobotSpec
 
 _MOMENTARY, _ACROSS_ONLY = LOADS.index("momentary"), LOADS.index("across")
@@ -213,20 +213,20 @@ class LoadedContact:
         """
         # The kernels call the engine by the names of its functions, which are looked up at their first call.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-        g, wheels, nv, self._h = spec.geometry, 2 * spec.geometry.connectors, model.nv, numerics.timestep
-        body = np.array([model.body(f"connector_{i}").id for i in range(1, g.connectors + 1)]).repeat(2)
+        g, wheels, nv, self._h = spec.geometry, 2 * len(spec.axles), model.nv, numerics.timestep
+        body = np.array([model.body(f"connector_{axle.connector}").id for axle in spec.axles]).repeat(2)
         mass, across = _reference(model, spec)
         damping, less = _dampers(model, mass, self._h)
         triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-        y, z = np.tile([g.half_track, -g.half_track], g.connectors), g.wheel_radius - g.com_height
+        place = np.stack([model.geom(tread).pos for tread in treads(spec)])
         spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
         self._wheels = Wheels(
             body=body,
-            place=np.stack([0 * y, y, z + 0 * y], axis=1),
+            place=place,
             last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
             softness=softness(model, spec),
             ease=np.einsum("wi,ij,wj->w", across, np.linalg.inv(mass + damping), across),
-            rest=np.repeat(spec.mass.array() * -model.opt.gravity[2] / 2, 2),
+            rest=rest_loads(spec, -model.opt.gravity[2]).ravel(),
             load=LOADS.index(numerics.load),
             sensor=np.array([model.sensor(f"floor_force_{tread}").adr[0] + 2 for tread in treads(spec)]),
             radius=g.wheel_radius,
@@ -288,7 +288,7 @@ class LoadedContact:
 
         Returns:
             Time, qpos and qvel at the steps' ends, NaN after one that diverged; sensors; the floor's force on
-            each wheel, shape (steps, N, 2, 3), N, world; and the power that friction takes, (steps,), W.
+            each wheel, shape (steps, axles, 2, 3), N, world; and the power that friction takes, (steps,), W.
         """
         (model, data), steps, wheels = self._kept, len(controls), len(self._wheels.rest)
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
@@ -434,9 +434,10 @@ def _look(engine, wheels, work):  # type: ignore[no-untyped-def]
         norm = 1 / np.sqrt(m[0] * m[0] + m[3] * m[3])
         c, s = m[0] * norm, m[3] * norm
         work.heading[w, 0], work.heading[w, 1] = c, s
-        x = engine.xpos[body, 0] + m[1] * place[1] + m[2] * place[2] - com[0]
-        y = engine.xpos[body, 1] + m[4] * place[1] + m[5] * place[2] - com[1]
-        z = engine.xpos[body, 2] + m[7] * place[1] + m[8] * place[2] - com[2] - wheels.radius
+        x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] + m[2] * place[2] - com[0]
+        y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] + m[5] * place[2] - com[1]
+        z = engine.xpos[body, 2] + m[6] * place[0] + m[7] * place[1] + m[8] * place[2] - com[2]
+        z -= wheels.radius
         for k, (ex, ey, ez) in enumerate(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0))):
             row = work.rows[w, k]
             row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex

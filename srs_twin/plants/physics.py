@@ -27,7 +27,7 @@ from mujoco import rollout as mujoco_rollout  # noqa: E402
 
 from srs_twin.mjcf.model import scene_mjcf  # noqa: E402
 from srs_twin.mjcf.numerics import Numerics  # noqa: E402
-from srs_twin.mjcf.wheels import preload_force, treads  # noqa: E402
+from srs_twin.mjcf.wheels import preload_force, rest_loads, treads  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class StepBatch:
 
     Attributes:
         states: at the end of each step: time, qpos, qvel; shape (steps, 1 + nq + nv).
-        floor_force: of the floor on each wheel during each step, shape (steps, N, 2, 3), N, world.
+        floor_force: of the floor on each wheel during each step, shape (steps, axles, 2, 3), N, world.
         energy: kinetic energy at each step's beginning, shape (steps,), J.
         obstacle_force: of all obstacles on each connector with the halves of its segments during each step,
             shape (steps, N, 3), N, world.
@@ -119,13 +119,14 @@ class SnakePhysics(dm.Physics):
         self._pneumatics, self._spec = pneumatics, spec
         self._free = numerics.base == "free"
         loaded = numerics.contact == "loaded" and self._free
-        self._preload = preload_force(spec, numerics) * (self._free and not loaded)
-        self._rest_load = np.repeat(spec.mass.array()[:, None] * -raw.opt.gravity[2] / 2, 2, axis=1)
+        self._rest_load = rest_loads(spec, -raw.opt.gravity[2])
+        pressed = self._free and not loaded
+        self._preload = preload_force(spec, numerics) if pressed else np.zeros_like(self._rest_load)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
         feet = treads(spec) if self._free else []
-        # Of each connector's left and right foot, shape (N, 2, 3).
+        # Of each axle's left and right foot, shape (axles, 2, 3).
         self._force_columns = self._columns([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
         velocities = [] if loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
@@ -262,7 +263,7 @@ class SnakePhysics(dm.Physics):
         return states[0], sensed[0]
 
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return what is sensed at the feet, shape (steps, N, 2, 3); 0 where nothing stands on a floor."""
+        """Return what is sensed at the feet, shape (steps, axles, 2, 3); 0 where there is no floor."""
         return sensed[:, columns] if self._free else np.zeros((len(sensed), *self._no_force.shape))
 
     def refresh(self) -> None:
@@ -315,14 +316,14 @@ class SnakePhysics(dm.Physics):
     def floor_forces(self) -> np.ndarray:
         """Return the floor's force on each wheel less the preload, mean over the last `step`, world frame.
 
-        Shape (N, 2, 3): connector, left and right wheel, x y z, N.
+        Shape (axles, 2, 3): axle, left and right wheel, x y z, N.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload
         return force
 
     def wheel_loads(self) -> np.ndarray:
-        """Return the normal load of each wheel, mean over the last `step`, shape (N, 2), N.
+        """Return the normal load of each wheel, mean over the last `step`, shape (axles, 2), N.
 
         Below 0: without preload the wheel would lift.
         """

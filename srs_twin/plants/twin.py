@@ -274,7 +274,8 @@ class TwinSnake(PneumaticPlant):
             pressure=trace.pressure,
             valves=trace.valves,
             sensed=self.sensor.read(seen.bends, times, self._seed),
-            contact_force=force.sum(axis=2),
+            # A tail's second axle comes last: it is the last connector's as well.
+            contact_force=np.add.reduceat(force.sum(axis=2), np.arange(theta.shape[1]), axis=1),
             obstacle_force=obstacles,
             torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
             work=work,

@@ -33,6 +33,7 @@ from srs_twin.robot.spec import (
     Modules,
     RobotSpec,
     Supply,
+    Tail,
 )
 
 Factor = Annotated[float, between(0.1, 10.0)]
@@ -228,6 +229,19 @@ class GaitFile(Records):
     """Lag of a segment's gait behind the one before it (E18)."""
 
 
+class TailFile(Records):
+    """A tail assembly with a second axle behind the last connector's; for the twin with contact: loaded."""
+
+    axle_m: Number = number(1e-3, 1.0)
+    """From the last connector's axle back to the second."""
+    com_m: Number = number(0.0, 1.0)
+    """From the last connector's axle back to the assembly's centre of mass; at most axle_m."""
+    com_height_m: Number = number(1e-4, 1.0)
+    """Height of that over the floor."""
+    gyration_m: Number = number(1e-4, 1.0)
+    """Radius of gyration of the assembly with its wheels."""
+
+
 class RobotFile(Strict):
     """A robot file."""
 
@@ -245,6 +259,8 @@ class RobotFile(Strict):
     gait: GaitFile
     modules: ModulesFile | None = None
     """How each module departs from the nominal one (default: not at all)."""
+    tail: TailFile | None = None
+    """What the last connector carries on two axles (default: it is like the others)."""
 
     def records(self) -> dict[str, Record[Any, Any]]:
         """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
@@ -280,6 +296,7 @@ class RobotFile(Strict):
             supply=Supply(**self.supply.in_si(), limit_source=self.supply.pulsed_limit_kpa.source),
             phase_step=self.gait.phase_step_rad.value,
             variation=self.modules.draw(segments, seed) if self.modules else None,
+            tail=Tail(**self.tail.in_si()) if self.tail else None,
         )
 
     def masses(self) -> list[float]:
@@ -303,6 +320,9 @@ class RobotFile(Strict):
             )
         if self.modules is not None:
             yield from self.modules.contradictions(connectors - 1)
+        if self.tail is not None and (com := self.tail.com_m.value) > (axle := self.tail.axle_m.value):
+            text = f"{com:g} m is behind the second axle at {axle:g} m; the assembly would tip over"
+            yield ("tail", "com_m", "value"), text
         nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
         if nominal > limit:
             yield (

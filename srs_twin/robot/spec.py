@@ -16,7 +16,7 @@ import math
 import os
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -284,6 +284,43 @@ class Supply:
 
 
 @dataclass(frozen=True)
+class Tail:
+    """A tail assembly on two axles: the last connector, with a second axle behind its own.
+
+    Attributes:
+        axle: from the last connector's axle back to the second, m.
+        com: from there back to the assembly's centre of mass, between the two, m.
+        com_height: of that above the floor, m.
+        gyration: the assembly's radius of gyration with its wheels, m.
+    """
+
+    axle: float
+    com: float
+    com_height: float
+    gyration: float
+
+    def __post_init__(self) -> None:
+        _positive(self, "axle", "com_height", "gyration")
+        _require(
+            0 <= self.com <= self.axle, "com", self.com, f"it lies between the axles, 0 to {self.axle:g}"
+        )
+
+
+class Axle(NamedTuple):
+    """Two wheels.
+
+    Attributes:
+        connector: which they carry, 1 the head.
+        behind: its middle, m.
+        mass: that they carry of a snake at rest on a level floor, kg.
+    """
+
+    connector: int
+    behind: float
+    mass: float
+
+
+@dataclass(frozen=True)
 class RobotSpec:
     """One snake.
 
@@ -299,6 +336,7 @@ class RobotSpec:
         supply: pressures and their limits.
         phase_step: β, by which the gait of a segment lags the one before it, rad (E18).
         variation: what is each module's own; None where all are nominal.
+        tail: None where the last connector is like the others.
     """
 
     name: str
@@ -312,6 +350,7 @@ class RobotSpec:
     supply: Supply
     phase_step: float
     variation: Modules | None = None
+    tail: Tail | None = None
 
     def __post_init__(self) -> None:
         given, wanted = len(self.mass.connectors), self.geometry.connectors
@@ -330,6 +369,16 @@ class RobotSpec:
     def modules(self) -> Modules:
         """What is each module's own."""
         return self.variation or Modules.alike(self.segments)
+
+    @cached_property
+    def axles(self) -> tuple[Axle, ...]:
+        """All axles, head first."""
+        each = [Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)]
+        if self.tail is not None:
+            last, share = each.pop(), self.tail.com / self.tail.axle
+            each += [last._replace(mass=(1 - share) * last.mass)]
+            each += [last._replace(mass=share * last.mass, behind=self.tail.axle)]
+        return tuple(each)
 
     def yaw_inertia(self) -> np.ndarray:
         """Return each connector's moment of inertia about its own vertical, wheels included, (N,), kg·m²."""

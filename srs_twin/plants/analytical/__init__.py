@@ -340,7 +340,7 @@ class AnalyticalSnake(PneumaticPlant):
         Raises:
             InputError: an unknown model, law, load, inertia or layout, a tick, time step or tolerance that is
                 not above 0, no friction torque with another model, momentary loads of a law that does not act
-                at the wheels, or a floor with steps.
+                at the wheels, a floor with steps, or a tail on two axles.
         """
         one_of("model", model, MODELS)
         one_of("friction law", friction, LAWS)
@@ -351,6 +351,8 @@ class AnalyticalSnake(PneumaticPlant):
         world = world or World()
         if world.steps:
             raise InputError("the analytical model's floor is a plane; only the twin climbs steps")
+        if spec.tail is not None:
+            raise InputError("the analytical model has an axle a connector; a tail on two is the twin's")
         one_of("base", base, BASES)
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
