@@ -32,7 +32,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.robot.spec import GRAVITY, Tail
 
 GAITS = list(product((1.0, 1.5, 2.0), (0.0, 0.2)))
-STEPS_S = (0.0005, 0.001, 0.002, 0.004)
+STEPS_S = (0.0005, 0.001, 0.002)
 STIFFNESSES = {"analytical": (None,), "twin": (None, MATCHED_STIFFNESS)}
 FINEST: dict[str, dict[str, Any]] = {
     "analytical": {"timestep": 0.0001, "slip_speed": 0.00005, "tolerance": 0.00002},

@@ -3,9 +3,9 @@
     uv run python benchmarks/heavy_tail.py
 
 Bend amplitudes by segment of the twin, `compliant` and `complete`, over the gait range, stiffness and
-damping; what they become when one thing after another is switched off in `compliant`; and the wheels'
-loads in the twin over a period, whose tail stands on the last connector's two wheels. Draws
-docs/images/heavy_tail.png.
+damping; what they become when one thing after another is switched off in `compliant`; the wheels' loads in
+the twin over a period, whose tail stands on the last connector's two wheels; and what a tail on two axles
+does on momentary loads. Draws docs/images/heavy_tail.png.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.robot.spec import GRAVITY
+from srs_twin.robot.spec import GRAVITY, Tail
 from srs_twin.viewing.plots.style import STYLES
 
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "heavy_tail.png"
@@ -35,6 +35,11 @@ HEIGHTS = (0.015, 0.020, 0.030)
 DAMPING = (0.00214, 0.005, 0.01, 0.02)
 SILICONE = 0.01  # s, c/k that silicone's own loss factor would give
 SLOW = 0.1
+# Of an assembly 8 cm long; the text gives none of its measures.
+TAILS = [
+    None,
+    *(Tail(axle=0.06, com=0.045, com_height=h, gyration=0.025) for h in (0.015, 0.02, 0.025, 0.03)),
+]
 PLANTS = ("twin", "compliant", "complete")
 # Okabe and Ito's palette, safe for the colour-blind; marks and dashes differ as well.
 COLORS = (STYLES["twin"].color, STYLES["analytical"].color, "#009E73", "#222222")
@@ -160,6 +165,7 @@ def main() -> None:
     by_stiffness, by_damping = over_stiffness(), over_damping()
     switched_off()
     draw(by_stiffness, by_damping, loads_by_height()).savefig(IMAGE, dpi=120)
+    on_two_axles()
 
 
 def over_gaits() -> None:
@@ -247,6 +253,38 @@ def load_row(case: Case, found: tuple[np.ndarray, np.ndarray]) -> list[str]:
         each(100 * (loads < 0).mean(axis=(0, 2)), ".0f"),
         *(f"{np.sqrt((a**2).mean()):.2f}, {np.abs(a).max():.2f}" for a in acceleration.T),
     ]  # fmt: skip
+
+
+def lifted(tail: Tail | None, frequency: float, damping_time: float) -> list[str]:
+    """Return speed, amplitudes, remarks, and how often wheels of the tail's front axle lift, one and both."""
+    spec = replace(Case("twin", frequency, damping_time=damping_time).spec(), tail=tail)
+    plant = TwinSnake(spec, contact="loaded", supply_pa=SUPPLY, tick=LOAD_TICK)
+    front = []
+    run = rollout(
+        plant,
+        Gait(frequency),
+        DURATION,
+        observers=[lambda _: front.append(plant.physics.wheel_loads()[len(spec.mass.connectors) - 1])],
+    )
+    up = np.array(front)[round(2 / frequency / LOAD_TICK) :] <= 0
+    values = plant_metrics(run)
+    bends = np.array(values["bend_amplitude_rad"])
+    speed, shares = 1e3 * values["com_speed_m_s"], (up.any(axis=1).mean(), up.all(axis=1).mean())
+    return [f"{speed:.0f}", row(bends), remarks(bends), *(f"{100 * share:.0f}" for share in shares)]
+
+
+def on_two_axles() -> None:
+    """Print what a second axle does, by the height of the tail's centre of mass."""
+    cases = [(tail, f, lag) for f in (0.75, 2.0) for lag in (DAMPING[0], SILICONE) for tail in TAILS]
+    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
+        found = list(pool.map(lifted, *zip(*cases, strict=True)))
+    names = ["one axle" if tail is None else f"two, {1e3 * tail.com_height:g} mm" for tail, _, _ in cases]
+    head = ["f Hz", "c/k ms", "tail", "mm/s", "amplitudes", "shows", "% one front wheel up", "both"]
+    rows = [
+        [f"{f:g}", f"{1e3 * lag:g}", name, *cells]
+        for (_, f, lag), name, cells in zip(cases, names, found, strict=True)
+    ]
+    print("\n" + table(head, rows))
 
 
 def draw(

@@ -104,9 +104,10 @@ def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
     """Yield side and number of the wheels of connector i, with their centres in its frame."""
     g = spec.geometry
     for number, axle in enumerate(spec.axles, start=1):
+        x = 0.0 - axle.behind  # not −0, which would stand in exported files
         for side, sign in _SIDES.items():
             if axle.connector == i:
-                yield f"{side}_{number}", [-axle.behind, sign * g.half_track, g.wheel_radius - g.com_height]
+                yield f"{side}_{number}", [x, sign * g.half_track, g.wheel_radius - g.com_height]
 
 
 def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, scale: float) -> None:
