@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from snakes import GRAVITY, robot
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, rollout
 from srs_twin.control.replay import HoldValves
+from srs_twin.mjcf.numerics import WALL_M
+from srs_twin.mjcf.surroundings import FRICTION
+from srs_twin.robot.spec import Friction
 from srs_twin.world import Floor, Polygon, Step, World
 
 SPEC = robot()
@@ -124,14 +128,46 @@ def test_what_leans_on_a_wall_stands_as_statics_says():
     twin = TwinSnake(SPEC, contact="loaded", world=world)
     run = rollout(twin, AIRLESS, 3.0)
     assert abs(run["com_y"][-1] - run["com_y"][-11]) < 1e-6
-    weight = SPEC.mass.total * GRAVITY
-    loads, across = twin.physics.wheel_loads(), twin.physics.floor_forces()[..., 1].sum(axis=1)
-    assert loads.sum() == pytest.approx(weight * math.cos(tilt), rel=1e-3)
-    # The wall pushes at the height of the centres of mass: only the floor's force tips a connector.
-    shift = SPEC.geometry.com_height / (2 * SPEC.geometry.half_track) * across
-    assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.01, abs=1e-3 * weight)
-    pushed = sum(run[f"obstacle_force_y_{i}"][-1] for i in range(1, SPEC.geometry.connectors + 1))
-    assert pushed + across.sum() == pytest.approx(weight * math.sin(tilt), rel=1e-3)
+    weight, g = SPEC.mass.total * GRAVITY, SPEC.geometry
+    _, pushed, held = twin.physics.run(np.zeros((2, SPEC.segments, 2))).obstacle_force[0].sum(axis=0)
+    loads, across = twin.physics.wheel_loads().sum(axis=0), twin.physics.floor_forces()[..., 1].sum()
+    assert pushed + across == pytest.approx(weight * math.sin(tilt), rel=1e-3)
+    assert loads.sum() + held == pytest.approx(weight * math.cos(tilt), rel=1e-3)
+    assert abs(held) < FRICTION * pushed
+    # Tipped by the floor's force below the centres of mass, and by what the wall holds beside them.
+    tipped = (g.com_height * across - g.width / 2 * held) / g.half_track
+    assert loads[1] - loads[0] == pytest.approx(tipped, rel=0.01)
+
+
+def along_a_wall(uphill):
+    """A snake on wheels without friction, lying on a wall below it on a slope of 10 degrees."""
+    side = -SPEC.geometry.width / 2 - WALL_M - 1e-4
+    wall = Polygon(((-3.0, side - 0.2), (3.0, side - 0.2), (3.0, side), (-3.0, side)))
+    world = World(floor=Floor(math.radians(10), uphill), polygons=(wall,))
+    spec = replace(SPEC, friction=Friction(mu_t=0.0, mu_n=0.0))
+    twin = TwinSnake(spec, contact="loaded", world=world)
+    rollout(twin, AIRLESS, 2.0)
+    return twin
+
+
+def test_what_slides_along_a_wall_is_slowed_by_coulombs_law():
+    twin, still = along_a_wall(math.pi / 2), np.full((SPEC.segments, 2), -1)
+    twin.physics.data.qvel[0] = 0.3
+    states = [twin.step(still) for _ in range(6)]
+    slowed = (states[0].com_velocity[0] - states[-1].com_velocity[0]) / (5 * twin.tick)
+    assert slowed == pytest.approx(FRICTION * GRAVITY * math.sin(math.radians(10)), rel=1e-3)
+    rubbed, pressed = states[-1].obstacle_force.sum(axis=0)
+    assert -rubbed == pytest.approx(FRICTION * pressed, rel=1e-3)
+    lost = states[-1].work - states[0].work  # motion less what friction took
+    assert lost == pytest.approx(0.0, abs=0.01 * SPEC.mass.total * 0.3**2 / 2)
+
+
+@pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
+def test_what_rests_against_a_wall_stays_up_to_the_angle_of_friction(share, moves):
+    lean = math.atan(share * FRICTION)  # by which the wall slopes in the plane of the floor
+    drift = along_a_wall(math.pi / 2 - lean).advance(np.full((SPEC.segments, 2), -1), 1)[-1].com_velocity[0]
+    assert (abs(drift) > 1e-3) == moves
+    assert moves or abs(drift) < 1e-6
 
 
 @pytest.mark.parametrize(

@@ -36,15 +36,16 @@ def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> No
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
     hull.conaffinity, hull.group, hull.priority = _BIT, _UNSEEN, 1
-    hull.condim, hull.friction = 3, [FRICTION, 0.005, 0.0001]
+    # Under `loaded` MuJoCo only finds what presses.
+    hull.condim, hull.friction = 1 if numerics.contact == "loaded" else 3, [FRICTION, 0.005, 0.0001]
     hull.solref, hull.solimp = [_SHARPEST * numerics.timestep, 1], [0.95, 0.99, 0.0005, 0.5, 2]
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors of what each hull feels of them.
 
-    Sensors, of each hull: the force of all obstacles on it (world frame, N) and the velocity of its middle
-    (world, m/s).
+    Sensors, of each hull: the force of all obstacles on it (world frame, N) and where it acts (m), and the
+    velocity of its middle (world, m/s).
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type, solid.contype, solid.conaffinity = mjtGeom.mjGEOM_CAPSULE, _BIT, 0
@@ -59,7 +60,7 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
         for side, (begin, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
             _add_capsule(mj, f"polygon_{k}_side_{side}", WALL_M, [*begin, z], [*end, z])
     for hull in hulls(mj):
-        add_force_sensor(mj, f"obstacle_force_{hull}", mjtObj.mjOBJ_BODY, "world", on=hull)
+        add_force_sensor(mj, f"obstacle_force_{hull}", mjtObj.mjOBJ_BODY, "world", on=hull, place=True)
         add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
 
 
@@ -98,9 +99,10 @@ def _add_capsule(mj: mujoco.MjSpec, name: str, radius: float, begin: list[float]
     mj.worldbody.add_geom(default, name=name, size=[radius, 0, 0], fromto=[*begin, *end])
 
 
-def hulls(mj: mujoco.MjSpec) -> list[str]:
+def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
     """Return the names of the body's parts that touch obstacles."""
-    return [geom.name for geom in mj.geoms if geom.name.startswith("hull_")]
+    geoms = mj.geoms if isinstance(mj, mujoco.MjSpec) else [mj.geom(k) for k in range(mj.ngeom)]
+    return [geom.name for geom in geoms if geom.name.startswith("hull_")]
 
 
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:

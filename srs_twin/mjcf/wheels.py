@@ -179,11 +179,16 @@ def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str) -> None:
     mj.add_sensor(name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=of)
 
 
-def add_force_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str, *, on: str) -> None:
-    """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N."""
+def add_force_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str, *, on: str, place: bool = False) -> None:
+    """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N.
+
+    With `place` it also tells where the force acts, m.
+    """
     sensor = mj.add_sensor(name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of)
     sensor.reftype, sensor.refname = mjtObj.mjOBJ_GEOM, on
-    sensor.intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1]
+    fields = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+    fields |= (1 << int(mujoco.mjtConDataField.mjCONDATA_POS)) * place
+    sensor.intprm[:3] = [fields, _NET_FORCE, 1]
 
 
 def _slower(mj: MjSpec, spec: RobotSpec) -> np.ndarray:

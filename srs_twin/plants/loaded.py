@@ -11,6 +11,9 @@ where A = M + C, C are the dampers (`_dampers`), h D the engine's, c the Corioli
 v̂), and J_n the rows of the normals that press, with the engine's softness R: what stands on the floor does
 not yield to friction downward. Their forces follow, by −J_n (v − v̂)/(h R).
 
+Obstacles press on the body without friction, too, and rub with `held` where their force acts; what they
+press on yields to friction.
+
 Friction is taken at mid-step where a wheel slides, towards the step's end where it sticks (`_theta`). It acts
 on a connector where its wheel touches the floor, but for what spins the wheel, which acts at the hub.
 
@@ -36,6 +39,7 @@ from numba import types
 
 from srs_twin import friction
 from srs_twin.compiled import compiled, inside
+from srs_twin.mjcf import surroundings
 from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
 from srs_twin.mjcf.wheels import rest_loads, softness, treads
 from srs_twin.robot.spec import RobotSpec
@@ -47,6 +51,7 @@ _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _MOST_ITERATIONS, _SHORTEST = 30, 1e-3
 _SMALL = 1e-9  # of the first residual's square: friction is then right to some hundred-thousandths
 _ALONG, _ACROSS, _UP, _HUB = range(4)
+_RUBS = surroundings.FRICTION
 _SINKS_IN_S = 0.05
 _SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
 
@@ -102,23 +107,25 @@ class Pattern(NamedTuple):
     less: np.ndarray
 
 
-class Wheels(NamedTuple):
-    """Where the W wheels are and what they feel.
+class Contacts(NamedTuple):
+    """What may touch something: wheels first, then what of the body may touch an obstacle; C in all.
 
     Attributes:
-        body: of each, shape (W,).
-        place: of the centre in the body's frame, shape (W, 3), m.
-        last: last of the degrees of freedom that move it, shape (W,).
-        softness: R of its normal, shape (W,), 1/kg.
-        ease: how fast an impulse across makes it, shape (W,), 1/kg.
-        rest: its share of the weight, shape (W,), N.
+        wheels: how many of them are wheels.
+        body: of each, shape (C,).
+        place: of a wheel's centre in the body's frame, shape (wheels, 3), m.
+        last: last of the degrees of freedom that move it, shape (C,).
+        softness: R of a wheel's normal, shape (C,), 1/kg; infinite elsewhere.
+        ease: how fast an impulse across a wheel, or along the body, makes it, shape (C,), 1/kg.
+        rest: its share of the weight, shape (C,), N.
         load: which one friction takes, a place in `numerics.LOADS`.
-        sensor: where its load stands in `sensordata`, shape (W,).
-        radius: m.
+        sensor: where a wheel's load stands in `sensordata`, or force and place of an obstacle's, shape (C,).
+        radius: of a wheel, m.
         kind: of the law.
         law: μ_t, μ_n, slip speed ε (m/s), mass that the spin adds (kg).
     """
 
+    wheels: int
     body: np.ndarray
     place: np.ndarray
     last: np.ndarray
@@ -133,13 +140,13 @@ class Wheels(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """What each wheel keeps from step to step.
+    """What each contact keeps from step to step.
 
     Attributes:
-        push: friction along and across the heading, and what of it spins the wheel, shape (W, 3), N.
-        rim: speed of the rim, shape (W,), m/s.
-        load: that friction takes, shape (W,), N.
-        slip: speed at which it slides, shape (W,), m/s.
+        push: friction along and across the heading, and what of it spins the wheel, shape (C, 3), N.
+        rim: speed of the rim, shape (C,), m/s.
+        load: that friction takes, shape (C,), N.
+        slip: speed at which it slides, shape (C,), m/s.
     """
 
     push: np.ndarray
@@ -152,11 +159,12 @@ class Work(NamedTuple):
     """Memory of the loop.
 
     Attributes:
-        rows: what gives a contact's velocity along, across, up, and its hub's along, shape (W, 4, 6).
-        heading: cosine and sine, shape (W, 2).
+        rows: what gives a contact's velocity along, across, up, and its hub's along, shape (C, 4, 6).
+            Along an obstacle's face is along; across is up.
+        heading: cosine and sine, shape (C, 2).
         found: friction, slopes (along by along, along by across, across by across), rim's speed where
-            friction is taken, by how much less the floor presses, what spins the wheel, shape (W, 8).
-        press: loads under v̂, shape (W,), N.
+            friction is taken, by how much less the floor presses, what spins the wheel, shape (C, 8).
+        press: loads under v̂, shape (C,), N.
         theta: where in the step friction is taken, 1/2 to 1, same shape.
         gain: what v̂ − v₋ adds to the spatial velocity beyond each degree of freedom, shape (nv, 6).
         start: that velocity at mid-step, without the change, same shape.
@@ -194,7 +202,7 @@ class Work(NamedTuple):
 
 
 class LoadedContact:
-    """The wheels of one twin on the loads of its own data.
+    """The contacts of one twin on the loads of its own data.
 
     Attributes:
         feet: what they keep from step to step.
@@ -213,23 +221,28 @@ class LoadedContact:
         """
         # The kernels call the engine by the names of its functions, which are looked up at their first call.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-        g, wheels, nv, self._h = spec.geometry, 2 * len(spec.axles), model.nv, numerics.timestep
-        body = np.array([model.body(f"connector_{axle.connector}").id for axle in spec.axles]).repeat(2)
-        mass, across = _reference(model, spec)
+        nv, self._h = model.nv, numerics.timestep
+        feet, touching = treads(spec), surroundings.hulls(model)
+        geoms = [model.geom(name) for name in feet + touching]
+        body = np.array([geom.bodyid[0] for geom in geoms])
+        mass, easy = _reference(model, feet, touching)
         damping, less = _dampers(model, mass, self._h)
         triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-        place = np.stack([model.geom(tread).pos for tread in treads(spec)])
         spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
-        self._wheels = Wheels(
+        none = np.zeros(len(touching))
+        sensors = [model.sensor(f"floor_force_{foot}").adr[0] + 2 for foot in feet]
+        sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in touching]
+        self._contacts = Contacts(
+            wheels=len(feet),
             body=body,
-            place=place,
+            place=np.stack([geom.pos for geom in geoms[: len(feet)]]),
             last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
-            softness=softness(model, spec),
-            ease=np.einsum("wi,ij,wj->w", across, np.linalg.inv(mass + damping), across),
-            rest=rest_loads(spec, -model.opt.gravity[2]).ravel(),
+            softness=np.append(softness(model, spec), none + math.inf),
+            ease=np.einsum("wi,ij,wj->w", easy, np.linalg.inv(mass + damping), easy),
+            rest=np.append(rest_loads(spec, -model.opt.gravity[2]), none),
             load=LOADS.index(numerics.load),
-            sensor=np.array([model.sensor(f"floor_force_{tread}").adr[0] + 2 for tread in treads(spec)]),
-            radius=g.wheel_radius,
+            sensor=np.array(sensors),
+            radius=spec.geometry.wheel_radius,
             kind=ON_LOADS.index(numerics.friction),
             law=(spec.friction.mu_t, spec.friction.mu_n, numerics.slip_speed, spin),
         )
@@ -245,11 +258,11 @@ class LoadedContact:
         self._engine = Engine(model._address, data._address, *views)
         self._kept = model, data  # addresses alone keep nothing alive
         self._work = Work(
-            np.zeros((wheels, 4, 6)),
-            np.zeros((wheels, 2)),
-            np.zeros((wheels, 8)),
-            np.zeros(wheels),
-            np.zeros(wheels),
+            np.zeros((len(geoms), 4, 6)),
+            np.zeros((len(geoms), 2)),
+            np.zeros((len(geoms), 8)),
+            np.zeros(len(geoms)),
+            np.zeros(len(geoms)),
             np.zeros((nv, 6)),
             np.zeros((nv, 6)),
             np.zeros((nv, 6)),
@@ -267,20 +280,20 @@ class LoadedContact:
         along the floor meanwhile would stay as friction that holds.
         """
         model, data = self._kept
-        wheels, gravity = self._wheels, model.opt.gravity.copy()
-        self._wheels = wheels._replace(law=(0.0, 0.0, *wheels.law[2:]))
+        contacts, gravity = self._contacts, model.opt.gravity.copy()
+        self._contacts = contacts._replace(law=(0.0, 0.0, *contacts.law[2:]))
         model.opt.gravity[:2] = 0.0
         self._stand()
         self.run(np.zeros((math.ceil(_SINKS_IN_S / self._h), model.nu)))
-        self._wheels, model.opt.gravity[:] = wheels, gravity
+        self._contacts, model.opt.gravity[:] = contacts, gravity
         data.qvel[:], data.time = 0.0, 0.0
         self._stand()
 
     def _stand(self) -> None:
-        rest = self._wheels.rest
+        rest = self._contacts.rest
         self.feet = Feet(np.zeros((len(rest), 3)), np.zeros(len(rest)), rest.copy(), np.zeros(len(rest)))
 
-    def run(self, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def run(self, controls: np.ndarray) -> tuple[np.ndarray, ...]:
         """Make a step for each row of controls.
 
         Args:
@@ -288,32 +301,36 @@ class LoadedContact:
 
         Returns:
             Time, qpos and qvel at the steps' ends, NaN after one that diverged; sensors; the floor's force on
-            each wheel, shape (steps, axles, 2, 3), N, world; and the power that friction takes, (steps,), W.
+            each wheel, shape (steps, axles, 2, 3), N, world; the power that friction takes, (steps,), W; and
+            the obstacles' friction on what may touch them, shape (steps, hulls, 3), N, world.
         """
-        (model, data), steps, wheels = self._kept, len(controls), len(self._wheels.rest)
+        (model, data), steps, wheels = self._kept, len(controls), self._contacts.wheels
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
-        sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, wheels, 3))
+        sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, len(self._contacts.rest), 3))
         power = np.zeros(steps)
         out = states, sensed, force, power
-        _run(self._engine, self._wheels, self._pattern, self.feet, self._work, self._h, controls, out)
+        _run(self._engine, self._contacts, self._pattern, self.feet, self._work, self._h, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
-        return states, sensed, force.reshape(steps, -1, 2, 3), power
+        return states, sensed, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
 
 
-def _reference(model: mujoco.MjModel, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return M (nv, nv) of the straight snake, and what gives the wheels' velocities across, (W, nv)."""
+def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return M (nv, nv) of the straight snake, and what gives the velocities of these geoms, (C, nv).
+
+    Of feet, that across; of what may touch obstacles, that along the body.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
     mass, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    across = []
-    for tread in treads(spec):
-        geom = data.geom(tread)
+    rows = []
+    for k, name in enumerate(feet + touching):
+        geom = data.geom(name)
         mujoco.mj_jac(model, data, jacobian, None, geom.xpos, model.geom_bodyid[geom.id])
-        across.append(jacobian[1].copy())
-    return mass, np.array(across)
+        rows.append(jacobian[1 if k < len(feet) else 0].copy())
+    return mass, np.array(rows)
 
 
 def _dampers(model: mujoco.MjModel, mass: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -337,7 +354,7 @@ def _dampers(model: mujoco.MjModel, mass: np.ndarray, h: float) -> tuple[np.ndar
 
 
 @compiled
-def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
+def _run(engine, contacts, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
     """Make steps; `out` is what `LoadedContact.run` returns."""
     states, sensed, force, power = out
     model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
@@ -347,8 +364,8 @@ def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore
         mj_integratePos(model, position, velocity, h / 2)
         _copy(engine.qvel, work.before)
         mj_step1(model, data)
-        _look(engine, wheels, work)
-        _forces(engine.cdof, wheels, pattern, feet.push, work, engine.qfrc_applied)
+        _look(engine, contacts, work)
+        _forces(engine.cdof, contacts, pattern, feet.push, work, engine.qfrc_applied)
         mj_forwardSkip(model, data, _VELOCITIES_KNOWN, 0)
         _copy(engine.qacc, engine.qacc_warmstart)
         for i in range(nv):
@@ -365,12 +382,12 @@ def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore
             work.metric[k] = engine.M[k] + pattern.damping[k]
         _carry(engine.cdof, pattern, engine.qvel, work.start)
         _carry(engine.cdof, pattern, work.other, work.gain)
-        for w in range(wheels.body.shape[0]):
-            work.press[w] = max(engine.sensordata[wheels.sensor[w]], 0.0)
-            before = feet.slip[w]
-            grip = wheels.law[1] * work.press[w] / max(before, wheels.law[2])
-            work.theta[w] = _theta(h * grip * wheels.ease[w])
-        _solve(engine, wheels, pattern, feet, work, h)
+        _feel(engine, contacts, work)
+        for w in range(contacts.body.shape[0]):
+            mu = contacts.law[1] if w < contacts.wheels else _RUBS
+            grip = mu * work.press[w] / max(feet.slip[w], contacts.law[2])
+            work.theta[w] = _theta(h * grip * contacts.ease[w])
+        _solve(engine, contacts, pattern, feet, work, h)
         total = 0.0
         for i in range(nv):
             engine.qvel[i] = work.predicted[i] + work.change[i]
@@ -381,17 +398,20 @@ def _run(engine, wheels, pattern, feet, work, h, controls, out):  # type: ignore
         _copy(engine.qpos, states[step, 1:])
         _copy(engine.qvel, states[step, 1 + nq :])
         _copy(engine.sensordata, sensed[step])
-        for w in range(wheels.body.shape[0]):
+        for w in range(contacts.body.shape[0]):
             f_t, f_n, rim = work.found[w, 0], work.found[w, 1], work.found[w, 5]
-            along, across = _slip(wheels, work, w, 0.5)
+            along, across = _slip(contacts, work, w, 0.5)
             power[step] -= f_t * along + f_n * across
-            gap = along - rim if wheels.kind == _WHEEL else along
+            gap = along - rim if contacts.kind == _WHEEL else along
             feet.slip[w] = np.sqrt(gap * gap + across * across)
             feet.push[w, 0], feet.push[w, 1], feet.push[w, 2] = f_t, f_n, work.found[w, 7]
             feet.rim[w] += (rim - feet.rim[w]) / work.theta[w]
             c, s = work.heading[w, 0], work.heading[w, 1]
-            force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
-            force[step, w, 2] = max(work.press[w] - work.found[w, 6], 0.0)
+            if w < contacts.wheels:
+                force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
+                force[step, w, 2] = max(work.press[w] - work.found[w, 6], 0.0)
+            else:
+                force[step, w, 0], force[step, w, 1], force[step, w, 2] = c * f_t, s * f_t, f_n
     _clear(engine.qfrc_applied)
 
 
@@ -425,11 +445,11 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _look(engine, wheels, work):  # type: ignore[no-untyped-def]
-    """Fill the rows of each contact, which lies below its wheel's centre, and the headings."""
+def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
+    """Fill the rows of each wheel's contact, which lies below its centre, and the headings."""
     com = engine.subtree_com[1]
-    for w in range(wheels.body.shape[0]):
-        body, place = wheels.body[w], wheels.place[w]
+    for w in range(contacts.wheels):
+        body, place = contacts.body[w], contacts.place[w]
         m = engine.xmat[body]
         norm = 1 / np.sqrt(m[0] * m[0] + m[3] * m[3])
         c, s = m[0] * norm, m[3] * norm
@@ -437,14 +457,40 @@ def _look(engine, wheels, work):  # type: ignore[no-untyped-def]
         x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] + m[2] * place[2] - com[0]
         y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] + m[5] * place[2] - com[1]
         z = engine.xpos[body, 2] + m[6] * place[0] + m[7] * place[1] + m[8] * place[2] - com[2]
-        z -= wheels.radius
-        for k, (ex, ey, ez) in enumerate(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0))):
-            row = work.rows[w, k]
-            row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
-            row[3], row[4], row[5] = ex, ey, ez
+        z -= contacts.radius
+        for k, axis in enumerate(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0))):
+            _point(work.rows[w, k], x, y, z, axis)
         row, ahead = work.rows[w, _HUB], work.rows[w, _ALONG]
         _copy(ahead, row)
-        row[0], row[1] = row[0] - wheels.radius * s, row[1] + wheels.radius * c
+        row[0], row[1] = row[0] - contacts.radius * s, row[1] + contacts.radius * c
+
+
+@inside
+def _point(row, x, y, z, axis):  # type: ignore[no-untyped-def]
+    """Fill what gives the velocity of a place along an axis."""
+    ex, ey, ez = axis
+    row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
+    row[3], row[4], row[5] = ex, ey, ez
+
+
+@inside
+def _feel(engine, contacts, work):  # type: ignore[no-untyped-def]
+    """Fill what presses on each contact, and the rows of those with obstacles, whose faces are upright."""
+    com, sensed = engine.subtree_com[1], engine.sensordata
+    for w in range(contacts.body.shape[0]):
+        k = contacts.sensor[w]
+        if w < contacts.wheels:
+            work.press[w] = max(sensed[k], 0.0)
+            continue
+        fx, fy = sensed[k], sensed[k + 1]
+        pressed = np.sqrt(fx * fx + fy * fy)
+        work.press[w] = pressed
+        if pressed > 0.0:
+            c, s = -fy / pressed, fx / pressed
+            x, y, z = sensed[k + 3] - com[0], sensed[k + 4] - com[1], sensed[k + 5] - com[2]
+            work.heading[w, 0], work.heading[w, 1] = c, s
+            _point(work.rows[w, _ALONG], x, y, z, (c, s, 0.0))
+            _point(work.rows[w, _ACROSS], x, y, z, (0.0, 0.0, 1.0))
 
 
 @inside
@@ -468,21 +514,21 @@ def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _forces(cdof, wheels, pattern, push, work, out):  # type: ignore[no-untyped-def]
+def _forces(cdof, contacts, pattern, push, work, out):  # type: ignore[no-untyped-def]
     """Fill the generalised forces of friction."""
     _clear(work.motion)
-    for w in range(wheels.body.shape[0]):
+    for w in range(contacts.body.shape[0]):
         for k in range(6):
             part = push[w, 0] * work.rows[w, _ALONG, k] + push[w, 1] * work.rows[w, _ACROSS, k]
             part += push[w, 2] * (work.rows[w, _HUB, k] - work.rows[w, _ALONG, k])
-            work.motion[wheels.last[w], k] += part
+            work.motion[contacts.last[w], k] += part
     _project(cdof, pattern, work.motion, out)
 
 
 @inside
-def _slip(wheels, work, w, theta):  # type: ignore[no-untyped-def]
+def _slip(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     """Return a contact's velocity along and across at mid-step, m/s; the change's `motion` is known."""
-    last = wheels.last[w]
+    last = contacts.last[w]
     start, gain, change = work.start[last], work.gain[last], work.motion[last]
     ahead, aside, more = work.rows[w, _ALONG], work.rows[w, _ACROSS], theta - 0.5
     return (
@@ -492,13 +538,13 @@ def _slip(wheels, work, w, theta):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _load(wheels, work, w):  # type: ignore[no-untyped-def]
+def _load(contacts, work, w):  # type: ignore[no-untyped-def]
     """Return the load that friction takes, N."""
-    pressed, rest = max(work.press[w] - work.found[w, 6], 0.0), wheels.rest[w]
-    if wheels.load == _MOMENTARY:
+    pressed, rest = max(work.press[w] - work.found[w, 6], 0.0), contacts.rest[w]
+    if contacts.load == _MOMENTARY or w >= contacts.wheels:
         return pressed
     other = max(work.press[w ^ 1] - work.found[w ^ 1, 6], 0.0)
-    return 2 * rest * pressed / (pressed + other) if wheels.load == _ACROSS_ONLY and pressed > 0.0 else rest
+    return 2 * rest * pressed / (pressed + other) if contacts.load == _ACROSS_ONLY and pressed > 0.0 else rest
 
 
 @inside
@@ -508,13 +554,16 @@ def _theta(x):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _law(wheels, along, across, load, push, rim, h):  # type: ignore[no-untyped-def]
+def _law(contacts, w, along, across, load, push, rim, h):  # type: ignore[no-untyped-def]
     """Return force, slopes (along by along, along by across, across by across), rim's speed at mid-step."""
-    mu_t, mu_n, slip, mass = wheels.law
+    mu_t, mu_n, slip, mass = contacts.law
+    if w >= contacts.wheels:
+        f_t, f_n, tt, tn, nn = _held(along, across, load, _RUBS, _RUBS, slip, push[0], push[1])
+        return f_t, f_n, tt, tn, nn, 0.0
     lag, drag = mass / h, push[0] - push[2]
-    if wheels.kind == _WHEEL:
+    if contacts.kind == _WHEEL:
         return _rolling(_held, along, across, load, mu_t, mu_n, slip, push[0], push[1], rim, lag)
-    if wheels.kind == _ELLIPSE:
+    if contacts.kind == _ELLIPSE:
         f_t, f_n, tt, tn, nn = _held(along, across, load, mu_t, mu_n, slip, drag, push[1])
         return f_t, f_n, tt, tn, nn, along
     f_t, _, tt, _, _ = _held(along, 0.0, load, mu_t, mu_t, slip, drag, 0.0)
@@ -523,7 +572,7 @@ def _law(wheels, along, across, load, push, rim, h):  # type: ignore[no-untyped-
 
 
 @inside
-def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-def]
+def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
     """Find friction and the change of velocity that it makes, by Newton's method with a line search."""
     change, direction = work.change, work.direction
     _clear(change)
@@ -531,14 +580,14 @@ def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-d
     first = 0.0
     # The second time on the loads that friction leaves; the first need not be exact.
     for most in (1, _MOST_ITERATIONS):
-        for w in range(wheels.body.shape[0]):
-            feet.load[w] = _load(wheels, work, w)
-        best = _residual(engine, wheels, pattern, feet, work, h, work.residual)
+        for w in range(contacts.body.shape[0]):
+            feet.load[w] = _load(contacts, work, w)
+        best = _residual(engine, contacts, pattern, feet, work, h, work.residual)
         first = max(first, best)
         for _ in range(most):
             if not best > _SMALL * first:
                 break
-            _assemble(engine, wheels, pattern, feet, work, h)
+            _assemble(engine, contacts, pattern, feet, work, h)
             _factor(work.matrix, pattern)
             _copy(work.residual, direction)
             _substitute(work.matrix, pattern, direction)
@@ -546,7 +595,7 @@ def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-d
                 change[i] -= direction[i]
             scale = 1.0
             while True:
-                merit = _residual(engine, wheels, pattern, feet, work, h, work.other)
+                merit = _residual(engine, contacts, pattern, feet, work, h, work.other)
                 if merit < best or scale < _SHORTEST:
                     break
                 scale *= 0.5
@@ -557,29 +606,31 @@ def _solve(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-d
 
 
 @inside
-def _residual(engine, wheels, pattern, feet, work, h, out):  # type: ignore[no-untyped-def]
+def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no-untyped-def]
     """Fill what the equation lacks, kg·m/s; return its square; note what the law says."""
     change, motion, rows, found = work.change, work.motion, work.rows, work.found
     _carry(engine.cdof, pattern, change, motion)
-    for w in range(wheels.body.shape[0]):
-        along, across = _slip(wheels, work, w, work.theta[w])
-        said = _law(wheels, along, across, feet.load[w], feet.push[w], feet.rim[w], h * work.theta[w])
+    for w in range(contacts.body.shape[0]):
+        if w >= contacts.wheels and feet.load[w] == 0.0:
+            continue  # touches nothing
+        along, across = _slip(contacts, work, w, work.theta[w])
+        said = _law(contacts, w, along, across, feet.load[w], feet.push[w], feet.rim[w], h * work.theta[w])
         for k in range(6):
             found[w, k] = said[k]
-        found[w, 7] = -wheels.law[3] / (h * work.theta[w]) * (said[5] - feet.rim[w])
-        rise = _dot(rows[w, _UP], motion[wheels.last[w]])
-        found[w, 6] = rise / (h * wheels.softness[w]) if work.press[w] > 0.0 else 0.0
+        found[w, 7] = -contacts.law[3] / (h * work.theta[w]) * (said[5] - feet.rim[w])
+        rise = _dot(rows[w, _UP], motion[contacts.last[w]])
+        found[w, 6] = rise / (h * contacts.softness[w]) if work.press[w] > 0.0 else 0.0
     other = work.yielding[:, 0]
     for i in range(other.shape[0]):
         for k in range(6):
             other[i, k] = 0.0
-    for w in range(wheels.body.shape[0]):
+    for w in range(contacts.body.shape[0]):
         f_t, f_n = h * (found[w, 0] - feet.push[w, 0]), h * (found[w, 1] - feet.push[w, 1])
         spun = h * (found[w, 7] - feet.push[w, 2])
         for k in range(6):
             less = h * found[w, 6] * rows[w, _UP, k]
             pushed = (f_t - spun) * rows[w, _ALONG, k] + spun * rows[w, _HUB, k] + f_n * rows[w, _ACROSS, k]
-            other[wheels.last[w], k] += less - pushed
+            other[contacts.last[w], k] += less - pushed
     _project(engine.cdof, pattern, other, out)
     for i in range(change.shape[0]):
         out[i] -= work.bias[i]
@@ -591,16 +642,16 @@ def _residual(engine, wheels, pattern, feet, work, h, out):  # type: ignore[no-u
 
 
 @inside
-def _assemble(engine, wheels, pattern, feet, work, h):  # type: ignore[no-untyped-def]
+def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
     """Fill Newton's matrix: A, the normals that press, friction's slopes."""
     matrix, rows, found, yielding = work.matrix, work.rows, work.found, work.yielding
     _clear(yielding)
-    for w in range(wheels.body.shape[0]):
+    for w in range(contacts.body.shape[0]):
         part = -work.theta[w] * h
         tt, tn, nn = part * found[w, 2], part * found[w, 3], part * found[w, 4]
-        up = 1 / wheels.softness[w] if work.press[w] > 0.0 else 0.0
+        up = 1 / contacts.softness[w] if work.press[w] > 0.0 else 0.0
         ahead = rows[w, _HUB if found[w, 5] != 0.0 else _ALONG]
-        aside, above, own = rows[w, _ACROSS], rows[w, _UP], yielding[wheels.last[w]]
+        aside, above, own = rows[w, _ACROSS], rows[w, _UP], yielding[contacts.last[w]]
         for a in range(6):
             t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
             for b in range(6):

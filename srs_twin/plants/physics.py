@@ -27,6 +27,7 @@ from mujoco import rollout as mujoco_rollout  # noqa: E402
 
 from srs_twin.mjcf.model import scene_mjcf  # noqa: E402
 from srs_twin.mjcf.numerics import Numerics  # noqa: E402
+from srs_twin.mjcf.surroundings import hulls as hull_names  # noqa: E402
 from srs_twin.mjcf.wheels import preload_force, rest_loads, treads  # noqa: E402
 
 
@@ -143,8 +144,7 @@ class SnakePhysics(dm.Physics):
         self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics) if loaded else None
 
     def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
-        names = [raw.geom(k).name for k in range(raw.ngeom)]
-        hulls = [name for name in names if name.startswith("hull_")]
+        hulls = hull_names(raw)
         self._hull_force = self._columns([f"obstacle_force_{hull}" for hull in hulls])
         self._hull_velocity = self._columns([f"velocity_{hull}" for hull in hulls])
         # Pieces 0…n of segment j count from the head: the first half goes to connector j.
@@ -224,6 +224,7 @@ class SnakePhysics(dm.Physics):
         sensed: np.ndarray,
         force: np.ndarray | None = None,
         spent: np.ndarray | None = None,
+        rubbed: np.ndarray | float = 0.0,
     ) -> StepBatch:
         """Return what the engine did over some steps, at whose end it stands.
 
@@ -231,7 +232,8 @@ class SnakePhysics(dm.Physics):
             states: as `StepBatch` has them.
             sensed: all sensors, shape (steps, nsensordata).
             force: the floor's, as `StepBatch` has it, and
-            spent: what it takes, shape (steps,), W; None: from the sensors.
+            spent: what friction takes, shape (steps,), W; None: from the sensors.
+            rubbed: the obstacles' friction where the sensors do not have it, shape (steps, hulls, 3), N.
         """
         self.refresh()
         if force is None or spent is None:
@@ -241,7 +243,7 @@ class SnakePhysics(dm.Physics):
             spent = -(earlier * self._at_feet(sensed, self._foot_columns)[..., :2]).sum(axis=(1, 2, 3))
         push = sensed[:, self._hull_force]
         power = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
-        bumps = np.einsum("ih,thk->tik", self._owners, push)
+        bumps = np.einsum("ih,thk->tik", self._owners, push + rubbed)
         self._floor_force, self._last_push = force.mean(axis=0), force[-1]
         return StepBatch(states, force, sensed[:, self._energy_column], bumps, power)
 
