@@ -10,6 +10,7 @@ import typer
 
 from srs_twin import __version__
 from srs_twin.cli import DEBUG, calibrate, models
+from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor import doctor
 from srs_twin.cli.options import option, with_options
@@ -19,7 +20,6 @@ from srs_twin.cli.render import render
 from srs_twin.cli.replay import replay
 from srs_twin.cli.reproduce import reproduce
 from srs_twin.cli.run import compare, run
-from srs_twin.cli.schema import schema
 from srs_twin.cli.sweep import sweep
 from srs_twin.cli.view import view
 
@@ -32,8 +32,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (run, compare, plan, replay, sweep, reproduce, view, play, render, diff, schema, doctor):
-    app.command()(with_options(verb))
+verbs = (list_, show, run, compare, plan, replay, sweep, reproduce, view, play, render, diff, schema, doctor)
+for verb in verbs:
+    app.command(verb.__name__.rstrip("_"))(with_options(verb))
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(models.app, name="models")
 

@@ -19,6 +19,7 @@ from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
     from srs_twin.experiment import RunResult
+    from srs_twin.io.documents import Change
     from srs_twin.scenario import Scenario
 
 EXPECTATION_FAILED = 1
@@ -129,6 +130,7 @@ def run_all(
     junit: str | None = None,
     plants: Sequence[str] | None = None,
     explain: bool = False,
+    changes: Sequence[Change] = (),
 ) -> None:
     """Find what is bad in any scenario, then run the good ones; exit with the highest code.
 
@@ -144,6 +146,7 @@ def run_all(
         junit: a file for what came of each scenario and expectation, as JUnit XML.
         plants: which plants; None takes those that each scenario names.
         explain: also say why the plants differ.
+        changes: of fields of each scenario.
 
     Raises:
         InputError: the JUnit file or the folder for all cannot be written; nothing was simulated.
@@ -161,7 +164,7 @@ def run_all(
             # Found out now that it cannot be written; and whatever ends this process, no old report is left.
             write()
             ends.callback(write)
-        to_do = _load(cases, out, quiet)
+        to_do = _load(cases, out, quiet, changes)
         with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
             for case in run:
                 _report(case, fails=fails, quiet=quiet)
@@ -186,7 +189,7 @@ def cases_of(given: Sequence[str]) -> list[Case]:
     return [Case(each) for each in dict.fromkeys(found)]
 
 
-def _load(cases: Sequence[Case], out: str | None, quiet: bool) -> list[Case]:
+def _load(cases: Sequence[Case], out: str | None, quiet: bool, changes: Sequence[Change]) -> list[Case]:
     """Load every scenario and see that it can run; say what is wrong with the bad ones, return the others."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import open_folder
@@ -196,7 +199,7 @@ def _load(cases: Sequence[Case], out: str | None, quiet: bool) -> list[Case]:
     taken: set[Path] = set()
     for case in cases:
         with _ending(case):
-            case.scenario = scenario = case.scenario or load_scenario(case.source)
+            case.scenario = scenario = case.scenario or load_scenario(case.source, set=changes)
             case.folder = base if out and len(cases) == 1 else base / scenario.name
             if case.folder in taken:
                 raise InputError(

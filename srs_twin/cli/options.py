@@ -7,9 +7,14 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, is_dataclass
 from functools import wraps
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+
+from srs_twin.errors import one_of
+
+if TYPE_CHECKING:
+    from srs_twin.io.documents import Change
 
 FITS = "calibration/fits"
 
@@ -62,6 +67,57 @@ FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
 FrequencyOption = Annotated[float | None, option("--frequency HZ", "Of the gait. [default: the valves']")]
 _FLOOR = "Of the analytical plant's floor. [default: wheel]"
 FloorOption = Annotated[str | None, option("--law NAME", _FLOOR)]
+
+
+def print_json(document: Any) -> None:
+    """Print one JSON document on stdout; what is no number in JSON is null."""
+    import json
+
+    typer.echo(json.dumps(document, indent=2, allow_nan=False))
+
+
+def plants_of(given: str | None) -> list[str] | None:
+    """Return the plants that `--plants` names, None where it was not given."""
+    known = ("analytical", "twin")
+    wanted = given and [each.strip() for each in given.split(",")]
+    for each in wanted or ():
+        one_of("--plants:", each, known)
+    return [each for each in known if each in wanted] if wanted else None
+
+
+@dataclass(frozen=True)
+class ChangeOptions:
+    """What is to be other than in the file.
+
+    Options:
+        change: Another value of a field, as controller.frequency_hz=1.5; repeatable.
+        duration: Simulated time.
+        seed: Of all that is random.
+    """
+
+    change: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None
+    duration: Annotated[str | None, option("--duration S")] = None
+    seed: Annotated[str | None, option("--seed N")] = None
+
+    def changes(self) -> list[Change]:
+        """Return what was given, as fields of a scenario.
+
+        Raises:
+            InputError: what was given is no field with a value.
+        """
+        from srs_twin.io.documents import Change
+
+        found = []
+        for text in self.change or ():
+            field, sign, value = text.partition("=")
+            found.append(Change.of(f"--set {text}", field.strip() if sign else "", value))
+        for field, given in (("duration_s", self.duration), ("seed", self.seed)):
+            if given is not None:
+                found.append(Change.of(f"--{field.removesuffix('_s')} {given}", field, given))
+        return found
+
+
+NO_CHANGES = ChangeOptions()
 
 
 @dataclass(frozen=True)

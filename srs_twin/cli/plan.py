@@ -11,7 +11,14 @@ import typer
 
 from srs_twin.cli import say
 from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS
-from srs_twin.cli.options import OneOutOption, QuietOption, ScenarioArgument, option
+from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
+    OneOutOption,
+    QuietOption,
+    ScenarioArgument,
+    option,
+)
 from srs_twin.errors import InputError
 from srs_twin.io.files import shown
 
@@ -26,6 +33,7 @@ def plan(
     scenario: ScenarioArgument,
     out: OneOutOption = None,
     check: Annotated[bool, option("--check")] = False,
+    changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
 ) -> None:
     """Plan the way of a scenario; nothing is simulated.
@@ -39,7 +47,7 @@ def plan(
     from srs_twin.scenario import load_scenario
     from srs_twin.scenario.expectation import verdict
 
-    loaded = load_scenario(scenario)
+    loaded = load_scenario(scenario, set=changed.changes())
     if loaded.planner is None:
         raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
     folder = Path(out) if out else RUNS / loaded.name

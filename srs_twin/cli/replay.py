@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from srs_twin.cli import say
 from srs_twin.cli.batch import RUNS, Case, failing, run_all
 from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
     CheckOption,
     FloorOption,
     FrequencyOption,
@@ -20,8 +22,9 @@ from srs_twin.cli.options import (
     StrictOption,
     argument,
     option,
+    plants_of,
 )
-from srs_twin.errors import InputError, one_of
+from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.robot.file import RobotFile
@@ -47,6 +50,7 @@ def replay(
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
     markers: ReadingOptions = _AS_FOUND,
+    changed: ChangeOptions = NO_CHANGES,
     out: Annotated[str | None, option("--out DIR")] = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -91,7 +95,7 @@ def replay(
         document |= {"bench": True, "record_hz": _BENCH_HZ}
     if pressure is not None:
         document["supply"] = {"pressure_kpa": pressure}
-    scenario = parse_scenario(document, name="replay")
+    scenario = parse_scenario(document, name="replay", set=changed.changes())
     run_all([Case(scenario.name, scenario)], out=out or str(RUNS / name), fails=fails, quiet=quiet)
 
 
@@ -130,10 +134,7 @@ def _plants(names: str, model: str, law: str | None, bench: bool) -> dict[str, A
         raise InputError("--law: take it out; on a bench there is no floor")
     floor = {} if bench else {"friction": law or "wheel"}
     settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
-    wanted = [each.strip() for each in names.split(",")]
-    for each in wanted:
-        one_of("--plants:", each, settings)
-    return {name: settings[name] for name in settings if name in wanted}
+    return {name: settings[name] for name in plants_of(names) or settings}
 
 
 def _expectations(path: str) -> list[Any]:

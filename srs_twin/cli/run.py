@@ -6,6 +6,8 @@ from typing import Annotated
 
 from srs_twin.cli.batch import cases_of, failing, run_all
 from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
     CheckOption,
     JobsOption,
     OneOutOption,
@@ -14,6 +16,7 @@ from srs_twin.cli.options import (
     StrictOption,
     argument,
     option,
+    plants_of,
 )
 
 
@@ -24,6 +27,7 @@ def compare(
     strict: StrictOption = False,
     quiet: QuietOption = False,
     explain: Annotated[bool, option("--explain")] = False,
+    changed: ChangeOptions = NO_CHANGES,
 ) -> None:
     """Run a scenario on both plants and measure the difference.
 
@@ -31,7 +35,15 @@ def compare(
         explain: Say why they differ: each assumption's share.
     """
     cases, fails, both = cases_of([scenario]), failing(check=check, strict=strict), ("analytical", "twin")
-    run_all(cases, out=out, fails=fails, quiet=quiet, plants=both, explain=explain)
+    run_all(
+        cases,
+        out=out,
+        fails=fails,
+        quiet=quiet,
+        plants=both,
+        explain=explain,
+        changes=changed.changes(),
+    )
 
 
 def run(
@@ -41,6 +53,8 @@ def run(
     strict: StrictOption = False,
     junit: Annotated[str | None, option("--junit FILE.xml")] = None,
     jobs: JobsOption = None,
+    plants: Annotated[str | None, option("--plants LIST")] = None,
+    changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
 ) -> None:
     """Run scenarios on the plants they name.
@@ -49,6 +63,16 @@ def run(
         scenarios: Shipped scenarios, files, folders of files.
         out: Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]
         junit: Write a JUnit report: expectations, divergences, bad input.
+        plants: analytical, twin or both. [default: those of the scenario]
     """
     cases, fails = cases_of(scenarios), failing(check=check, strict=strict)
-    run_all(cases, out=out, fails=fails, quiet=quiet, jobs=jobs, junit=junit)
+    run_all(
+        cases,
+        out=out,
+        fails=fails,
+        quiet=quiet,
+        jobs=jobs,
+        junit=junit,
+        plants=plants_of(plants),
+        changes=changed.changes(),
+    )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli import console, interruptible, new_table, say
-from srs_twin.cli.options import QuietOption, argument, at_once, option
+from srs_twin.cli.options import NO_CHANGES, ChangeOptions, QuietOption, argument, at_once, option, plants_of
 from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
 from srs_twin.io.files import shown
@@ -35,6 +35,8 @@ def sweep(
     retry_failed: Annotated[bool, option("--retry-failed")] = False,
     changed: Annotated[bool, option("--changed")] = False,
     without: Annotated[list[str] | None, option("--without FIELD=VALUE")] = None,
+    plants: Annotated[str | None, option("--plants LIST")] = None,
+    changed_fields: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
 ) -> None:
     """Run a scenario over grids, lists or samples of its fields.
@@ -49,11 +51,12 @@ def sweep(
         retry_failed: Run again what failed.
         changed: Go on in a folder of an earlier version; keep what still belongs.
         without: Leave out the points with this value; may be repeated.
+        plants: analytical, twin or both. [default: the sweep's]
     """
     chosen = _engine(engine, workers, address)
     from srs_twin.sweep import load_sweep, open_sweep
 
-    found = load_sweep(given)
+    found = load_sweep(given, set=changed_fields.changes(), plants=plants_of(plants))
     for warning in () if quiet else found.warnings:
         say(f"warning: {warning}")
     folder = Path(out) if out else SWEEPS / found.name

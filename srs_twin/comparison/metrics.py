@@ -109,6 +109,104 @@ COMPARISON_UNITS = units_of("""
 """Metrics of `compare`, each one number; they stand here so that naming them needs nothing else."""
 
 
+_MEANINGS = """
+com_speed_m_s: forward speed of the centre of mass, mean over whole gait periods after two
+path_length_m: way of the centre of mass over the whole run
+yaw_rate_rad_s: mean rate of the heading over the same periods; to the left positive
+turning_radius_m: speed over yaw rate; none when it goes straight
+mean_bend_amplitude_rad: half the range of a bend, mean over the segments
+bend_amplitude_rad: the same of each segment, head first
+bend_bias_rad: middle of each segment's bend, head first
+valve_switches: how often the valves of each segment changed, head first
+mechanical_power_w: work that the segments do on body and floor, over time
+cost_of_transport: mechanical power over weight times speed
+pneumatic_power_w: energy of the air that the chambers draw, over time
+pneumatic_cost_of_transport: pneumatic power over weight times speed
+final_bend_rad: bend of the first segment at the end
+rise_time_s: from 10 to 90 % of a step
+overshoot_rel: bend beyond a step's end, over the step
+overshoot_rad: the same as an angle
+settling_2_s: until the bend stays within 2 % of the step
+settling_5_s: until the bend stays within 5 % of the step
+steady_error_rad: mean error while the reference rests, in its second half
+steady_rms_rad: RMS error there
+ripple_pp_rad: peak-to-peak of the bend there
+ripple_rms_rad: RMS of the bend about its mean there
+sensed_ripple_pp_rad: peak-to-peak of what the sensor reads there
+error_rms_rad: RMS of reference less bend over the run
+amplitude_rel: amplitude of the bend over that of a sine reference
+amplitude_spread_rel: its standard deviation from period to period
+phase_lag_rad: phase by which the bend follows a sine reference
+phase_lag_spread_rad: its standard deviation from period to period
+fit_residual_rad: RMS of the bend about the sine fitted to it
+inlet_openings: how often inlet valves opened
+outlet_openings: how often outlet valves opened
+amplitude_growth_rel: amplitude before the first learnt change over that of the first period, less 1
+periods_to_converge: first period from which all amplitudes stay within 5 % of their targets
+amplitude_error_end_rad: largest error of an amplitude in the last period
+amplitude_error_end_rel: the same over its target
+amplitude_error_rad: error of each chamber's amplitude in each period
+duty: learnt duty of each chamber in each period
+duty_lowest: lowest duty of the last period
+duty_highest: highest duty of the last period
+path_speed_m_s: way from period to period over time, in the last five periods
+path_curvature_before_per_m: curvature of the path before learning began; to the left positive
+path_curvature_per_m: curvature of the path in the last five periods
+path_bend_before_per_m: size of the curvature before learning began
+path_bend_per_m: size of the curvature in the last five periods
+path_bend_left_rel: what is left of the size of the curvature
+path_radius_m: radius of the path in the last five periods
+path_radius_spread_rel: largest less smallest radius of these periods, over their mean
+heading_drift_rad: turn of the heading in a period, mean over the last five
+heading_drift_by_period_rad: turn of the heading in each period
+box_left_m: how far the body reaches to the left of its path; negative
+box_right_m: how far the body reaches to the right of its path
+reading_r_squared: R² of a line through sensor readings over bends
+reading_error_rad: RMS of readings about the bends
+reading_backstep_rad: how far the reading falls while the bend grows
+reading_backstep_at_rad: bend at which it falls most
+reading_range_t: range of the sensor's magnetic field
+plan_found: 1 where a path was found, else 0
+plan_length_m: length of the planned path
+plan_nodes: nodes that the search expanded
+plan_kink_rad: largest change of direction between two parts of the path
+goal_reached: 1 where the snake came to its goal, else 0
+arrival_error_m: distance from the goal at the end
+arrival_heading_error_rad: angle between heading and goal at the end
+cross_track_rms_m: RMS distance of the centre of mass from the planned path
+cross_track_max_m: largest distance of the centre of mass from the planned path
+inside_share: share of time at which the whole body is inside the planned footprint
+inside_50mm_share: share of time at which the whole body is inside the text's box of 50 mm
+contacts: how often the body touched an obstacle
+contact_time_s: how long it touched one
+clearance_m: least distance of the body from obstacles
+following_time_s: how long the way took
+replans: plans after the first
+measured_com_speed_rel: speed less that of the recorded robot, over it
+measured_yaw_rate_abs: size of the difference of the yaw rates
+measured_shape_rms_m: RMS distance of the connectors from the recorded ones, centre and heading aligned
+measured_path_rms_m: RMS distance of the centres of mass
+measured_bend_rms_rad: RMS difference of the bends
+measured_heading_rms_rad: RMS difference of the headings
+wall_s: time that the simulation took
+realtime_factor: simulated time over that
+com_speed_rel: twin's speed less the analytical model's, over the latter
+gap_factor: by which the analytical speed was multiplied for it, 1 unless asked for
+yaw_rate_abs: size of the difference of the yaw rates
+shape_rms_m: RMS distance of like connectors, centre and heading aligned
+shape_rms_body: the same over the body's length
+path_rms_m: RMS distance of the centres of mass at equal times
+bend_rms_rad: RMS difference of the bends
+bend_rms_rel: the same over the analytical model's RMS bend
+heading_rms_rad: RMS difference of the headings
+"""
+
+
+def meanings() -> dict[str, str]:
+    """Return metric → what it is, in a line: of plants, lists of plants, and the comparison."""
+    return dict(line.split(": ", 1) for line in _MEANINGS.split("\n") if line)
+
+
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[tuple[str, str, list[str], str]]:

@@ -47,6 +47,33 @@ _CORE: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
 )
 
 
+@dataclass(frozen=True)
+class Change:
+    """A value that stands in no file.
+
+    Attributes:
+        words: who set it, as messages show it: "--set controller.frequency_hz=1.5".
+        loc: path of the field.
+        value: plain data.
+    """
+
+    words: str
+    loc: Loc
+    value: Any
+
+    @classmethod
+    def of(cls, words: str, field: str, value: str) -> Change:
+        """Return what a dotted field and a value in YAML say.
+
+        Raises:
+            InputFileError: the value is no YAML.
+            InputError: there is no field.
+        """
+        if not (loc := path_of(field)):
+            raise InputError(f"{words}: must be FIELD=VALUE, as in controller.frequency_hz=1.5")
+        return cls(words, loc, parse_yaml(value, words).data)
+
+
 @dataclass
 class Document:
     """Plain data of one file, where each piece stands, and what is wrong with it.
@@ -58,6 +85,7 @@ class Document:
         keys: path of a value → line and column of its key.
         problems: position and message of everything found so far.
         refused: positions at which the YAML itself was refused; what follows from that is not reported.
+        changes: words of what was set besides the file; the position of what the k-th set is (−k, 0).
     """
 
     name: str
@@ -66,6 +94,40 @@ class Document:
     keys: dict[Loc, Position] = field(default_factory=dict)
     problems: list[tuple[Position, str]] = field(default_factory=list)
     refused: set[Position] = field(default_factory=set)
+    changes: list[str] = field(default_factory=list)
+
+    def change(self, change: Change) -> None:
+        """Put a value in the place of the file's; what a name stands for there becomes its `base`."""
+        self.changes.append(change.words)
+        here = (-len(self.changes), 0)
+        self.data = self.data if isinstance(self.data, dict) else {}
+        data: Any = self.data
+        for k, part in enumerate(change.loc):
+            place = change.loc[: k + 1]
+            if isinstance(data, list) and not has_child(data, part):
+                self.problems.append((here, f"{dotted(place)}: there are {len(data)} entries, from 0"))
+                return
+            if not has_child(data, part):
+                self.keys[place] = self.values[place] = here
+            if place == change.loc:
+                break
+            below = child(data, part)
+            if isinstance(below, str):
+                below = {"base": below}
+            data[part] = data = below if isinstance(below, dict | list) else {}
+        data[part] = change.value
+        self._placed(change.loc, change.value, here)
+
+    def _placed(self, loc: Loc, value: Any, here: Position) -> None:
+        self.keys[loc] = self.values[loc] = here
+        if isinstance(value, dict | list):
+            for part in value if isinstance(value, dict) else range(len(value)):
+                self._placed((*loc, part), value[part], here)
+
+    def setter(self, loc: Loc) -> str:
+        """Say who set a value: "set by --set …", or "set in" this file."""
+        line = self.values.get(loc, (0, 0))[0]
+        return f"set by {self.changes[-line - 1]}" if line < 0 else f"set in {self.name}"
 
     def get(self, *loc: str | int) -> Any:
         """Return the value at a path, or None where there is none."""
@@ -119,7 +181,8 @@ class Document:
         lines = list(foreign)
         # Of a value that may be one of several things, each of them says the same.
         for (line, column), message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
-            lines.append(f"{self.name}:{line}:{column}: {message}" if line else f"{self.name}: {message}")
+            place = f"{self.name}:{line}:{column}" if line > 0 else self.name
+            lines.append(f"{self.changes[-line - 1] if line < 0 else place}: {message}")
         if lines:
             raise InputFileError(lines)
 
@@ -185,6 +248,11 @@ def dotted(loc: Loc) -> str:
     """Return a path as people read it: ``expect[1].metric``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
     return text.removeprefix(".")
+
+
+def path_of(name: str) -> Loc:
+    """Return the path that a dotted field means: ``world.obstacles[0].x_m``."""
+    return tuple(int(text) if text.isdigit() else text for text in re.split(r"[.\[\]]+", name) if text)
 
 
 def has_child(value: Any, part: str | int) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -376,11 +376,13 @@ def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile |
         return None
     if not isinstance(given, Mapping):
         return file
-    merged = _override(file.model_dump(), given, f"set in {document.name} over {base}")
+    merged = _override(file.model_dump(), given, lambda loc: f"{document.setter(prefix + loc)} over {base}")
     return validate(RobotFile, document, merged, prefix=prefix)
 
 
-def _override(base: Mapping[str, Any], override: Mapping[str, Any], source: str) -> dict[str, Any]:
+def _override(
+    base: Mapping[str, Any], override: Mapping[str, Any], source: Callable[[Loc], str]
+) -> dict[str, Any]:
     """Return the base with plain numbers put into its records and whole records replaced."""
     merged = dict(base)
     if any(isinstance(value, Mapping) for value in override.values()) and "title" not in override:
@@ -398,7 +400,9 @@ def _override(base: Mapping[str, Any], override: Mapping[str, Any], source: str)
         merged[name] = dict(section)
         for key, entry in value.items():
             plain = key in units and not isinstance(entry, Mapping)
-            merged[name][key] = restated(section.get(key), entry, units[key], source) if plain else entry
+            merged[name][key] = (
+                restated(section.get(key), entry, units[key], source((name, key))) if plain else entry
+            )
     return merged
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -433,3 +433,4 @@ ControllerFile = Annotated[
     GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile | ReplayFile | FollowFile,
     Field(discriminator="kind"),
 ]
+CONTROLLERS = get_args(get_args(ControllerFile)[0])

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.identification.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
-from srs_twin.io.documents import Document, load_yaml
+from srs_twin.io.documents import Change, Document, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.recordings.logs import on_bench, read_valves
 from srs_twin.recordings.recording import Recording
 from srs_twin.robot.file import PA_PER_KPA, RobotFile, resolve_robot
+from srs_twin.robot.sourced import restated
 from srs_twin.scenario.checks import (
     check,
     check_controller,
@@ -34,27 +37,42 @@ from srs_twin.world import World
 Found = TypeVar("Found")
 
 
-def load_scenario(name_or_path: str | os.PathLike[str]) -> Scenario:
+def load_scenario(
+    name_or_path: str | os.PathLike[str], *, set: Mapping[str, Any] | Sequence[Change] = ()
+) -> Scenario:
     """Load a scenario: a shipped name (gen2_straight) or the path of a scenario file.
+
+    Args:
+        name_or_path: of the scenario.
+        set: dotted fields and their values instead of the file's: ``{"controller.frequency_hz": 1.5}``.
 
     Raises:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it, one line each.
     """
     path = find("scenario", name_or_path)
-    return _scenario(load_yaml(path), results_name(path))
+    return _scenario(load_yaml(path), results_name(path), set)
 
 
-def parse_scenario(data: Mapping[str, Any], *, name: str = "scenario") -> Scenario:
+def parse_scenario(
+    data: Mapping[str, Any], *, name: str = "scenario", set: Mapping[str, Any] | Sequence[Change] = ()
+) -> Scenario:
     """Make a scenario of plain data, as `Scenario.document` holds them.
 
     Raises:
         InputFileError: everything that is wrong with them; lines have no line numbers.
     """
-    return _scenario(Document(name, data), name)
+    return _scenario(Document(name, copy.deepcopy(dict(data)) if set else data), name, set)
 
 
-def _scenario(document: Document, name: str) -> Scenario:
+def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Change]) -> Scenario:
+    if isinstance(changes, Mapping):
+        changes = [Change(f"set {key}={value!r}", path_of(key), value) for key, value in changes.items()]
+    for change in changes:
+        before = document.get(*change.loc)
+        if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
+            change = replace(change, value=restated(before, change.value, None, f"set by {change.words}"))
+        document.change(change)
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []

@@ -13,7 +13,7 @@ import numpy as np
 from srs_twin.comparison.following import PLANNING_UNITS
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, some
-from srs_twin.io.documents import Document, load_yaml
+from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.provenance import NOT_PHYSICS, versions
@@ -21,7 +21,7 @@ from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.sweep.file import RangeFile, SweepFile
-from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, parts, sample
+from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, sample
 from srs_twin.viewing.plots.sweep_table import Published, Values
 
 
@@ -98,8 +98,18 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def load_sweep(name_or_path: str | os.PathLike[str]) -> Sweep:
+def load_sweep(
+    name_or_path: str | os.PathLike[str],
+    *,
+    set: Sequence[Change] = (),
+    plants: Sequence[str] | None = None,
+) -> Sweep:
     """Load a sweep: a shipped name (fig31) or the path of a sweep file.
+
+    Args:
+        name_or_path: of the sweep.
+        set: fields of the scenario that are fixed besides those of the file.
+        plants: in place of the file's.
 
     Raises:
         InputError: not found or not readable.
@@ -107,6 +117,10 @@ def load_sweep(name_or_path: str | os.PathLike[str]) -> Sweep:
     """
     path = find("sweep", name_or_path)
     document, name = load_yaml(path), results_name(path)
+    for change in set:
+        document.change(replace(change, loc=("fixed", dotted(change.loc))))
+    if plants is not None:
+        document.change(Change(f"--plants {','.join(plants)}", ("plants",), list(plants)))
     file = validate(SweepFile, document, document.data)
     scenario, foreign = _scenario(document)
     sweep = None
@@ -196,9 +210,9 @@ class _Loading:
                     )
                 elif field == "duration_s" and self._file.periods is not None:
                     self._report(section, field, "periods says how long a run is; take one of them out")
-                elif section == "vary" and field in self._file.fixed:
-                    self._report(section, field, "is fixed as well; take one of them out")
-                first, *path = parts(field)
+                elif section == "fixed" and field in self._file.vary:
+                    self._report(section, field, "is varied as well; take one of them out")
+                first, *path = path_of(field)
                 if first == "plants" and idle.intersection(path[:1]):
                     self._report(section, field, f"{path[0]} does not run here; add it to plants")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.documents import Loc
+from srs_twin.io.documents import Loc, path_of
 from srs_twin.provenance import run_key
 from srs_twin.robot.file import units_of
 from srs_twin.robot.sourced import restated
@@ -74,7 +73,7 @@ class Experiment:
     def with_change(self, document: Any, name: str, value: Value) -> Any:
         """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
         whole: Any = self.robots.get(str(value), value) if name == "robot" else value
-        where = parts(name)
+        where = path_of(name)
         if name == "planner.kind":
             document = _planned_by(document, value)
         if len(where) == 3 and where[0] == "robot" and not isinstance(whole, Mapping):
@@ -133,11 +132,6 @@ def _planned_by(document: Any, kind: Value) -> Any:
         return document
     known = PLANNER_FILES[str(kind)].model_fields
     return {**document, "planner": {key: each for key, each in planner.items() if key in known}}
-
-
-def parts(name: str) -> Loc:
-    """Return the path that a dotted field means: ``world.obstacles[0].x_m``."""
-    return tuple(int(text) if text.isdigit() else text for text in re.split(r"[.\[\]]+", name) if text)
 
 
 def changed(data: Any, loc: Loc, value: Value) -> Any:
