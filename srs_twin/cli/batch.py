@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from srs_twin.cli import interruptible, say, show_traceback
+from srs_twin.cli.options import print_json
 from srs_twin.cli.progress import Counting, ScenarioProgress
 from srs_twin.errors import InputError, SrsError
 
@@ -79,6 +80,12 @@ class Case:
         """What it is called: the scenario's name, or its file's where there is none."""
         return Path(self.source).stem if self.scenario is None else self.scenario.name
 
+    def document(self) -> Mapping[str, Any]:
+        """Return what came of it as plain data: metrics.json, or what stopped it."""
+        ended = self.ended or CaseResult(None)
+        errors = {"scenario": self.name, "errors": [str(error) for error in ended.errors]}
+        return errors if ended.errors else ended.metrics
+
 
 def simulate(
     order: tuple[Scenario, Path],
@@ -131,6 +138,7 @@ def run_all(
     plants: Sequence[str] | None = None,
     explain: bool = False,
     changes: Sequence[Change] = (),
+    as_json: bool = False,
 ) -> None:
     """Find what is bad in any scenario, then run the good ones; exit with the highest code.
 
@@ -147,6 +155,8 @@ def run_all(
         plants: which plants; None takes those that each scenario names.
         explain: also say why the plants differ.
         changes: of fields of each scenario.
+        as_json: print what came of them as one document: of one scenario its metrics.json, of several
+            `{"runs": […]}`; of what failed `{"scenario", "errors"}`.
 
     Raises:
         InputError: the JUnit file or the folder for all cannot be written; nothing was simulated.
@@ -167,7 +177,10 @@ def run_all(
         to_do = _load(cases, out, quiet, changes)
         with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
             for case in run:
-                _report(case, fails=fails, quiet=quiet)
+                _report(case, fails=fails, quiet=quiet, as_json=as_json)
+    if as_json:
+        found = [case.document() for case in cases]
+        print_json(found[0] if len(found) == 1 else {"runs": found})
     if fails and not quiet:
         from srs_twin.scenario.expectation import tally
 
@@ -267,7 +280,7 @@ def _named(case: Case, error: Exception | None) -> SrsError:
     return error
 
 
-def _report(case: Case, *, fails: frozenset[str], quiet: bool) -> None:
+def _report(case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool) -> None:
     """Show what a run gave."""
     from srs_twin.cli.table import asks_why, expectation_lines, show
 
@@ -275,11 +288,12 @@ def _report(case: Case, *, fails: frozenset[str], quiet: bool) -> None:
     assert ended is not None, "it has ended"
     if ended.result is not None and ended.metrics:
         if not quiet:
-            show(ended.result)
+            if not as_json:
+                show(ended.result)
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
             if asks_why(ended.metrics):
                 say(f"why the plants differ: `srs-twin compare {case.source} --explain`")
-        elif fails:
+        elif fails and not as_json:
             for line in expectation_lines(ended.metrics, fails | {"holds"}):
                 say(line)
     for error in ended.errors:

@@ -17,6 +17,7 @@ from srs_twin.cli.options import (
     FitOptions,
     FloorOption,
     FrequencyOption,
+    JsonOption,
     OffsetOption,
     OverwriteOption,
     PressureOption,
@@ -29,6 +30,7 @@ from srs_twin.cli.options import (
     argument,
     at_once,
     option,
+    print_json,
     with_options,
 )
 from srs_twin.cli.progress import Counting
@@ -210,6 +212,7 @@ def robot(
     weak: Annotated[bool, option("--weak/--no-weak")] = True,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a robot file: where fits began, with what they found.
 
@@ -224,7 +227,10 @@ def robot(
     path = Path(out) if out else Path("robots") / f"{name}.yaml"
     if path.exists() and not overwrite:
         raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
-    write_robot(fitted_robot(fits, name, weak=weak), path)
+    found = fitted_robot(fits, name, weak=weak)
+    write_robot(found, path)
+    if as_json:
+        print_json(found.model_dump(mode="json", exclude_none=True))
     say(f"robot in {path}", quiet=quiet)
 
 
@@ -296,6 +302,7 @@ def footprint(
     name: Annotated[str | None, option("--name NAME")] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure what a robot sweeps at each offset, for the planner.
 
@@ -336,9 +343,12 @@ def footprint(
     open_folder(path.parent, (path.name,))
     with interruptible(NOTHING_WRITTEN), Counting(called, study.runs, quiet=quiet) as counting:
         measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
-    if not quiet:
+    file = footprint_file(measured, called)
+    if as_json:
+        print_json(file.model_dump(mode="json", exclude_none=True))
+    elif not quiet:
         _show(measured)
-    save_footprint(footprint_file(measured, called), path, header=header(study, robot, called, versions()))
+    save_footprint(file, path, header=header(study, robot, called, versions()))
     say(f"footprint in {shown(path)}", quiet=quiet)
 
 

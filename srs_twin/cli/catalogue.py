@@ -87,7 +87,7 @@ def show(
             unit = "" if value["unit"] == "1" else f" {value['unit']}"
             text = f"{dotted(loc)}: {_words(value['value'])}{unit}; {value['status']}: {value['source']}"
         for line in textwrap.wrap(printable(text), width, subsequent_indent="    ", break_long_words=False):
-            typer.echo(line)
+            print(line)
 
 
 def _resolved(name: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from srs_twin.cli import console, new_table, say
 from srs_twin.cli.junit import TestCase, report_path, write_report
-from srs_twin.cli.options import JsonOption, argument, option
+from srs_twin.cli.options import JsonOption, argument, option, print_json
 
 if TYPE_CHECKING:
     from srs_twin.comparison.diff import Difference, Leaf
@@ -55,7 +54,7 @@ def diff(
     for package, (old, new) in found.versions.items():
         say(f"made with another {package}: {old} → {new}")
     if as_json:
-        print(json.dumps(found.document(), indent=1))
+        print_json(found.document())
     else:
         _show(found)
     if report is not None:

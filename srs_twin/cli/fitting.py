@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from srs_twin.cli import console, interruptible, new_table, say
-from srs_twin.cli.options import FITS, FitOptions
+from srs_twin.cli.options import FITS, FitOptions, print_json
 from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
 
@@ -136,6 +136,7 @@ class FitDestination:
         robot: where the search starts, as it was given.
         command: as it can be typed again.
         quiet: print errors only.
+        as_json: print the fit as JSON.
     """
 
     name: str
@@ -143,6 +144,7 @@ class FitDestination:
     robot: str
     command: str
     quiet: bool
+    as_json: bool
 
     @classmethod
     def of(cls, context: typer.Context, what: str, robot: str, options: FitOptions) -> FitDestination:
@@ -163,7 +165,7 @@ class FitDestination:
         from srs_twin.io.files import open_folder
 
         open_folder(path.parent, (path.name, path.with_suffix(".html").name))
-        return cls(given, path, robot, command, options.quiet)
+        return cls(given, path, robot, command, options.quiet, options.as_json)
 
     @contextmanager
     def searching(self) -> Iterator[Searching]:
@@ -202,8 +204,11 @@ class FitDestination:
         text = fit_report(fit, estimate)
         write_text(report, text)
         write_fit(fit, self.path)
-        if not self.quiet:
+        if self.as_json:
+            print_json(fit.model_dump(mode="json", exclude_none=True))
+        elif not self.quiet:
             show(estimate)
+        if not self.quiet:
             say(f"fit in {shown(self.path)}, residuals in {shown(report)}")
 
 
@@ -228,7 +233,7 @@ def as_typed(context: typer.Context) -> str:
     for parameter in context.command.params:
         value: Any = context.params.get(parameter.name or "")
         # These change what is shown or where it goes, not what is found.
-        if value in (None, (), [], parameter.default) or parameter.name in ("quiet", "overwrite"):
+        if value in (None, (), [], parameter.default) or parameter.name in ("quiet", "overwrite", "as_json"):
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
         if parameter.param_type_name == "argument":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.options import argument, option, with_options
+from srs_twin.cli.options import JsonOption, argument, option, print_json, with_options
 from srs_twin.errors import InputError, UnknownNameError, one_of
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def export(
 @with_options
 def check(
     models: Annotated[list[str] | None, argument("FILE|NAME")] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Compile models and give each a second of random control.
 
@@ -67,7 +68,7 @@ def check(
     from srs_twin.mjcf.export import stale_files
     from srs_twin.robot.spec import load_robot
 
-    bad = 0
+    bad, reports = 0, []
     for model in models or shipped_names("robot"):
         path, robot = _find(model)
         report = check_mjcf(path)
@@ -76,8 +77,11 @@ def check(
             remedy = f"is not current; `srs-twin models export {robot}` writes it anew"
             faults += [f"{name} {remedy}" for name in stale_files(load_robot(robot), path.parent)]
         bad += bool(faults)
+        reports.append({"model": model, "faults": faults, **report.sizes})
         for line in faults or [_praise(report, current=robot is not None)]:
-            typer.echo(f"{shown(path)}: {printable(line)}", err=bool(faults))
+            typer.echo(f"{shown(path)}: {printable(line)}", err=bool(faults) or as_json)
+    if as_json:
+        print_json({"models": reports})
     if bad:
         raise typer.Exit(InputError.exit_code)
 

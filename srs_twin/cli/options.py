@@ -50,7 +50,7 @@ _STRICT = "--check, which also fails on what is marked `known`, met or missed."
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[bool, option("--quiet -q", "No table and no progress; errors only.")]
 JobsOption = Annotated[int | None, at_once("--jobs -j N")]
-JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
+JsonOption = Annotated[bool, option("--json", "Print one JSON document instead of tables.")]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace another file.")]
 
 FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables that the fit is made from.")]
@@ -156,6 +156,7 @@ class FitOptions:
     out: Annotated[str | None, option("--out FILE.yaml")] = None
     overwrite: Annotated[bool, option("--overwrite")] = False
     quiet: QuietOption = False
+    as_json: JsonOption = False
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

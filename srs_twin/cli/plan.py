@@ -14,6 +14,7 @@ from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
+    JsonOption,
     OneOutOption,
     QuietOption,
     ScenarioArgument,
@@ -35,6 +36,7 @@ def plan(
     check: Annotated[bool, option("--check")] = False,
     changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Plan the way of a scenario; nothing is simulated.
 
@@ -57,11 +59,16 @@ def plan(
     metrics = plan_metrics(found.found, found.segments, found.expanded)
     checked = _checked(loaded, metrics)
     _write(folder, loaded, loaded.planner.problem, found, metrics)
-    if not quiet:
-        _show(loaded, found, folder)
+    if as_json:
+        print((folder / PLAN).read_text("utf-8"), end="")
+    elif not quiet:
+        _show(loaded, found)
+    say(f"files in {shown(folder)}: {PLAN}, {PICTURE}", quiet=quiet)
     missed = [each for each in checked if verdict(each) == "missed"]
     for each in checked if not quiet else missed if check else ():
-        print(f"{WORDS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}")
+        (say if as_json else print)(
+            f"{WORDS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}"
+        )
     judged = any(each["metric"] == "plan_found" for each in checked)
     if check and (missed or not (found.found or judged)):
         raise typer.Exit(EXPECTATION_FAILED)
@@ -73,7 +80,7 @@ def _checked(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]
     return [each.check({"plants": {each.subject: metrics}}) for each in expected.values()]
 
 
-def _show(scenario: Scenario, found: Plan, folder: Path) -> None:
+def _show(scenario: Scenario, found: Plan) -> None:
     print(f"{scenario.name}: {found.outcome.value}: {found.reason}")
     if found.found:
         print(
@@ -81,7 +88,6 @@ def _show(scenario: Scenario, found: Plan, folder: Path) -> None:
             f"{len(found.segments)} segments, kink {found.kink:.3g} rad"
         )
     print(f"{found.expanded} nodes, {1000 * found.seconds:.1f} ms")
-    say(f"files in {shown(folder)}: {PLAN}, {PICTURE}")
 
 
 def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:

@@ -15,6 +15,7 @@ from srs_twin.cli.options import (
     CheckOption,
     FloorOption,
     FrequencyOption,
+    JsonOption,
     OffsetOption,
     PressureOption,
     QuietOption,
@@ -53,6 +54,7 @@ def replay(
     changed: ChangeOptions = NO_CHANGES,
     out: Annotated[str | None, option("--out DIR")] = None,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Drive both plants as the robot was driven, beside what it did.
 
@@ -96,7 +98,8 @@ def replay(
     if pressure is not None:
         document["supply"] = {"pressure_kpa": pressure}
     scenario = parse_scenario(document, name="replay", set=changed.changes())
-    run_all([Case(scenario.name, scenario)], out=out or str(RUNS / name), fails=fails, quiet=quiet)
+    cases = [Case(scenario.name, scenario)]
+    run_all(cases, out=out or str(RUNS / name), fails=fails, quiet=quiet, as_json=as_json)
 
 
 def _robot(robot: str, fits: Sequence[str]) -> RobotFile:

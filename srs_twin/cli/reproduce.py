@@ -11,7 +11,7 @@ import typer
 
 from srs_twin.cli import interruptible, say
 from srs_twin.cli.junit import TestCase, write_report
-from srs_twin.cli.options import JobsOption, QuietOption, option
+from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
 from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def reproduce(
     no_figures: Annotated[bool, option("--no-figures")] = False,
     write_baseline: Annotated[bool, option("--write-baseline")] = False,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Judge every claim of the dissertation for each plant.
 
@@ -66,9 +67,11 @@ def reproduce(
             with _counting("runs for figures", quiet=quiet) as started:
                 figures = _figures(store, jobs, started, every=not (only or quick))
         changes = _written(out, rows, figures, write_baseline=write_baseline)
-    if not quiet:
+    if as_json:
+        print((out / JSON).read_text("utf-8"), end="")
+    elif not quiet:
         _show(rows)
-        say(f"files in {shown(out)}: {HTML}, {JSON}, {JUNIT}")
+    say(f"files in {shown(out)}: {HTML}, {JSON}, {JUNIT}", quiet=quiet)
     for line in changes:
         say(f"changed from the baseline: {line}")
     if changes:

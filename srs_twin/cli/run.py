@@ -10,6 +10,7 @@ from srs_twin.cli.options import (
     ChangeOptions,
     CheckOption,
     JobsOption,
+    JsonOption,
     OneOutOption,
     QuietOption,
     ScenarioArgument,
@@ -28,6 +29,7 @@ def compare(
     quiet: QuietOption = False,
     explain: Annotated[bool, option("--explain")] = False,
     changed: ChangeOptions = NO_CHANGES,
+    as_json: JsonOption = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference.
 
@@ -43,6 +45,7 @@ def compare(
         plants=both,
         explain=explain,
         changes=changed.changes(),
+        as_json=as_json,
     )
 
 
@@ -56,6 +59,7 @@ def run(
     plants: Annotated[str | None, option("--plants LIST")] = None,
     changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run scenarios on the plants they name.
 
@@ -75,4 +79,5 @@ def run(
         junit=junit,
         plants=plants_of(plants),
         changes=changed.changes(),
+        as_json=as_json,
     )

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli import console, interruptible, new_table, say
-from srs_twin.cli.options import NO_CHANGES, ChangeOptions, QuietOption, argument, at_once, option, plants_of
+from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
+    JsonOption,
+    QuietOption,
+    argument,
+    at_once,
+    option,
+    plants_of,
+    print_json,
+)
 from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
 from srs_twin.io.files import shown
@@ -38,6 +48,7 @@ def sweep(
     plants: Annotated[str | None, option("--plants LIST")] = None,
     changed_fields: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run a scenario over grids, lists or samples of its fields.
 
@@ -76,8 +87,12 @@ def sweep(
             with Counting(found.name, len(missing), quiet=quiet) as counting:
                 opened.run(chosen, missing, lambda row: counting(failed=row.exit_code != 0))
             summary = opened.finish()
-    if not quiet:
+    if as_json:
+        done = {"rows": summary.done, "failed": summary.failed, "sha256": summary.sha256}
+        print_json(done | {"results": str(summary.folder / "results.parquet")})
+    elif not quiet:
         _show(summary)
+    say(f"files in {summary.folder}: {', '.join(summary.files)}", quiet=quiet)
     if summary.exit_code:
         _complain(summary)
         raise typer.Exit(summary.exit_code)
@@ -138,7 +153,6 @@ def _show(summary: Summary) -> None:
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
     print(f"report {shown(summary.folder / 'report.html')}")
-    say(f"files in {summary.folder}: {', '.join(summary.files)}")
 
 
 def _published(found: TextTable) -> Table:
