@@ -28,7 +28,7 @@ from srs_twin.errors import DivergedError, InputError
 from srs_twin.mjcf.numerics import LAW_OF, PRELOAD, LawOnLoads, Numerics
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.rollout import Job, run_many
+from srs_twin.rollout import Job, rollout, run_many
 from srs_twin.scenario.plants import AnalyticalFile, TwinFile
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
@@ -324,6 +324,30 @@ def explain(
     )
 
 
+def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> dict[str, Any] | None:
+    """Return what compliance alone changes of the analytical model, which one more run of it tells.
+
+    It usually is the largest of the shares that `explain` finds.
+
+    Args:
+        scenario: what ran.
+        trajectories: what both plants did, by name.
+
+    Returns:
+        The assumption's `name` and by how much it changes `com_speed_m_s` and `yaw_rate_rad_s`; None where
+        the model has no gait, or is compliant already.
+    """
+    ladder, model = Ladder(scenario), plant_metrics(trajectories["analytical"])
+    known = "compliance" in [switch.name for switch in ladder.switches]
+    if not known or scenario.planner is not None or model["com_speed_m_s"] is None:
+        return None
+    on = frozenset(switch.name for switch in ladder.first) | {"compliance"}
+    run = rollout(ladder.analytical(on), scenario.build_controller(), **scenario.timing)
+    found = plant_metrics(run)
+    changes = {name: found[name] - model[name] for name in ("com_speed_m_s", "yaw_rate_rad_s")}
+    return {"name": "compliance", **changes}
+
+
 def _variants(ladder: Ladder, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:
     """Return what has to run besides the two plants themselves, by name."""
     plants: dict[str, Callable[[], Plant]] = {"stiff twin": ladder.stiff_twin, "matched": ladder.matched}
@@ -369,4 +393,4 @@ def _numbers(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     return tuple(float(value) for value in values)
 
 
-__all__ = ["explain"]
+__all__ = ["explain", "main_cause"]

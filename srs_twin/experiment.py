@@ -79,7 +79,13 @@ class PreparedRun:
     folder: Path
     parts: Mapping[str, tuple[Plant, Controller]]
 
-    def execute(self, progress: Progress | None = None, *, explain: Explain | None = None) -> RunResult:
+    def execute(
+        self,
+        progress: Progress | None = None,
+        *,
+        explain: Explain | None = None,
+        cause: Callable[..., dict[str, Any] | None] | None = None,
+    ) -> RunResult:
         """Simulate every plant, measure, compare and write the files, metrics.json last.
 
         A plant that diverges leaves what it did up to there, and the others still run; then there is
@@ -88,6 +94,7 @@ class PreparedRun:
         Args:
             progress: called with the plant's name and the part that is done, 0 to 1.
             explain: says why the plants differ (`attribution.explain`); None: nobody asked.
+            cause: says what the main cause changes (`attribution.main_cause`), where `explain` is not asked.
 
         Raises:
             InputError: a file cannot be written, or the difference cannot be explained.
@@ -117,6 +124,7 @@ class PreparedRun:
                 attribution = explain(scenario, trajectories, progress=explaining)
             except DivergedError as error:
                 unexplained.append(error)
+        main = cause(scenario, trajectories) if cause is not None and not (diverged or attribution) else None
         # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
         with replaced(self.folder, _OF_REPLAYS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
@@ -126,7 +134,7 @@ class PreparedRun:
                 scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
                 return RunResult(scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-            metrics = self._measure(fresh, trajectories, walls, attribution)
+            metrics = self._measure(fresh, trajectories, walls, attribution, main)
         return RunResult(scenario.name, self.folder, trajectories, metrics, unexplained=tuple(unexplained))
 
     def _measure(
@@ -135,6 +143,7 @@ class PreparedRun:
         trajectories: Mapping[str, Trajectory],
         walls: Mapping[str, float],
         attribution: Attribution | None,
+        cause: dict[str, Any] | None,
     ) -> dict[str, Any]:
         """Write report, recording and metrics into a folder; return the metrics."""
         # rerun alone takes half a second to import: not before there is something to show.
@@ -165,7 +174,12 @@ class PreparedRun:
             metrics["residuals"] = {k: difference.document() for k, difference in differences.items()}
         if attribution is not None:
             metrics["attribution"] = attribution.document()
-        metrics["expectations"] = [each.check(metrics) for each in scenario.expect]
+        if cause is not None:
+            metrics["cause"] = cause
+        # What was said of a plant that the scenario names and nobody asked to run is not missed.
+        there = {*trajectories, *(["comparison"] if comparison else ())}
+        asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]
+        metrics["expectations"] = [each.check(metrics) for each in asked]
         metrics["versions"] = versions()
         shared: dict[str, Any] = {
             "spec": spec,

@@ -110,6 +110,10 @@ def simulate(
         from srs_twin.attribution import explain as explanation
 
         asked["explain"] = explanation
+    elif plants is not None and len(plants) > 1:
+        from srs_twin.attribution import main_cause
+
+        asked["cause"] = main_cause
     scenario, folder = order
     try:
         result = prepare(scenario, folder, plants=plants).execute(progress, **asked)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.cli import console, new_table
 from srs_twin.comparison.compare import MEASURES
-from srs_twin.comparison.metrics import published, result_rows
+from srs_twin.comparison.metrics import chosen, headline, published, result_rows
 from srs_twin.scenario.expectation import verdict
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -17,25 +17,6 @@ if TYPE_CHECKING:
 
     from srs_twin.experiment import RunResult
 
-_MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
-_GAIT = f"""
-    com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
-    periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
-    path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
-""".split()
-# Of a run whose bends follow a reference, or of one on a bench.
-_BENCH = f"""
-    final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
-    steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
-    outlet_openings reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
-""".split()
-# Of a run that followed a plan.
-_PLAN = """
-    plan_found plan_length_m goal_reached arrival_error_m arrival_heading_error_rad cross_track_rms_m
-    cross_track_max_m inside_share inside_50mm_share contacts clearance_m following_time_s replans
-    com_speed_m_s realtime_factor
-""".split()
-_COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad")
 # What is said where the words of a metric's name alone would not do.
 _HEADINGS = {
     "amplitude_error_end_rel": "amplitude error, end",
@@ -74,23 +55,12 @@ def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     plants, stated = metrics["plants"], published(metrics["expectations"])
     found = [
         [_heading(name), unit, *texts, apart, _number(stated.get(name, (None,))[0])]
-        for name, unit, texts, apart in result_rows(metrics, [*_chosen(plants), *_COMPARISON], _number)
+        for name, unit, texts, apart in result_rows(metrics, chosen(plants), _number)
     ]
     if (factor := (metrics["comparison"] or {}).get("gap_factor", 1.0)) != 1.0:
         nothing = [""] * (len(plants) + 1)
         found.insert(1, ["… by the gap factor", "1", f"× {factor:.4g}", *nothing])
     return found
-
-
-def _chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Return the metrics of plants that are shown: by whether they followed a plan or a reference."""
-
-    def measured(*names: str) -> bool:
-        return any(each.get(name) is not None for each in plants.values() for name in names)
-
-    if measured("plan_found"):
-        return _PLAN
-    return _BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT
 
 
 def _heading(metric: str) -> str:
@@ -100,6 +70,8 @@ def _heading(metric: str) -> str:
 
 def show(result: RunResult) -> None:
     """Print the table and the expectations of a run to stdout."""
+    terminal = console()
+    print(*textwrap.wrap(headline(result.metrics), terminal.width), "", sep="\n")
     lines, plants = rows(result.metrics), result.metrics["plants"]
     needless = {"difference": len(plants) < 2, "published": not any(line[-1] for line in lines)}
     headings = ["metric", "unit", *plants, "difference", "published"]
@@ -107,7 +79,6 @@ def show(result: RunResult) -> None:
     shown = new_table(*(headings[k] for k in kept), left=(0, 1), title=result.name)
     for line in lines:
         shown.add_row(*(line[k] for k in kept))
-    terminal = console()
     terminal.print(shown)
     if "attribution" in result.metrics:
         terminal.print(_why(result.metrics["attribution"]))

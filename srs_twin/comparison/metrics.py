@@ -116,8 +116,8 @@ yaw_rate_rad_s: mean rate of the heading over the same periods; to the left posi
 turning_radius_m: speed over yaw rate; none when it goes straight
 mean_bend_amplitude_rad: half the range of a bend, mean over the segments
 bend_amplitude_rad: the same of each segment, head first
-bend_bias_rad: middle of each segment's bend, head first
-valve_switches: how often the valves of each segment changed, head first
+bend_bias_rad: mean bend of each segment, head first
+valve_switches: openings of each segment's + and - valve, head first
 mechanical_power_w: work that the segments do on body and floor, over time
 cost_of_transport: mechanical power over weight times speed
 pneumatic_power_w: energy of the air that the chambers draw, over time
@@ -207,6 +207,128 @@ def meanings() -> dict[str, str]:
     return dict(line.split(": ", 1) for line in _MEANINGS.split("\n") if line)
 
 
+VALIDATION = (
+    "Both plants are simulations. Held against hardware are only the values that the dissertation publishes "
+    "and recordings that were replayed; all other differences are between the two plants."
+)
+"""What is validated and what is not, for every report."""
+
+_ALIKE = 0.01  # of a value: plants that differ by less agree
+_TURNS = 0.05  # rad/s: slower is straight
+_NOTHING = 5e-5  # m/s, rad/s
+_A_CAUSE = 0.25  # of a difference: smaller shares are not named
+
+
+def headline(metrics: Mapping[str, Any]) -> str:
+    """Return in one sentence what a run says.
+
+    Args:
+        metrics: what stands in metrics.json.
+    """
+    plants = metrics["plants"]
+    ours, theirs = plants.get("analytical"), plants.get("twin")
+    one = ours or theirs or {}
+    if ours and theirs:
+        return _of_both(metrics, ours, theirs)
+    name = "twin" if theirs else "model"
+    if one.get("com_speed_m_s") is not None:
+        turn = one["yaw_rate_rad_s"]
+        how = "straight on" if abs(turn) < _TURNS else f"turning by {turn:.3g} rad/s"
+        return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}."
+    if one.get("goal_reached") is not None:
+        return f"The {name} {_arrives(one)}."
+    if one.get("error_rms_rad") is not None:
+        return f"The {name} follows its reference within {one['error_rms_rad']:.2g} rad RMS."
+    return f"The {name} moves by {one.get('path_length_m') or 0.0:.3g} m."
+
+
+def _of_both(metrics: Mapping[str, Any], ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
+    if ours.get("goal_reached") is not None and theirs.get("goal_reached") is not None:
+        return f"The twin {_arrives(theirs)}; the model {_arrives(ours)}."
+    if ours.get("error_rms_rad") is not None and theirs.get("error_rms_rad") is not None:
+        errors = f"{theirs['error_rms_rad']:.2g} rad RMS, the model within {ours['error_rms_rad']:.2g}"
+        return f"The twin follows its reference within {errors}."
+    if ours.get("com_speed_m_s") is None or theirs.get("com_speed_m_s") is None:
+        apart = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
+        return f"The bends of twin and model differ by {apart:.2g} rad RMS."
+    text = f"The twin crawls {_compared(metrics, 'com_speed_m_s', 'slower', 'faster', 'm/s')}"
+    if max(abs(each["yaw_rate_rad_s"]) for each in (ours, theirs)) >= _TURNS:
+        text += f", and turns {_compared(metrics, 'yaw_rate_rad_s', 'slower', 'faster', 'rad/s')}"
+    return f"{text}."
+
+
+def _arrives(plant: Mapping[str, Any]) -> str:
+    reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
+    off = plant.get("cross_track_rms_m")
+    return reached if off is None else f"{reached}, {1e3 * off:.0f} mm RMS from its path"
+
+
+def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, unit: str) -> str:
+    of, value = (metrics["plants"][plant][metric] for plant in ("analytical", "twin"))
+    both = f"{value:.3g} against {of:.3g} {unit}"
+    if of * value <= 0:
+        return f"otherwise than the model ({both})"
+    share = value / of - 1
+    if abs(share) < _ALIKE:
+        return f"like the model ({both})"
+    causes = [
+        f"{abs(100 * change / of):.0f} of these {abs(100 * share):.0f} % are {name}"
+        for name, change in _causes(metrics, metric)
+        if change * (value - of) > 0 and abs(change) > _A_CAUSE * abs(value - of)
+    ]
+    why = f"; {causes[0]}" if causes else ""
+    return f"{abs(100 * share):.0f} % {less if share < 0 else more} than the model ({both}{why})"
+
+
+def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
+    """Return assumptions and what each changes of a metric, the largest change first."""
+    if (attribution := metrics.get("attribution")) is not None:
+        k = list(attribution["measures"]).index(metric)
+        found = [(share["name"], share["value"][k]) for share in attribution["shares"]]
+    else:
+        cause = metrics.get("cause") or {}
+        found = [(cause["name"], cause[metric])] if cause else []
+    return sorted(found, key=lambda each: -abs(each[1]))
+
+
+_MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
+_GAIT = f"""
+    com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
+    periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
+    path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
+""".split()
+# Of a run whose bends follow a reference, or of one on a bench.
+_BENCH = f"""
+    final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
+    steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
+    outlet_openings reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
+""".split()
+# Of a run that followed a plan.
+_PLAN = """
+    plan_found plan_length_m goal_reached arrival_error_m arrival_heading_error_rad cross_track_rms_m
+    cross_track_max_m inside_share inside_50mm_share contacts clearance_m following_time_s replans
+    com_speed_m_s realtime_factor
+""".split()
+_COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad")
+
+
+def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
+    """Return the metrics that a short table shows: by whether plants followed a plan or a reference."""
+
+    def measured(*names: str) -> bool:
+        return any(each.get(name) is not None for each in plants.values() for name in names)
+
+    if measured("plan_found"):
+        return [*_PLAN, *_COMPARISON]
+    return [*(_BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT), *_COMPARISON]
+
+
+def tidy(metric: str, value: Any) -> Any:
+    """Return a metric's value as it is shown: a rate that moves nothing is 0."""
+    rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s"))
+    return 0.0 if rate and abs(value) < _NOTHING else value
+
+
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[tuple[str, str, list[str], str]]:
@@ -224,7 +346,7 @@ def result_rows(
         if between is not None:
             yield name, units[name], [""] * len(plants), text(between)
         elif any(value is not None for value in values):
-            yield name, units[name], list(map(text, values)), difference(metrics, name)
+            yield name, units[name], [text(tidy(name, value)) for value in values], difference(metrics, name)
 
 
 _GAIT_METRICS = f"""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +15,12 @@ from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
     LIST_METRIC_UNITS,
     METRIC_UNITS,
+    VALIDATION,
+    chosen,
+    headline,
     published,
     result_rows,
+    tidy,
 )
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
@@ -80,7 +84,10 @@ def write_report(
         "viewing/html/report.html",
         title=scenario_title,
         subtitle=f"{spec.title}, {duration:g} s simulated, {' and '.join(trajectories)}",
-        results=_results(metrics),
+        headline=headline(metrics),
+        validation=VALIDATION,
+        results=_results(metrics, chosen(metrics["plants"])),
+        every=_results(metrics, METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS),
         tally=tally(Counter(verdicts)),
         expectations=_expectations(expectations, verdicts),
         **_why(attribution),
@@ -91,13 +98,12 @@ def write_report(
     Path(path).write_text(page, encoding="utf-8")
 
 
-def _results(metrics: Mapping[str, Any]) -> Table:
-    """Return the table of metrics: one column a plant, the difference, and what was published."""
+def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
+    """Return a table of these metrics: one column a plant, the difference, and what was published."""
     plants, stated = metrics["plants"], published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
     headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(stated)]
     rows = []
-    names = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
     for name, unit, values, apart in result_rows(metrics, names, _text):
         said = f"{_text(stated[name][0])} ({stated[name][1]})" if name in stated else ""
         rows.append([metric_title(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
@@ -109,8 +115,9 @@ def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[
     rows = []
     for word, each in zip(verdicts, expectations, strict=True):
         color = "missed" if word == "missed" else "met" if each["met"] else "sub"
-        texts = [each.get(key) or "" for key in ("metric", "of", *keys)]
-        rows.append([colored(word, color), *texts[:2], _text(each.get("value")), *texts[2:]])
+        texts = [each.get(key) or "" for key in ("of", *keys)]
+        title, value = metric_title(each["metric"]), _text(tidy(each["metric"], each.get("value")))
+        rows.append([colored(word, color), title, texts[0], value, *texts[1:]])
     return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
 
 
@@ -165,9 +172,9 @@ def _plots(
         learning: learning_plot(runs) if learnt else None,
         "How the first segment follows its reference.": tracking_plot(runs) if tracked else None,
         "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec),
+        "Speed of the centre of mass.": None if tracked else speed_plot(runs),
         "Bend of each segment; positive bends the head end to the left.": bend_plot(runs),
         "Pressure of the + chamber less that of the − chamber.": pressure_plot(runs),
-        "Speed of the centre of mass.": None if tracked else speed_plot(runs),
         "What the first segment's sensor reads over what it is bent by.": reading_plot(runs),
         "How far the twin is from the analytical model.": error_plot(compared, spec) if compared else None,
     }
