@@ -24,7 +24,7 @@ _HOME = {
     "run_batch": "srs_twin.rollout",
     "Trajectory": "srs_twin.trajectory",
     "Event": "srs_twin.trajectory",
-    "compare": "srs_twin.comparison.compare",
+    "compare": "srs_twin.experiment",
     "Comparison": "srs_twin.comparison.compare",
     "plan": "srs_twin.planning",
     "Plan": "srs_twin.planning",

@@ -9,23 +9,25 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.comparison.compare import MeasuredDifference, compare
-from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.comparison.compare import Comparison, MeasuredDifference
+from srs_twin.comparison.compare import compare as difference
+from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import open_folder, replaced, shown
 from srs_twin.plants.base import Plant
 from srs_twin.provenance import versions
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, load_scenario
+from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.trajectory import Trajectory
 
@@ -78,6 +80,14 @@ class PreparedRun:
     scenario: Scenario
     folder: Path
     parts: Mapping[str, tuple[Plant, Controller]]
+
+    @classmethod
+    def of(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
+        """Build plants and controllers; arguments as in `prepare`."""
+        kinds = tuple(plants or scenario.plants)
+        with scenario.named_in_errors():
+            parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
+        return cls(scenario, folder, parts)
 
     def execute(
         self,
@@ -134,29 +144,30 @@ class PreparedRun:
                 scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
                 return RunResult(scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-            metrics = self._measure(fresh, trajectories, walls, attribution, main)
+            metrics, shared = self.measure(trajectories, walls, attribution, main)
+            self._write(fresh, metrics, shared, attribution)
         return RunResult(scenario.name, self.folder, trajectories, metrics, unexplained=tuple(unexplained))
 
-    def _measure(
+    def measure(
         self,
-        fresh: Path,
         trajectories: Mapping[str, Trajectory],
         walls: Mapping[str, float],
-        attribution: Attribution | None,
-        cause: dict[str, Any] | None,
-    ) -> dict[str, Any]:
-        """Write report, recording and metrics into a folder; return the metrics."""
-        # rerun alone takes half a second to import: not before there is something to show.
-        from srs_twin.viewing.html.report import write_report
-        from srs_twin.viewing.rerun.recording import write_recording
+        attribution: Attribution | None = None,
+        cause: dict[str, Any] | None = None,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return what stands in metrics.json, and what report and recording show besides.
 
+        Args:
+            trajectories: plant → what it did.
+            walls: plant → how long that took, s.
+            attribution: why they differ, where somebody asked.
+            cause: the main cause, see `execute`.
+        """
         scenario, measured = self.scenario, self.scenario.measured
-        # The plants' own robot: a scenario may have taken its gaps away.
-        spec = [plant.spec for plant, _ in self.parts.values()][-1]
         comparison = None
         if all(plant in trajectories for plant in PLANTS):
             factor = scenario.file.comparison.gap_factor
-            comparison = compare(*(trajectories[plant] for plant in PLANTS), gap_factor=factor)
+            comparison = difference(*(trajectories[plant] for plant in PLANTS), gap_factor=factor)
         metrics: dict[str, Any] = {
             "scenario": scenario.name,
             "robot": scenario.robot.name,
@@ -168,10 +179,10 @@ class PreparedRun:
         if measured is not None:
             drawn[MEASURED] = measured
             differences = {k: MeasuredDifference.of(measured, t) for k, t in trajectories.items()}
-            for kind, difference in differences.items():
-                metrics["plants"][kind] |= difference.metrics
+            for kind, apart in differences.items():
+                metrics["plants"][kind] |= apart.metrics
             metrics["plants"][MEASURED] = plant_metrics(measured)
-            metrics["residuals"] = {k: difference.document() for k, difference in differences.items()}
+            metrics["residuals"] = {k: apart.document() for k, apart in differences.items()}
         if attribution is not None:
             metrics["attribution"] = attribution.document()
         if cause is not None:
@@ -181,17 +192,27 @@ class PreparedRun:
         asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]
         metrics["expectations"] = [each.check(metrics) for each in asked]
         metrics["versions"] = versions()
-        shared: dict[str, Any] = {
+        # The plants' own robot: a scenario may have taken its gaps away.
+        spec = [plant.spec for plant, _ in self.parts.values()][-1]
+        return metrics, {
             "spec": spec,
             "trajectories": drawn,
             "comparison": comparison,
             "measured": differences,
         }
-        title = scenario.title
+
+    def _write(
+        self, fresh: Path, metrics: dict[str, Any], shared: dict[str, Any], attribution: Attribution | None
+    ) -> None:
+        """Write report, recording and metrics into a folder."""
+        # rerun alone takes half a second to import: not before there is something to show.
+        from srs_twin.viewing.html.report import write_report
+        from srs_twin.viewing.rerun.recording import write_recording
+
+        title = self.scenario.title
         write_report(fresh / REPORT, scenario_title=title, metrics=metrics, attribution=attribution, **shared)
-        write_recording(fresh / RECORDING, title=title, world=scenario.world, **shared)
+        write_recording(fresh / RECORDING, title=title, world=self.scenario.world, **shared)
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
-        return metrics
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -218,6 +239,87 @@ def _percents(progress: Callable[[float], None] | None, duration: float) -> Call
     return watch
 
 
+@dataclass(frozen=True)
+class ComparedRuns(Comparison):
+    """A scenario on both plants, and how far they are apart; a notebook shows it as a page.
+
+    Attributes:
+        title: of the scenario.
+        trajectories: plant → what it did.
+        results: what stands in metrics.json.
+        spec: the robot that ran.
+    """
+
+    title: str
+    trajectories: Mapping[str, Trajectory]
+    results: Mapping[str, Any]
+    spec: RobotSpec
+
+    def __str__(self) -> str:
+        """Return the sentence that says what the run says."""
+        return headline(self.results)
+
+    def _repr_html_(self) -> str:
+        from srs_twin.viewing.html.report import shown_run
+
+        return shown_run(self.title, self.results, self.trajectories, self.spec)
+
+    def show(self) -> None:
+        """Show the page in a notebook; elsewhere print its sentence."""
+        try:
+            from IPython.display import display
+        except ImportError:
+            print(self)
+        else:
+            display(self)
+
+
+def compare(
+    reference: Trajectory | Scenario | str | Path,
+    candidate: Trajectory | None = None,
+    *,
+    set: Mapping[str, Any] | None = None,
+    gap_factor: bool = False,
+) -> Comparison:
+    """Compare two runs, or run a scenario on both plants and compare these.
+
+    Args:
+        reference: the analytical model's run; or a scenario, by itself, by name or by path.
+        candidate: the twin's run; None with a scenario.
+        set: dotted fields of the scenario and their values, as `load_scenario` takes them.
+        gap_factor: of two runs, see `comparison.compare.compare`; a scenario says so itself.
+
+    Returns:
+        Of a scenario `ComparedRuns`, which holds the trajectories as well.
+
+    Raises:
+        InputError: as in `comparison.compare.compare` and `load_scenario`, or a part is missing.
+        DivergedError: a plant's state is no longer finite.
+    """
+    if isinstance(reference, Trajectory):
+        if candidate is None or set is not None:
+            raise InputError("two trajectories are compared, or a scenario with what is set of it")
+        return difference(reference, candidate, gap_factor=gap_factor)
+    if candidate is not None:
+        raise InputError("a scenario is run on both plants: there is nothing to compare it with")
+    if isinstance(reference, Scenario):
+        scenario = parse_scenario(reference.document, name=reference.name, set=set or {})
+    else:
+        scenario = load_scenario(reference, set=set or {})
+    run = PreparedRun.of(scenario, Path(), PLANTS)
+    trajectories, walls = {}, {}
+    for kind, (plant, controller) in run.parts.items():
+        start = time.perf_counter()
+        trajectories[kind] = rollout(plant, controller, **scenario.timing)
+        walls[kind] = time.perf_counter() - start
+    results, shared = run.measure(trajectories, walls)
+    found = shared["comparison"]
+    parts = {each.name: getattr(found, each.name) for each in fields(found)}
+    return ComparedRuns(
+        **parts, title=scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
+    )
+
+
 def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None) -> PreparedRun:
     """Build the plants and controllers of a scenario and open its folder; simulate nothing.
 
@@ -229,11 +331,9 @@ def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = Non
     Raises:
         InputError: a plant, a controller or the folder cannot be had as asked.
     """
-    kinds = tuple(plants or scenario.plants)
-    with scenario.named_in_errors():
-        parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
+    found = PreparedRun.of(scenario, out, plants)
     open_folder(out, _OF_REPLAYS)
-    return PreparedRun(scenario, out, parts)
+    return found
 
 
 def check_run(scenario: Scenario, out: Path) -> None:

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,17 @@ class Event:
     text: str
 
 
+class Shown:
+    """What a notebook shows as a page."""
+
+    def _repr_html_(self) -> str:
+        # Pictures stand below all that they show; they are asked for by name when somebody looks.
+        page: str = import_module("srs_twin.viewing.html.report").shown(self)
+        return page
+
+
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(Shown):
     """Columns over time of one rollout. Frozen; arrays are not to be written to.
 
     Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``

@@ -73,7 +73,7 @@ class Job:
     log: list[str]
     outcome: object
 
-    def execute(self, progress):
+    def execute(self, progress, cause=None):
         self.log.append(f"run {self.name}")
         if isinstance(self.outcome, DivergedError):
             return RunResult(self.name, self.folder, {"twin": object()}, diverged=(self.outcome,))
@@ -103,7 +103,7 @@ def start(monkeypatch, capsys, tmp_path):
     def run(*words, **endings):
         log = []
 
-        def load(name):
+        def load(name, *, set):
             log.append(f"load {name}")
             if isinstance(endings[name], InputError):
                 raise endings[name]

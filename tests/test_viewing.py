@@ -436,10 +436,17 @@ def test_report_tells_results_and_expectations(report, parsed):
     assert rows["turning radius"][2] == "–"
     assert rows["bend amplitude"][2].startswith("1.2, 1.2")
     assert rows["shape RMS"][1] == "m" and float(rows["shape RMS"][4]) > 0
-    assert rows["met"][1:] == ["com_speed_m_s", "twin", "0.2", "0.214 within 15 %", "Table 10", ""]
-    assert rows["missed"][1:] == ["com_speed_rel", "comparison", "-0.09", "above 0", "", ""]
-    assert rows["known"][1:] == ["yaw_rate_abs", "comparison", "0.3", "below 0.2", "", "soft bends"]
-    assert rows["holds"][1:] == ["path_rms_m", "comparison", "0.1", "below 0.2", "", "once it was"]
+    assert rows["met"][1:] == ["CoM speed", "twin", "0.2", "0.214 within 15 %", "Table 10", ""]
+    assert rows["missed"][1:] == ["CoM speed, relative difference", "comparison", "-0.09", "above 0", "", ""]
+    assert rows["known"][1:] == [
+        "yaw rate, size of difference",
+        "comparison",
+        "0.3",
+        "below 0.2",
+        "",
+        "soft bends",
+    ]
+    assert rows["holds"][1:] == ["path RMS", "comparison", "0.1", "below 0.2", "", "once it was"]
     assert "Expectations: 1 met, 1 missed, 1 known to be missed, 1 met though known to be missed" in report
     assert rows["geometry.segment_length"] == ["geometry.segment_length", "0.037"]
     assert rows["mujoco"] == ["mujoco", "3.17"]

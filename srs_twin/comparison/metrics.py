@@ -232,7 +232,7 @@ def headline(metrics: Mapping[str, Any]) -> str:
         return _of_both(metrics, ours, theirs)
     name = "twin" if theirs else "model"
     if one.get("com_speed_m_s") is not None:
-        turn = one["yaw_rate_rad_s"]
+        turn = one.get("yaw_rate_rad_s") or 0.0
         how = "straight on" if abs(turn) < _TURNS else f"turning by {turn:.3g} rad/s"
         return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}."
     if one.get("goal_reached") is not None:
@@ -252,7 +252,7 @@ def _of_both(metrics: Mapping[str, Any], ours: Mapping[str, Any], theirs: Mappin
         apart = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {apart:.2g} rad RMS."
     text = f"The twin crawls {_compared(metrics, 'com_speed_m_s', 'slower', 'faster', 'm/s')}"
-    if max(abs(each["yaw_rate_rad_s"]) for each in (ours, theirs)) >= _TURNS:
+    if max(abs(each.get("yaw_rate_rad_s") or 0.0) for each in (ours, theirs)) >= _TURNS:
         text += f", and turns {_compared(metrics, 'yaw_rate_rad_s', 'slower', 'faster', 'rad/s')}"
     return f"{text}."
 

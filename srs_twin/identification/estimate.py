@@ -35,6 +35,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.unknowns import Unknown
+from srs_twin.trajectory import Shown
 
 IDENTIFIED = 0.1
 """Largest standard error in z of what is identified."""
@@ -157,7 +158,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Shown):
     """What a fit found.
 
     Attributes:

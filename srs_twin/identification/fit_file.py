@@ -26,7 +26,7 @@ from srs_twin.io.documents import Loc, dump_yaml
 from srs_twin.io.files import existing, write_text
 from srs_twin.io.validation import Strict, load_model
 from srs_twin.robot.sourced import between
-from srs_twin.trajectory import Trajectory
+from srs_twin.trajectory import Shown, Trajectory
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class QualityFile(Strict):
     """Whether the search came to an end."""
 
 
-class FitFile(Strict):
+class FitFile(Strict, Shown):
     """What a fit found."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]

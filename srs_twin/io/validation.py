@@ -5,8 +5,9 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +22,8 @@ Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
 _LISTED = "`srs-twin schema` or docs/reference"
+# Keys whose numbers are usual in a unit of a thousandth or a thousand as well.
+_PREFIXED = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _NO_SUCH_KIND = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -163,10 +166,24 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     words = " or ".join(dict.fromkeys(allowed(option, schema, brief=True) for option in options))
     if kind == "missing":
         return f"missing; it must be {words}"
-    given = item["input"]
+    given, flat = item["input"], [each for option in options for each in _options(option, schema)]
     choices = [c for o in options for c in _choices(o, schema)]
     close = did_you_mean(given, choices) if isinstance(given, str) and len(choices) > 1 else ""
-    return f"must be {words}, not {_given(given)}{close}"
+    return f"must be {words}, not {_given(given)}{close or _in_another_unit(given, loc, flat)}"
+
+
+def _in_another_unit(given: Any, loc: Loc, options: Iterable[Schema]) -> str:
+    """Return '; did you mean 48.3?' for a number that is allowed in another usual unit of its key."""
+    if isinstance(given, bool) or not isinstance(given, int | float) or not 0 < abs(given) < 1e300:
+        return ""
+    key = next((part for part in reversed(loc) if isinstance(part, str) and part != "value"), "")
+    factors = [1e-3, 1e3] * key.endswith(_PREFIXED) + [math.pi / 180] * key.endswith("_rad")
+    for option in options:
+        low, high = option.get("minimum"), option.get("maximum")
+        if low is not None and high is not None and not low <= given <= high:
+            fitting = [factor * given for factor in factors if low < factor * given < high]
+            return f"; did you mean {fitting[0]:.4g}?" if fitting else ""
+    return ""
 
 
 def _locate(loc: Loc, data: Any) -> Loc:

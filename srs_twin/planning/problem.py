@@ -11,6 +11,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, along
 from srs_twin.planning.footprint import Footprint
+from srs_twin.trajectory import Shown
 from srs_twin.world import Goal, Pose, World
 
 _MOST_LEVELS = 5
@@ -113,7 +114,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Shown):
     """A planner's answer; equal for equal problems, whatever the machine.
 
     Attributes:

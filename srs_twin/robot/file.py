@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.io.documents import Document, Loc
+from srs_twin.io.documents import Document, Loc, child
 from srs_twin.io.files import find
 from srs_twin.io.validation import Strict, load_model, validate
 from srs_twin.robot.sourced import Record, Records, between, number, restated, split_unit
@@ -47,6 +47,7 @@ Share = Record[Annotated[float, between(0.0, 0.3)], Literal["1"]]
 Spread = Record[Annotated[float, between(0.0, 0.5)], Literal["rad"]]
 
 _MOST = 3.0
+_FAR = 300.0  # times: somebody meant another unit
 
 # Quantity → its spread. Their order is that of the streams: new ones go to the end.
 SPREADS = {
@@ -378,6 +379,22 @@ def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile |
         return file
     merged = _override(file.model_dump(), given, lambda loc: f"{document.setter(prefix + loc)} over {base}")
     return validate(RobotFile, document, merged, prefix=prefix)
+
+
+def far_off(given: Any) -> Iterator[tuple[Loc, str]]:
+    """Yield path and question of numbers that an override sets some hundred times off its base's."""
+    if not isinstance(given, Mapping) or not isinstance(given.get("base"), str):
+        return
+    for path, record in load_robot_file(given["base"]).records().items():
+        section, key = path.split(".")
+        new, old = child(child(given, section), key), record.value
+        new = child(new, "value") if isinstance(new, Mapping) else new
+        if not all(isinstance(each, int | float) and each for each in (new, old)):
+            continue
+        if not 1 / _FAR < abs(new / old) < _FAR:
+            times = f"{new / old:.3g} times the {old:.4g} of {given['base']}"
+            factor = 1e-3 if abs(new) > abs(old) else 1e3
+            yield (section, key), f"{new:g} {record.unit} is {times}; did you mean {factor * new:.4g}?"
 
 
 def _override(

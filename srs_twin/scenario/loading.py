@@ -13,13 +13,13 @@ from typing import Any, TypeVar
 
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.identification.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
-from srs_twin.io.documents import Change, Document, load_yaml, path_of
+from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.recordings.logs import on_bench, read_valves
 from srs_twin.recordings.recording import Recording
-from srs_twin.robot.file import PA_PER_KPA, RobotFile, resolve_robot
+from srs_twin.robot.file import PA_PER_KPA, RobotFile, far_off, resolve_robot
 from srs_twin.robot.sourced import restated
 from srs_twin.scenario.checks import (
     check,
@@ -76,6 +76,8 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
+    if robot:
+        warnings += [f"robot.{dotted(loc)}: {text}" for loc, text in far_off(document.get("robot"))]
     supply_pa, layout, world, recording, planner = 0.0, "", World(), None, None
     if file:
         with document.reporting("world", "random"):

@@ -93,7 +93,7 @@ def test_an_element_of_a_list(tmp_path):
         ("duration_s: 2", "duration: 2", "3:9: fixed.duration: unknown key; did you mean duration_s?"),
         ("duration_s: 2", "duration_s: x", "3:21: fixed.duration_s: must be a number from 0.001 to 3600, no"),
         ("duration_s: 2", "title: x", "3:9: fixed.title: says how results are named or judged"),
-        ("duration_s: 2}", "supply.pressure_kpa: 45}", "6:3: vary.supply.pressure_kpa: is fixed as well"),
+        ("duration_s: 2}", "supply.pressure_kpa: 45}", "3:9: fixed.supply.pressure_kpa: is varied as"),
         ("fixed:", "periods: 5\nfixed:", "4:9: fixed.duration_s: periods says how long a run is"),
         ("fixed:", "metrics: [speed]\nfixed:", "3:11: metrics[0]: unknown metric 'speed'"),
         ("fixed:", "metrics: [com_speed_rel]\nfixed:", "3:11: metrics[0]: com_speed_rel compares both plant"),

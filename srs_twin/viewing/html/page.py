@@ -58,6 +58,13 @@ def render(template: str, **content: Any) -> str:
     return _environment().get_template(template).render(content)
 
 
+def piece(words: str, table: Table, shown: Picture | None = None) -> str:
+    """Return a part of a page, as a notebook shows it: a line, a table, a picture."""
+    parts: Any = _environment().get_template("viewing/html/parts.html").module
+    pictures = parts.pictures([shown]) if shown else ""
+    return str(Markup("<p><b>{}</b></p>{}{}").format(printable(words), parts.table(table), pictures))
+
+
 @cache
 def _environment() -> Environment:
     folder = FileSystemLoader(Path(__file__).parents[2])

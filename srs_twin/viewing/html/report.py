@@ -18,16 +18,19 @@ from srs_twin.comparison.metrics import (
     VALIDATION,
     chosen,
     headline,
+    plant_metrics,
     published,
     result_rows,
     tidy,
 )
+from srs_twin.planning import Plan
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.html.page import Picture, Table, colored, picture, render
+from srs_twin.viewing.html.fit_report import parameter_table
+from srs_twin.viewing.html.page import Picture, Table, colored, picture, piece, render
 from srs_twin.viewing.plots.labels import metric_title
-from srs_twin.viewing.plots.plan_view import following_plot, plan_view
+from srs_twin.viewing.plots.plan_view import following_plot, lines_plot, path_points, plan_view
 from srs_twin.viewing.plots.runs import (
     bend_plot,
     error_plot,
@@ -96,6 +99,38 @@ def write_report(
         settings=_settings(spec, trajectories, metrics.get("versions") or {}),
     )
     Path(path).write_text(page, encoding="utf-8")
+
+
+def shown_run(
+    title: str, metrics: Mapping[str, Any], trajectories: Mapping[str, Trajectory], spec: RobotSpec
+) -> str:
+    """Return what a notebook shows of a run: the sentence, the table, the bodies from above."""
+    above = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
+    return piece(f"{title}: {headline(metrics)}", _results(metrics, chosen(metrics["plants"])), above)
+
+
+def shown(found: Any) -> str:
+    """Return what a notebook shows of a trajectory, a comparison, a plan or a fit."""
+    if isinstance(found, Trajectory):
+        plant = str(found.metadata.get("plant", "run"))
+        metrics = {"plants": {plant: plant_metrics(found)}}
+        lines = {"centre of mass": found.com, "body at the end": found.position[-1]}
+        path = picture(lines_plot(lines), "The centre of mass, and the body at the end.")
+        words = f"{plant}, {found.time[-1]:g} s, {len(found)} samples"
+        return piece(words, _results(metrics, chosen(metrics["plants"])), path)
+    if isinstance(found, Plan):
+        rows = [["length", "m", _text(found.length)], ["time", "s", _text(found.duration)]]
+        rows += [["segments", "1", str(len(found.segments))], ["nodes", "1", str(found.expanded)]]
+        way = None
+        if found.segments:
+            way = picture(lines_plot({"path": path_points(found.segments)}), "The way of the centre of mass.")
+        return piece(f"{found.outcome.value}: {found.reason}", Table(["", "unit", "value"], rows, [2]), way)
+    if hasattr(found, "parameters"):
+        return piece(getattr(found, "title", "Fit"), parameter_table(found.parameters))
+    rows = [
+        [metric_title(name), COMPARISON_UNITS[name], _text(value)] for name, value in found.metrics.items()
+    ]
+    return piece("Twin less analytical model", Table(["metric", "unit", "value"], rows, [2]))
 
 
 def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:

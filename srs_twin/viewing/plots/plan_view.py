@@ -118,7 +118,7 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
         style = style_of(plant, index)
         _draw_run(axes, run, style, spec.geometry, moments, filled=plant == "twin")
         for later in told.get(plant, about)["plans"][1:]:
-            x, y = _path(segments_of(later)).T
+            x, y = path_points(segments_of(later)).T
             axes.plot(x, y, color=style.color, linewidth=0.7, linestyle=":")
     axes.legend(loc="best", fontsize=8, frameon=False)
     return figure
@@ -155,7 +155,7 @@ def _sheet(
         (x0, x1), (y0, y1) = bounds["x"], bounds["y"]
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="0.6", linestyle="--"))
     if segments:
-        x, y = _path(segments).T
+        x, y = path_points(segments).T
         axes.plot(x, y, color=_PATH, linewidth=1.0, zorder=2, label="plan")
         starts = np.array([(each.start.x, each.start.y) for each in segments])
         axes.plot(*starts.T, ".", color=_PATH, markersize=3, zorder=2)
@@ -166,6 +166,17 @@ def _sheet(
     return figure, axes
 
 
+def lines_plot(lines: Mapping[str, np.ndarray]) -> Figure:
+    """Return lines on the floor, each of shape (k, 2), m, by what they are."""
+    figure, (axes,) = panels(3.0)
+    for name, points in lines.items():
+        axes.plot(*points.T, label=name)
+    axes.set_aspect("equal", adjustable="datalim")
+    finish(axes, "y (m)", "x (m)", title="")
+    axes.legend(fontsize=9, frameon=False)
+    return figure
+
+
 def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
     """Return the outline of what is planned for the body along a segment, shape (k, 2)."""
     motion, beyond = footprint.at(segment.curvature), (footprint.behind, footprint.ahead)
@@ -173,6 +184,6 @@ def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
     return np.concatenate([left, right[::-1]])
 
 
-def _path(segments: Sequence[Segment]) -> np.ndarray:
+def path_points(segments: Sequence[Segment]) -> np.ndarray:
     """Return points along a path, shape (k, 2)."""
     return np.concatenate([segment_points(segment) for segment in segments])

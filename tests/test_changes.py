@@ -1,0 +1,206 @@
+"""Values set besides a file, by options and from Python; lists of what there is; JSON; the sentence."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from snakes import robot
+
+import srs_twin as srs
+from srs_twin import InputError, load_scenario
+from srs_twin.comparison.metrics import (
+    COMPARISON_UNITS,
+    LIST_METRIC_UNITS,
+    METRIC_UNITS,
+    headline,
+    meanings,
+)
+from srs_twin.io.documents import Change, parse_yaml
+from srs_twin.scenario import parse_scenario
+
+SHORT = {"duration_s": 1.0}
+
+
+def test_what_is_set_is_what_a_file_would_say_and_stands_with_who_set_it():
+    soft = load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": 0.22, "seed": 7})
+    assert (soft.robot.bending.stiffness, soft.seed) == (0.22, 7)
+    record = soft.document["robot"]["bending"]["stiffness_nm_per_rad"]
+    assert (record["status"], record["unit"]) == ("estimated", "N*m/rad")
+    assert record["source"] == "set by set robot.bending.stiffness_nm_per_rad=0.22 over gen2"
+    assert soft.robot.friction == robot().friction
+
+
+def test_a_resolved_scenario_can_be_changed_again():
+    first = load_scenario("gen2_straight")
+    changed = parse_scenario(first.document, name="again", set={"robot.friction.mu_t": 0.1})
+    assert changed.robot.friction.mu_t == 0.1
+    assert changed.document["robot"]["friction"]["mu_t"]["source"].startswith(
+        "set by set robot.friction.mu_t"
+    )
+    assert first.robot.friction.mu_t != 0.1  # what it was made from stays
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("controller.frequency=3", "controller.frequency: unknown key; did you mean frequency_hz?"),
+        ("controler.frequency_hz=3", "controler: unknown key; did you mean controller?"),
+        ("controller.frequency_hz=fast", "must be a number from 0.01 to 50, not text 'fast'"),
+        ("controller.frequency_hz=", "must be a number from 0.01 to 50, not nothing"),
+        ("robot.bending.stiffness=1", "unknown key; did you mean stiffness_nm_per_rad?"),
+        ("robot.friction.mu_t=-1", "robot.friction.mu_t: must be a number from 0 to 10, not -1"),
+        ("robot=gen9", "unknown robot 'gen9'"),
+        ("expect[40].near=1", "expect[40]: there are 6 entries, from 0"),
+        ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
+        ("supply.pressure_kpa=0.0483", "not 0.0483; did you mean 48.3?"),
+        ("start.heading_rad=90", "did you mean 1.571?"),
+        ("supply.pressure_kpa=[1", "not YAML"),
+        ("duration_s", "must be FIELD=VALUE, as in controller.frequency_hz=1.5"),
+        ("=3", "must be FIELD=VALUE"),
+    ],
+)
+def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, said):
+    done = srs_twin("run", "gen2_straight", "--set", words, cwd=tmp_path)
+    assert done.returncode == 2
+    first = done.stderr.splitlines()[0]
+    assert first.startswith(f"--set {words}:") and said in first
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_number_a_thousand_times_off_its_robots_is_asked_about():
+    def warned(value):
+        return load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": value}).warnings
+
+    question = "440 N*m/rad is 1e+03 times the 0.44 of gen2; did you mean 0.44?"
+    assert warned(440.0) == (f"robot.bending.stiffness_nm_per_rad: {question}",)
+    assert warned(44.0) == ()
+
+
+def test_a_change_of_a_list_and_of_a_new_block():
+    document = parse_yaml("a: {b: [1, 2]}\n", "x.yaml")
+    document.change(Change("first", ("a", "b", 1), 5))
+    document.change(Change("second", ("c", "d"), {"e": 1}))
+    assert document.data == {"a": {"b": [1, 5]}, "c": {"d": {"e": 1}}}
+    document.report(("c", "d", "e"), "wrong")
+    document.report(("a", "b", 0), "wrong")
+    with pytest.raises(InputError) as caught:
+        document.finish()
+    assert str(caught.value).splitlines() == ["second: c.d.e: wrong", "x.yaml:1:9: a.b[0]: wrong"]
+
+
+def test_one_plant_alone_is_not_judged_by_what_was_said_of_the_other(srs_twin, tmp_path):
+    words = ["run", "gen2_straight", "--plants", "analytical", "--duration", "3", "--json", "--check"]
+    done = srs_twin(*words, cwd=tmp_path)
+    found = json.loads(done.stdout)
+    assert done.returncode == 0
+    assert list(found["plants"]) == ["analytical"]
+    assert {each["of"] for each in found["expectations"]} == {"analytical"}
+    stored = json.loads((tmp_path / "runs/gen2_straight/metrics.json").read_text("utf-8"))
+    assert found == stored
+
+
+def test_of_several_runs_json_has_each_and_what_stopped_it(srs_twin, tmp_path):
+    words = ["run", "gen2_straight", "gen2_strait", "--duration", "0.5", "--plants", "analytical", "--json"]
+    done = srs_twin(*words, cwd=tmp_path)
+    first, second = json.loads(done.stdout)["runs"]
+    assert done.returncode == 2
+    assert first["scenario"] == "gen2_straight"
+    assert second == {
+        "scenario": "gen2_strait",
+        "errors": ["unknown scenario 'gen2_strait'; did you mean gen2_straight?"],
+    }
+
+
+def test_every_metric_is_listed_with_unit_and_meaning(srs_twin, tmp_path):
+    assert set(meanings()) == {*METRIC_UNITS, *LIST_METRIC_UNITS, *COMPARISON_UNITS}
+    found = json.loads(srs_twin("list", "--json", cwd=tmp_path).stdout)
+    assert list(found) == ["scenarios", "robots", "sweeps", "controllers", "metrics"]
+    units = {each["name"]: each["unit"] for each in found["metrics"]}
+    assert units["com_speed_m_s"] == "m/s" and units["yaw_rate_abs"] == "rad/s"
+    assert {"name": "gen2_straight", "title": "Generation 2, straight, 2 Hz, 48.3 kPa"} in found["scenarios"]
+    assert {each["name"] for each in found["controllers"]} >= {"gait", "ilc", "follow", "replay"}
+    assert all(set(each) == {"name", "title"} and all(each.values()) for each in found["robots"])
+
+
+@pytest.mark.parametrize("name", ["gen2_turn", "gen2"])
+def test_show_tells_every_number_with_its_source(srs_twin, tmp_path, name):
+    document = json.loads(srs_twin("show", name, "--json", cwd=tmp_path).stdout)
+    snake = document if name == "gen2" else document["robot"]
+    assert snake["friction"]["mu_t"]["source"]
+    text = " ".join(srs_twin("show", name, cwd=tmp_path).stdout.split())
+    assert (
+        f"friction.mu_t: {snake['friction']['mu_t']['value']}; {snake['friction']['mu_t']['status']}:" in text
+    )
+
+
+def test_show_of_what_there_is_not(srs_twin, tmp_path):
+    done = srs_twin("show", "gen2_strait", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (
+        2,
+        "unknown scenario or robot 'gen2_strait'; did you mean gen2_straight?\n",
+    )
+
+
+def both(speeds, rates=(0.0, 0.0), **more):
+    plants = {
+        plant: {"com_speed_m_s": speed, "yaw_rate_rad_s": rate}
+        for plant, speed, rate in zip(("analytical", "twin"), speeds, rates, strict=True)
+    }
+    return {"plants": plants, "comparison": {}} | more
+
+
+CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("metrics", "said"),
+    [
+        (both((0.2, 0.15)), "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s)."),
+        (both((0.2, 0.201)), "The twin crawls like the model (0.201 against 0.2 m/s)."),
+        (both((0.2, -0.1)), "The twin crawls otherwise than the model (-0.1 against 0.2 m/s)."),
+        (
+            both((0.2, 0.15), cause=CAUSE),
+            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; 15 of these 25 % are "
+            "compliance).",
+        ),
+        # A cause that acts the other way explains nothing.
+        (
+            both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": 0.03}),
+            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s).",
+        ),
+        (
+            both((0.2, 0.2), (1.0, 1.5)),
+            "The twin crawls like the model (0.2 against 0.2 m/s), and turns 50 % faster than the model "
+            "(1.5 against 1 rad/s).",
+        ),
+    ],
+)
+def test_the_sentence_says_who_is_faster_by_how_much_and_why(metrics, said):
+    assert headline(metrics) == said
+
+
+def test_every_run_has_a_sentence_of_its_plants():
+    assert headline({"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.3}}}) == (
+        "The twin crawls at 0.1 m/s, turning by 0.3 rad/s."
+    )
+    followed = {"goal_reached": 1, "cross_track_rms_m": 0.01}
+    both_of = {"analytical": followed, "twin": followed | {"goal_reached": 0}}
+    assert headline({"plants": both_of, "comparison": None}) == (
+        "The twin does not reach its goal, 10 mm RMS from its path; the model reaches its goal, 10 mm RMS "
+        "from its path."
+    )
+
+
+def test_a_scenario_is_compared_by_its_name():
+    found = srs.compare("gen2_straight", set=SHORT)
+    assert set(found.trajectories) == {"analytical", "twin"}
+    assert found.metrics == srs.compare(found.trajectories["analytical"], found.trajectories["twin"]).metrics
+    page = found._repr_html_()
+    assert "<table>" in page and "data:image/svg+xml" in page and str(found) in page
+    for each in (found.trajectories["twin"], srs.compare(*found.trajectories.values())):
+        assert "<table>" in each._repr_html_()
+    with pytest.raises(InputError, match="did you mean frequency_hz"):
+        srs.compare("gen2_straight", set={"controller.frequency": 1.0})
+    with pytest.raises(InputError, match="two trajectories"):
+        srs.compare(found.trajectories["twin"])
