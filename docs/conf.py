@@ -1,7 +1,7 @@
 """How Sphinx makes the site: the Markdown of the checkout, and reference pages made from the code.
 
-`uv run sphinx-build -W -c docs . site` builds it; -W makes a broken link an error. Nothing of the site comes
-from elsewhere: the theme takes the reader's own fonts, formulas are MathML.
+`uv run --group docs sphinx-build -W -c docs . site` builds it; -W makes a broken link an error. Nothing of
+the site comes from elsewhere: the theme takes the reader's own fonts, formulas are MathML.
 """
 
 from __future__ import annotations

@@ -22,6 +22,12 @@ _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fa
 _BARE: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _CONSTANTS = (bool, int, float, complex, str, type(None))
 _warned = False
+_told: list[Callable[[], None]] = []
+
+
+def tell_once(notice: Callable[[], None]) -> None:
+    """Call a notice when a kernel of this process has to be compiled; the first time only."""
+    _told[:] = [notice]
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -63,7 +69,10 @@ class _Cache(FunctionCache):
         Only now, at the first call, is everything there that the function refers to.
         """
         self._cache_file._source_stamp = _stamp(self._py_func)
-        return super().load_overload(sig, target_context)
+        found = super().load_overload(sig, target_context)
+        if found is None and _told:
+            _told.pop()()
+        return found
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:

@@ -199,8 +199,8 @@ def printed(row):
 
 
 def test_one_test_command_everywhere():
-    assert "uv run pytest" in README.commands
-    assert "uv run pytest" in (ROOT / ".ci/run").read_text("utf-8")
+    assert "uv run --group dev pytest" in README.commands
+    assert "uv run --group dev pytest" in (ROOT / ".ci/run").read_text("utf-8")
 
 
 def test_a_script_that_fails_is_noticed(tmp_path):

@@ -45,7 +45,7 @@ def called():
 
 @pytest.mark.parametrize("line", called())
 def test_what_is_called_exists(line):
-    words = shlex.split(line)[2:]
+    words = shlex.split(line.replace("uv run --group dev", "uv run"))[2:]
     if words[0] == "python":
         script = ROOT / words[1]
         known = set(re.findall(r'"(--\w+)"', script.read_text("utf-8")))
@@ -57,14 +57,17 @@ def test_what_is_called_exists(line):
 def test_targets_of_the_makefile():
     assert recipes().keys() >= {"test", "fast", "check", "docs", "golden"}
     assert set(re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.M)[1].split()) == recipes().keys()
-    assert recipes()["test"] == ["uv run pytest"]
-    assert recipes()["check"] == ["uv run ruff check", "uv run ruff format --check", "uv run mypy"]
+    assert recipes()["test"] == ["uv run --group dev pytest"]
+    checks = ["ruff check", "ruff format --check", "mypy"]
+    assert recipes()["check"] == [f"uv run --group dev {each}" for each in checks]
     assert set(hooks()) == set(recipes()["check"])
 
 
 def test_tests_that_are_left_out_by_default_are_run_by_ci():
     assert "not slow" in PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"]
-    assert ["uv run pytest", "uv run pytest -m slow"] == [line for line in scripts() if "pytest" in line]
+    assert ["uv run --group dev pytest", "uv run --group dev pytest -m slow"] == [
+        line for line in scripts() if "pytest" in line
+    ]
 
 
 def test_every_study_of_the_night_is_bounded():

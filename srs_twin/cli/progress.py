@@ -137,6 +137,13 @@ class ScenarioProgress(Display):
         super().__init__(title, quiet=quiet)
         self._stage, self._part = "", 0.0
 
+    def __enter__(self) -> Self:
+        from srs_twin.compiled import tell_once
+
+        text = f"{self.title}: compiling the kernels for this machine, once; about half a minute"
+        tell_once(lambda: say(text, quiet=self._quiet))
+        return super().__enter__()
+
     def __call__(self, stage: str, part: float) -> None:
         """Take note that a part (0 to 1) of a stage is done."""
         self._stage, self._part = stage, part
