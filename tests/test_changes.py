@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 from snakes import robot
@@ -66,6 +69,24 @@ def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, sa
     first = done.stderr.splitlines()[0]
     assert first.startswith(f"--set {words}:") and said in first
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("srs-twin compare gen2_s", {"gen2_straight"}),
+        ("srs-twin sweep fig33", {"fig33", "fig33_simplified"}),
+        ("srs-twin play gen4", {"gen4", "gen4_module"}),
+        ("srs-twin rep", {"replay", "reproduce"}),
+        ("srs-twin compare --exp", {"--explain"}),
+    ],
+)
+def test_a_shell_completes_commands_options_and_shipped_names(typed, offered):
+    count = str(len(typed.split()) - 1)
+    more = {"_SRS_TWIN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": count}
+    words = [sys.executable, "-c", "from srs_twin.cli import main; main()"]
+    done = subprocess.run(words, env=os.environ | more, capture_output=True, text=True, check=False)
+    assert set(done.stdout.split()) == offered, done.stderr
 
 
 def test_a_number_a_thousand_times_off_its_robots_is_asked_about():

@@ -26,7 +26,6 @@ from srs_twin.cli.view import view
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

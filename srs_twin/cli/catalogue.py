@@ -61,7 +61,7 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
 
 
 def show(
-    name: Annotated[str, argument("NAME")],
+    name: Annotated[str, argument("NAME", of=["scenario", "robot"])],
     json: JsonOption = False,
 ) -> None:
     """Show what a scenario or robot holds, and its sources.

@@ -19,7 +19,7 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 @app.command()
 @with_options
 def export(
-    names: Annotated[list[str] | None, argument("NAME")] = None,
+    names: Annotated[list[str] | None, argument("NAME", of=["robot"])] = None,
     out: Annotated[str, option("--out DIR")] = "models",
     contact: Annotated[str, option("--contact NAME")] = "preloaded",
 ) -> None:
@@ -53,7 +53,7 @@ def export(
 @app.command()
 @with_options
 def check(
-    models: Annotated[list[str] | None, argument("FILE|NAME")] = None,
+    models: Annotated[list[str] | None, argument("FILE|NAME", of=["robot"])] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compile models and give each a second of random control.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -32,9 +32,21 @@ def option(words: str, help: str | None = None, **more: Any) -> Any:
     return typer.Option(*flags, metavar=" ".join(value) or None, help=help, **more)
 
 
-def argument(name: str, help: str | None = None) -> Any:
-    """Return an argument of a command; `help` as in `option`."""
-    return typer.Argument(metavar=name, help=help)
+def argument(name: str, help: str | None = None, *, of: Sequence[str] = ()) -> Any:
+    """Return an argument of a command.
+
+    Args:
+        name: as help shows it.
+        help: as in `option`.
+        of: kinds of shipped files whose names a shell may complete: "scenario", "robot", "sweep".
+    """
+
+    def names(incomplete: str) -> list[str]:
+        from srs_twin.io.files import shipped_names
+
+        return [each for kind in of for each in shipped_names(kind) if each.startswith(incomplete)]
+
+    return typer.Argument(metavar=name, help=help, autocompletion=names if of else None)
 
 
 def at_once(words: str) -> Any:
@@ -42,8 +54,8 @@ def at_once(words: str) -> Any:
     return option(words, "Runs at once; 1: one after the other. [default: one a processor]", min=1, max=4096)
 
 
-ScenarioArgument = Annotated[str, argument("SCENARIO", "A shipped scenario or a file.")]
-RobotArgument = Annotated[str, argument("ROBOT", "A shipped robot or a file.")]
+ScenarioArgument = Annotated[str, argument("SCENARIO", "A shipped scenario or a file.", of=["scenario"])]
+RobotArgument = Annotated[str, argument("ROBOT", "A shipped robot or a file.", of=["robot"])]
 OneOutOption = Annotated[str | None, option("--out DIR", "Folder for the files. [default: runs/SCENARIO]")]
 CheckOption = Annotated[bool, option("--check", "Exit with 1 when an expectation fails.")]
 _STRICT = "--check, which also fails on what is marked `known`, met or missed."

@@ -50,7 +50,7 @@ def compare(
 
 
 def run(
-    scenarios: Annotated[list[str], argument("SCENARIO")],
+    scenarios: Annotated[list[str], argument("SCENARIO", of=["scenario"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     check: CheckOption = False,
     strict: StrictOption = False,

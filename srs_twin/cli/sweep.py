@@ -37,7 +37,7 @@ _MOST_PUBLISHED = 30  # rows of published values; more are for the report
 
 
 def sweep(
-    given: Annotated[str, argument("SWEEP")],
+    given: Annotated[str, argument("SWEEP", of=["sweep"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, at_once("--workers N")] = None,
