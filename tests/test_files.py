@@ -19,7 +19,6 @@ from srs_twin.io.files import (
     find,
     printable,
     read_text,
-    shipped_folder,
     shipped_names,
     shown,
 )
@@ -69,8 +68,8 @@ def test_a_long_list_of_names_is_never_said():
     assert str(close.value) == "unknown scenario 'gen2_strait'; did you mean gen2_straight?"
     with pytest.raises(UnknownNameError) as far:
         find("scenario", "zzz")
-    count, folder = len(shipped_names("scenario")), shipped_folder("scenario")
-    assert str(far.value) == f"unknown scenario 'zzz' (available: {count} names; {folder} lists them)"
+    listed = f"{len(shipped_names('scenario'))} names; `srs-twin list scenarios` lists them"
+    assert str(far.value) == f"unknown scenario 'zzz' (available: {listed})"
 
 
 def test_what_is_there_is_not_called_an_unknown_name(tmp_path, monkeypatch):

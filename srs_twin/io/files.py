@@ -52,6 +52,9 @@ def shipped_names(kind: str) -> list[str]:
     return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 
+_LISTED = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")}
+
+
 def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     """Return the file that a name or path means.
 
@@ -75,7 +78,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
         raise InputError(f"{given}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
     if os.path.isdir(given):
         existing(Path(given))
-    raise UnknownNameError(kind, given, names, str(shipped_folder(kind)))
+    raise UnknownNameError(kind, given, names, _LISTED.get(kind) or str(shipped_folder(kind)))
 
 
 def results_name(path: Path) -> str:

@@ -6,12 +6,13 @@ import ast
 import inspect
 import json
 import math
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -19,11 +20,13 @@ from srs_twin.errors import did_you_mean, some
 from srs_twin.io.documents import Document, Loc, child, has_child, load_yaml
 
 Schema = Mapping[str, Any]
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound="Strict")
 
 _LISTED = "`srs-twin schema` or docs/reference"
 # Keys whose numbers are usual in a unit of a thousandth or a thousand as well.
 _PREFIXED = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
+_BLOCK = "a block of keys"
+_WITH_UNIT = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE)
 _NO_SUCH_KIND = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -65,7 +68,12 @@ class Strict(BaseModel):
 
     The docstring of a key is its description in JSON schemas.
     A model whose parts may contradict each other has `contradictions()`: path and message of each.
+
+    Attributes:
+        elsewhere: keys that people look for here, and where they are.
     """
+
+    elsewhere: ClassVar[dict[str, str]] = {}
 
     model_config = ConfigDict(
         strict=True, extra="forbid", allow_inf_nan=False, frozen=True, json_schema_extra=_describe
@@ -112,6 +120,8 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
             absent = _is_absent(item, schema, loc, data)
             loc = (*loc, item["loc"][-1]) if absent else loc
             message = _message(item, schema, loc, data)
+            if item["type"] == "extra_forbidden" and len(loc) == 1 and loc[0] in model.elsewhere:
+                message = f"unknown key; did you mean {model.elsewhere[str(loc[0])]}?"
             where = prefix + loc if absent else document.visible(prefix, loc)
             document.report(where, message, at_key=item["type"] == "extra_forbidden")
         return None
@@ -136,6 +146,8 @@ def allowed(schema: Schema, root: Schema, *, brief: bool = False) -> str:
         brief: say of many choices how many they are.
     """
     texts = [_allowed(option, root, brief) for option in _options(schema, root)]
+    if sum(text.startswith(_BLOCK) for text in texts) > 2:
+        texts = [_BLOCK if text.startswith(_BLOCK) else text for text in texts]
     return " or ".join(dict.fromkeys(filter(None, texts)))
 
 
@@ -159,6 +171,8 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     if kind == "extra_forbidden":
         keys = _keys(schema, loc[:-1], data)
         close = did_you_mean(str(loc[-1]), keys)
+        if str(loc[-1]).isdigit():
+            return "unknown key; a number has a decimal point, no comma"
         return f"unknown key{close or f'; known here: {some(keys, _LISTED)}'}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
@@ -169,6 +183,8 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     given, flat = item["input"], [each for option in options for each in _options(option, schema)]
     choices = [c for o in options for c in _choices(o, schema)]
     close = did_you_mean(given, choices) if isinstance(given, str) and len(choices) > 1 else ""
+    if isinstance(given, str) and _WITH_UNIT.fullmatch(given) and any("minimum" in each for each in flat):
+        close = "; write the number alone, its unit stands in the key"
     return f"must be {words}, not {_given(given)}{close or _in_another_unit(given, loc, flat)}"
 
 

@@ -392,7 +392,9 @@ def far_off(given: Any) -> Iterator[tuple[Loc, str]]:
         if not all(isinstance(each, int | float) and each for each in (new, old)):
             continue
         if not 1 / _FAR < abs(new / old) < _FAR:
-            times = f"{new / old:.3g} times the {old:.4g} of {given['base']}"
+            ratio = new / old
+            times = f"{ratio:.0f} times" if abs(ratio) > 1 else f"1/{1 / ratio:.0f} of"
+            times += f" the {old:.4g} of {given['base']}"
             factor = 1e-3 if abs(new) > abs(old) else 1e3
             yield (section, key), f"{new:g} {record.unit} is {times}; did you mean {factor * new:.4g}?"
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, WithJsonSchema
 
 from srs_twin.identification.takes import RecordingReader
+from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.air import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
@@ -97,6 +98,10 @@ class ScenarioFile(Section):
     """How the plants are compared."""
     expect: Annotated[list[Expectation], Field(max_length=200)] = []
     """What must come out."""
+
+    elsewhere: ClassVar[dict[str, str]] = {
+        key: f"robot.{key}" for key in RobotFile.model_fields if key not in ("name", "title", "supply")
+    }
 
     def tick(self, plant: str) -> float:
         """Return the control tick of a plant, whether the file names it or not, s."""

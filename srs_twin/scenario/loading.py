@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from srs_twin.errors import InputError, InputFileError, UnknownNameError
+from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
 from srs_twin.identification.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
 from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
@@ -69,6 +69,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     if isinstance(changes, Mapping):
         changes = [Change(f"set {key}={value!r}", path_of(key), value) for key, value in changes.items()]
     for change in changes:
+        _check_field(change)
         before = document.get(*change.loc)
         if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
             change = replace(change, value=restated(before, change.value, None, f"set by {change.words}"))
@@ -120,6 +121,18 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         recording=recording,
         source=document.name,
     )
+
+
+def _check_field(change: Change) -> None:
+    """Refuse a field whose beginning no scenario has, with those like it."""
+    first, *more = change.loc
+    sections = {*RobotFile.model_fields, "base"}
+    if first not in ScenarioFile.model_fields or (first == "robot" and more and more[0] not in sections):
+        from srs_twin.scenario.schema import field_paths
+
+        field = dotted(change.loc)
+        close = did_you_mean(field, field_paths()) or "; `srs-twin show SCENARIO` prints all"
+        raise InputError(f"{change.words}: there is no field {field}{close}")
 
 
 def _resolved(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 from srs_twin.robot.file import RobotFile
@@ -24,6 +25,24 @@ def scenario_json_schema() -> dict[str, Any]:
     schema["properties"]["robot"] |= {"title": "Robot", "anyOf": either}
     schema["$defs"] |= definitions
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
+
+
+def field_paths() -> list[str]:
+    """Return every field of a scenario, dotted; of lists the field itself."""
+    schema = scenario_json_schema()
+
+    def walk(node: dict[str, Any], path: str, depth: int) -> Iterator[str]:
+        while "$ref" in node:
+            node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
+        parts = node.get("properties", {})
+        if path and not parts:
+            yield path
+        for key, each in parts.items() if depth else ():
+            yield from walk(each, f"{path}.{key}".lstrip("."), depth - 1)
+        for option in (*node.get("anyOf", ()), *node.get("oneOf", ())):
+            yield from walk(option, path, depth)
+
+    return list(dict.fromkeys(walk(schema, "", 3)))
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
