@@ -20,7 +20,7 @@ from srs_twin.errors import did_you_mean, some
 from srs_twin.io.documents import Document, Loc, child, has_child, load_yaml
 
 Schema = Mapping[str, Any]
-Model = TypeVar("Model", bound="Strict")
+Model = TypeVar("Model", bound=BaseModel)
 
 _LISTED = "`srs-twin schema` or docs/reference"
 # Keys whose numbers are usual in a unit of a thousandth or a thousand as well.
@@ -110,7 +110,7 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        schema = _schema_of(model)
+        schema, elsewhere = _schema_of(model), getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
             # What is missing, and a default that does not fit what was given, are not in the data.
             loc = _locate(item["loc"], data)
@@ -120,8 +120,8 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
             absent = _is_absent(item, schema, loc, data)
             loc = (*loc, item["loc"][-1]) if absent else loc
             message = _message(item, schema, loc, data)
-            if item["type"] == "extra_forbidden" and len(loc) == 1 and loc[0] in model.elsewhere:
-                message = f"unknown key; did you mean {model.elsewhere[str(loc[0])]}?"
+            if item["type"] == "extra_forbidden" and loc[1:] == () and loc[0] in elsewhere:
+                message = f"unknown key; did you mean {elsewhere[str(loc[0])]}?"
             where = prefix + loc if absent else document.visible(prefix, loc)
             document.report(where, message, at_key=item["type"] == "extra_forbidden")
         return None

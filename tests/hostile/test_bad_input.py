@@ -41,7 +41,8 @@ def test_the_good_one_is_good(tmp_path):
     ("written", "given"),
     [
         ("0", "0"), ("-2", "-2"), ("1e3", "1000"), (".nan", "NaN"), (".inf", "infinity"),
-        ("1e999", "infinity"), ("9" * 5000, "infinity"), ("NaN", "text 'NaN'"), ("2Hz", "text '2Hz'; write the number alone, its unit stands in the key"),
+        ("1e999", "infinity"), ("9" * 5000, "infinity"), ("NaN", "text 'NaN'"),
+        ("2Hz", "text '2Hz'; write the number alone, its unit stands in the key"),
         ("'2.0'", "text '2.0'"), ("true", "true"), ("[2]", "a list of 1"), ("{a: 1}", "a block of keys"),
         ("~", "nothing"),
     ],
