@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from srs_twin.comparison.metrics import VALIDATION
 from srs_twin.io.files import printable
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def render(template: str, **content: Any) -> str:
         template: path of the template below the package's folder.
         content: what the template names.
     """
-    return _environment().get_template(template).render(content)
+    return _environment().get_template(template).render(content, validated=VALIDATION)
 
 
 def piece(words: str, table: Table, shown: Picture | None = None) -> str:
