@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
@@ -181,7 +182,7 @@ def run_all(
         to_do = _load(cases, out, quiet, changes)
         with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
             for case in run:
-                _report(case, fails=fails, quiet=quiet, as_json=as_json)
+                _report(case, fails=fails, quiet=quiet, as_json=as_json, changes=changes)
     if as_json:
         found = [case.document() for case in cases]
         print_json(found[0] if len(found) == 1 else {"runs": found})
@@ -284,7 +285,9 @@ def _named(case: Case, error: Exception | None) -> SrsError:
     return error
 
 
-def _report(case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool) -> None:
+def _report(
+    case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool, changes: Sequence[Change]
+) -> None:
     """Show what a run gave."""
     from srs_twin.cli.table import asks_why, expectation_lines, show
 
@@ -296,7 +299,10 @@ def _report(case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool) ->
                 show(ended.result)
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
             if asks_why(ended.metrics):
-                say(f"why the plants differ: `srs-twin compare {case.source} --explain`")
+                words = shlex.join(
+                    [case.source, *(word for each in changes for word in each.words.split(" ", 1))]
+                )
+                say(f"why the plants differ: `srs-twin compare {words} --explain`")
         elif fails and not as_json:
             for line in expectation_lines(ended.metrics, fails | {"holds"}):
                 say(line)
