@@ -16,7 +16,7 @@ _SCHEMAS = ("scenario", "sweep")
 
 def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
-    json: JsonOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List scenarios, robots, sweeps, controllers, metrics.
 
@@ -26,7 +26,7 @@ def list_(
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
     found = {name: list(_listed(name)) for name in _KINDS if kind in (None, name)}
-    if json:
+    if as_json:
         print_json(found)
         return
     for name, rows in found.items():
@@ -62,7 +62,7 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
 
 def show(
     name: Annotated[str, argument("NAME", of=["scenario", "robot"])],
-    json: JsonOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Show what a scenario or robot holds, and its sources.
 
@@ -72,7 +72,7 @@ def show(
         name: A shipped scenario or robot, or a file of one.
     """
     document = _resolved(name)
-    if json:
+    if as_json:
         print_json(document)
         return
     import textwrap

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import textwrap
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.options import JsonOption, option
+from srs_twin.cli.options import JsonOption, option, print_json
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ def doctor(
     bad = failing(checks)
     if as_json:
         document = {"works": not bad, "checks": [asdict(check) for check in checks]}
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        print_json(document)
     else:
         _show(checks)
     if bad:

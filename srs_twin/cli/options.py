@@ -82,10 +82,10 @@ FloorOption = Annotated[str | None, option("--law NAME", _FLOOR)]
 
 
 def print_json(document: Any) -> None:
-    """Print one JSON document on stdout; what is no number in JSON is null."""
+    """Print one JSON document on stdout."""
     import json
 
-    typer.echo(json.dumps(document, indent=2, allow_nan=False))
+    typer.echo(json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False))
 
 
 def plants_of(given: str | None) -> list[str] | None:
