@@ -85,7 +85,8 @@ def print_json(document: Any) -> None:
     """Print one JSON document on stdout."""
     import json
 
-    typer.echo(json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False))
+    # ASCII alone: a terminal obeys what control characters foreign names hold.
+    typer.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 def plants_of(given: str | None) -> list[str] | None:
