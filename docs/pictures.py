@@ -21,7 +21,7 @@ from srs_twin.scenario import Scenario
 from srs_twin.sweep import load_sweep, open_sweep
 from srs_twin.sweep.execution import local
 from srs_twin.viewing.mujoco.strobe import write_strobe
-from srs_twin.viewing.plots.runs import waterfall
+from srs_twin.viewing.plots.runs import attribution_plot
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.web import served
 
@@ -47,7 +47,7 @@ def main() -> None:
     turn = load_scenario("gen2_turn")
     with tempfile.TemporaryDirectory() as folder:
         runs = run_scenario(turn, Path(folder)).trajectories
-        waterfall(explain(turn, runs)).savefig(IMAGES / "why.png", dpi=110)
+        attribution_plot(explain(turn, runs)).savefig(IMAGES / "why.png", dpi=110)
     scenario = load_scenario("gen2_straight")
     with tempfile.TemporaryDirectory() as folder:
         result = run_scenario(scenario, Path(folder))

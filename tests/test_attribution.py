@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from srs_twin import rollout
 from srs_twin.attribution import Ladder, contributions, explain, subsets
-from srs_twin.comparison.compare import MEASURES, gap_between
+from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
 from srs_twin.scenario import parse_scenario
+from srs_twin.viewing.plots.runs import attribution_plot
 
 NAMES = ["a", "b", "c", "d"]
 
@@ -49,6 +50,27 @@ def test_what_changes_nothing_has_no_share_and_twins_share_alike():
     found = contributions(NAMES, {some: worth(some) for some in subsets(NAMES)})
     assert [found[name].value[0] for name in NAMES] == pytest.approx([1.5, 1.5, 2.0, 0.0])
     assert (found["a"].low[0], found["a"].high[0]) == (0.0, 3.0)
+
+
+def test_the_picture_has_bars_from_zero_largest_first_that_add_up():
+    small, large = np.array([0.001, 0.1, 0.0, 0.0]), np.array([-0.004, 0.7, 0.05, 0.002])
+    shares = [
+        Share(name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged")
+        for name, v in (("small", small), ("large", large))
+    ]
+    rest = np.full(4, 0.001)
+    gap = tuple(small + large + rest)
+    figure = attribution_plot(Attribution((0.1,) * 4, gap, tuple(rest), gap, (), tuple(shares)))
+    assert len(figure.axes) == len(MEASURES)
+    speed, yaw = figure.axes[:2]
+    rows = [tick.get_text() for tick in speed.get_yticklabels()]
+    assert rows == ["large", "small", "not explained", "twin − analytical"]
+    assert (speed.get_title("left"), yaw.get_title("left")) == ("CoM speed (mm/s)", "yaw rate (rad/s)")
+    for axes, scale, values in ((speed, 1e3, [-4.0, 1.0, 1.0, -2.0]), (yaw, 1.0, [0.7, 0.1, 0.001, 0.801])):
+        assert [bar.get_x() for bar in axes.patches] == [0.0] * 4
+        assert [bar.get_width() for bar in axes.patches] == pytest.approx(values)
+        assert [text.get_text() for text in axes.texts][0] == {1e3: "−4.0", 1.0: "+0.70"}[scale]
+    assert yaw.texts[2].get_text() == "0"
 
 
 def scenario(**changes):

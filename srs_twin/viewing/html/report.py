@@ -31,6 +31,7 @@ from srs_twin.viewing.html.page import Picture, Table, colored, picture, piece, 
 from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.plan_view import following_plot, lines_plot, path_points, plan_view
 from srs_twin.viewing.plots.runs import (
+    attribution_plot,
     bend_plot,
     error_plot,
     learning_plot,
@@ -39,7 +40,6 @@ from srs_twin.viewing.plots.runs import (
     reading_plot,
     speed_plot,
     tracking_plot,
-    waterfall,
 )
 from srs_twin.viewing.plots.signals import check_drawable, kind_of
 
@@ -170,10 +170,10 @@ def _why(attribution: Attribution | None) -> dict[str, Any]:
         ("matched (stiff bends)", matched, attribution.matched),
     ):
         rows.append([name, what, "", *map(_signed, values)])
-    caption = "From the analytical model to the twin, one assumption after another."
+    caption = "Contributions to twin − analytical; thin lines: least and most over the orders of switching."
     return {
         "why": Table(headings, rows, range(3, len(headings))),
-        "waterfall": picture(waterfall(attribution), caption),
+        "shares": picture(attribution_plot(attribution), caption),
         "same": ", ".join(attribution.same),
     }
 

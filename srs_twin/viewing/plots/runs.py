@@ -267,64 +267,52 @@ def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | Non
 
 
 _UP, _DOWN, _REST = "#009E73", "#CC79A7", "#8a8f98"
+_ROW = 0.23  # height of a bar and its gap, inches
 
 
-def waterfall(attribution: Attribution) -> Figure:
-    """Return one panel a measure; rows are the assumptions, as the shares are listed.
+def attribution_plot(attribution: Attribution) -> Figure:
+    """Return one panel a measure: what each assumption contributes, as bars from zero, largest first.
 
-    Bars run from what was reached before to what is reached with one more assumption; thin lines show the
-    least and the most of a share over the orders of switching.
+    Thin lines show the least and the most of a share over the orders of switching. Below stands what is not
+    explained, and the whole difference, which the bars above it add up to.
     """
-    names = [share.name for share in attribution.shares]
-    rows = ["analytical", *names, "not explained", "twin"]
-    figure, (panels,) = side_by_side(
-        0.75 + 0.24 * len(rows),
-        len(MEASURES),
-        left=2.05,
-        right=0.135,
-        top=0.35,
-        bottom=0.42,
-        space=0.1,
-        sharey=True,
+    # (measures, shares): contribution, least, most.
+    found = (np.array([getattr(s, end) for s in attribution.shares]).T for end in ("value", "low", "high"))
+    value, low, high = found
+    order = np.argsort(-(np.abs(value) / np.abs(value).max(axis=1, keepdims=True).clip(1e-12)).sum(axis=0))
+    names = [*(attribution.shares[i].name for i in order), "not explained", "twin − analytical"]
+    rows = len(MEASURES) // 2
+    height = rows * (_ROW * len(names) + 0.55) + 0.3
+    figure, grid = side_by_side(
+        height, 2, rows, left=1.85, right=0.15, top=0.6, bottom=0.3, space=0.13, sharey=True
     )
-    for m, (axes, (title, unit)) in enumerate(zip(panels, MEASURES.values(), strict=True)):
-        _panel(axes, attribution, m, len(rows))
-        axes.set_title(title, fontsize=9)
-        axes.set_xlabel(unit, fontsize=8)
-    panels[0].set_yticks(range(len(rows)), rows, fontsize=8)
-    panels[0].invert_yaxis()
+    caption = "What each assumption contributes; bars above the line add up to the bar below it"
+    figure.suptitle(caption, x=0.01, ha="left", fontsize=11)
+    for m, (axes, (title, unit)) in enumerate(zip(grid.flat, MEASURES.values(), strict=True)):
+        last = [attribution.remainder[m], attribution.gap[m]]
+        bars, ends = np.array([*value[m, order], *last]), np.array([low[m, order], high[m, order]])
+        scale, prefix = (1e3, "m") if np.abs(bars).max() < 0.1 else (1.0, "")
+        colors = [*np.where(bars[:-2] < 0, _DOWN, _UP), _REST, STYLES["twin"].color]
+        axes.barh(range(len(bars)), scale * bars, height=0.65, color=colors)
+        axes.hlines(range(len(order)), *scale * ends, color="0.2", linewidth=0.9)
+        _write_values(axes, scale * bars, scale * np.hstack([ends, [last, last]]))
+        axes.axvline(0.0, color="0.3", linewidth=0.8)
+        axes.axhline(len(bars) - 1.5, color="0.3", linewidth=0.8)
+        finish(axes, "", title=f"{title} ({prefix}{unit})", loc="left")
+    grid[0, 0].set_yticks(range(len(names)), names)
+    grid[0, 0].invert_yaxis()
+    for axes in grid[:, 0]:
+        axes.tick_params(axis="y", labelsize=9.5)
     return figure
 
 
-def _panel(axes: Axes, attribution: Attribution, m: int, rows: int) -> None:
-    """Draw measure m."""
-    reached = attribution.reference[m]
-    # Of a distance there is none to begin with; its bars add up to what lies between the plants.
-    levels = [reached]
-    axes.barh(0, reached, height=0.6, color=STYLES["analytical"].color)
-    parts = [(share.value[m], share.low[m], share.high[m]) for share in attribution.shares]
-    parts.append((attribution.remainder[m],) * 3)
-    for row, (value, low, high) in enumerate(parts, start=1):
-        last = row == rows - 2
-        color = _REST if last else _UP if value >= 0 else _DOWN
-        axes.barh(row, value, left=reached, height=0.6, color=color, hatch="//" if last else None)
-        axes.plot([reached + low, reached + high], [row, row], color="0.2", linewidth=0.8)
-        axes.plot([reached + value] * 2, [row - 0.3, row + 1.3], color="0.5", linewidth=0.5)
-        reached += value
-        levels.append(reached)
-    axes.barh(rows - 1, reached, height=0.6, color=STYLES["twin"].color)
-    _zoom(axes, levels)
-    axes.grid(True, axis="x", linewidth=0.4, alpha=0.5)
-    axes.tick_params(labelsize=7)
-    axes.ticklabel_format(axis="x", style="sci", scilimits=(-2, 3), useMathText=True)
-    axes.xaxis.get_offset_text().set_fontsize(7)
-
-
-def _zoom(axes: Axes, levels: list[float]) -> None:
-    """Show the range in which the steps happen, with zero only where it is not far off."""
-    low, high = min(levels), max(levels)
-    span = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-9)
-    low, high = low - 0.35 * span, high + 0.35 * span
-    axes.set_xlim(
-        min(low, 0.0) if min(levels) < span else low, max(high, 0.0) if max(levels) > -span else high
-    )
+def _write_values(axes: Axes, bars: np.ndarray, ends: np.ndarray) -> None:
+    """Write each value beyond its bar and its thin line, `ends` (2, bars), with room for it."""
+    low, high = np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)
+    span = max(float(high.max() - low.min()), 1e-12)
+    digits = max(0, 1 - math.floor(math.log10(span)))
+    axes.set_xlim(low.min() - 0.2 * span, high.max() + 0.2 * span)
+    for row, bar in enumerate(bars):
+        text = f"{bar:+.{digits}f}".replace("-", "−") if round(bar, digits) else "0"
+        place, side = (low[row] - 0.02 * span, "right") if bar < 0 else (high[row] + 0.02 * span, "left")
+        axes.text(place, row, text, ha=side, va="center", fontsize=9)
