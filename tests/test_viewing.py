@@ -37,7 +37,8 @@ from srs_twin.viewing.plots.signals import (
 )
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
 from srs_twin.viewing.rerun import viewer
-from srs_twin.viewing.rerun.recording import thinned, write_recording
+from srs_twin.viewing.rerun.blueprint import Layout, scene_view
+from srs_twin.viewing.rerun.recording import thinned, write_recording, write_side_by_side
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 from srs_twin.world import Circle, Polygon, World
 
@@ -197,6 +198,29 @@ def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
     assert np.allclose(middle, body_line(thinned(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
     _, com = found["/world/analytical/com"]["Points3D:positions"]
     assert np.allclose(flat(com).reshape(-1, 3)[:, :2], thinned(runs["analytical"], 50).com, atol=1e-6)
+
+
+def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(spec, runs, tmp_path):
+    path = tmp_path / "far.rrd"
+    ahead = with_columns(runs["twin"], com_x=runs["twin"]["com_x"] + 0.7)
+    write_recording(path, spec=spec, trajectories={"analytical": runs["analytical"], "twin": ahead})
+    places = flat(read_back(path)["/world/eye"]["Points3D:positions"][1]).reshape(-1, 3)
+    assert np.allclose(places[:, :2], (runs["analytical"].com + ahead.com) / 2, atol=1e-6)
+    write_side_by_side(tmp_path / "two.rrd", {"a": path, "b": path})
+    assert "/a/world/eye" in read_back(tmp_path / "two.rrd")
+    # Of a viewer with 55° from top to bottom and a view wider than high.
+    for apart in (0.0, 0.3, 1.5):
+        layout = layout_of(spec, apart)
+        eye = scene_view(layout).properties["EyeControls3D"]
+        distance = np.linalg.norm(eye.position.as_arrow_array().to_pylist()[0])
+        assert distance * np.tan(np.radians(27.5)) > (apart + spec.geometry.body_length) / 2
+
+
+def layout_of(spec, apart):
+    return Layout(
+        plants=["analytical", "twin"], eye="eye", segments=4, start=np.zeros(2), heading=0.0,
+        body_length=spec.geometry.body_length, apart=apart, period=0.5, compared=True,
+    )  # fmt: skip
 
 
 def test_the_recording_shows_forces_of_obstacles_while_they_last(tmp_path, spec):

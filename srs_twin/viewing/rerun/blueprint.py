@@ -1,4 +1,4 @@
-"""How a recording opens: the scene on the left, bends, pressures and speed beside it."""
+"""How a recording opens: the scene on the left; beside it bends, pressures and, larger, speed."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ class Layout:
     """What the views depend on.
 
     Attributes:
-        plants: names under `world/`; the eye follows the twin, else the first.
+        plants: names under `world/`.
+        eye: entity under `world/` that the camera follows.
         segments: number of modules.
-        start: where the followed snake starts, (2,), m.
-        heading: in which direction it starts, rad.
+        start: where it starts, (2,), m.
+        heading: in which direction the snakes start, rad.
         body_length: m.
+        apart: greatest distance between two centres of mass, m; all of them stay in the picture.
         period: of the gait, s; plots show a few of them around the cursor. None: they show the whole run.
         compared: whether there are differences of the plants to plot.
         kind: of the experiment; the plots that matter for it are shown.
@@ -37,10 +39,12 @@ class Layout:
     """
 
     plants: Sequence[str]
+    eye: str
     segments: int
     start: np.ndarray
     heading: float
     body_length: float
+    apart: float
     period: float | None
     compared: bool
     kind: Kind = "gait"
@@ -53,20 +57,14 @@ class Layout:
         """The entity of everything on the floor."""
         return f"{self.root}/world" if self.root else "world"
 
-    @property
-    def followed(self) -> str:
-        """The plant that the eye follows."""
-        return "twin" if "twin" in self.plants else self.plants[0]
-
 
 def run_blueprint(layout: Layout) -> rrb.Blueprint:
     """Return the layout of one run: the scene, and beside it the plots that matter for such an experiment."""
     rows = _rows(layout)
-    shares = [3] * (len(rows) - 1) + [2]
+    shares = [2] * (len(rows) - 1) + [3]
     if layout.events:
-        columns = rrb.TextLogColumns(
-            timeline_columns=[TIMELINE], text_log_columns=["loglevel", "entitypath", "body"]
-        )
+        # Whose event it is its colour says.
+        columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"])
         rows.append(rrb.TextLogView(origin="events", name="Events", columns=columns))
         shares.append(2)
     return _opened(
@@ -83,9 +81,9 @@ def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
     columns = []
     for name, layout in layouts.items():
         body = rrb.Tabs(
-            _plot(f"{layout.root}/body/speed", "CoM speed, forward (m/s)"),
+            _plot(f"{layout.root}/body/speed", "Speed (m/s)"),
             _plot(f"{layout.root}/body/heading", "Heading (rad)"),
-            _plot(f"{layout.root}/module/1/bend", "Bend of module 1 (rad)"),
+            _plot(f"{layout.root}/module/1/bend", "Bend 1 (rad)"),
         )
         columns.append(rrb.Vertical(scene_view(layout, name=name), body, row_shares=[3, 1]))
     return _opened(rrb.Grid(*columns, grid_columns=min(3, len(columns))))
@@ -103,31 +101,29 @@ def _opened(shown: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint:
 def _rows(layout: Layout) -> Rows:
     """Return the plots that matter for a kind of experiment."""
 
-    def modules(signal: str, name: str, legends: int = layout.segments, **options: Any) -> rrb.Container:
-        """Return a plot a module: up to four stand side by side, more of them in tabs."""
-        views = [
-            _plot(f"module/{j}{signal}", name.format(j), legend=j <= legends, **options)
-            for j in range(1, layout.segments + 1)
-        ]
-        return rrb.Tabs(*views) if len(views) > 4 else rrb.Grid(*views, grid_columns=min(2, len(views)))
+    def modules(signal: str, name: str, **options: Any) -> rrb.Tabs:
+        """Return a tab a module, the middle one open: the plants hardly differ in the first."""
+        numbers = range(1, layout.segments + 1)
+        views = [_plot(f"module/{j}{signal}", name.format(j), **options) for j in numbers]
+        return rrb.Tabs(*views, active_tab=layout.segments // 2, name=name.partition(" {")[0])
 
     axis = _last_periods(layout)
-    bends = modules("/bend", "Bend of module {} (rad)", 0, axis_x=axis)
-    pressures = "p+ minus p- of module {} (kPa)"
+    bends = modules("/bend", "Bend {} (rad)", axis_x=axis)
+    pressures = "Pressure {} (kPa)"
     # How far the plants are from the measured robot: on a bench there may be bends alone.
     distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
     measured = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
     if "bend" in layout.measured:
         measured.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
-    body = [_plot("body/speed", "CoM speed, forward (m/s)"), _plot("body/heading", "Heading (rad)")]
+    body = [_plot("body/speed", "Speed (m/s)"), _plot("body/heading", "Heading (rad)")]
     if layout.compared:
-        body.append(_plot("comparison", "Difference of the plants (mm)"))
+        body.append(_plot("comparison", "Difference (mm)"))
     body += measured
     if layout.kind == "bench":
         both = ["+ $origin/bend/**", "+ $origin/sensed/**"]
         return [
-            modules("", "Bend of module {}, reference and readings (rad)", contents=both),
-            modules("/valve", "Valves of module {} (1: to the left)"),
+            modules("", "Bend {}, reference, readings (rad)", contents=both),
+            modules("/valve", "Valves {} (1: left)"),
             modules("/pressure", pressures),
             *([rrb.Tabs(*reversed(measured))] if measured else []),
         ]
@@ -138,15 +134,16 @@ def _rows(layout: Layout) -> Rows:
             rrb.Tabs(*body, bends),
         ]
     learns = layout.kind == "learning"
-    duties = modules("/duty", "Duties of module {}", 1)
-    return [bends, duties if learns else modules("/pressure", pressures, 0, axis_x=axis), rrb.Tabs(*body)]
+    duties = modules("/duty", "Duties {}")
+    return [bends, duties if learns else modules("/pressure", pressures, axis_x=axis), rrb.Tabs(*body)]
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
-    """Return the 3-D view: the eye goes along on the snake's right; trails reach back from the cursor."""
-    name = name or ("Both plants on the floor" if len(layout.plants) > 1 else "On the floor")
+    """Return the 3-D view: the eye goes along on the snakes' right; trails reach back from the cursor."""
+    name = name or ("Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m")
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])
-    eye = layout.start + 1.25 * layout.body_length * right
+    away = max(1.25 * layout.body_length, 0.75 * (layout.body_length + layout.apart))
+    eye = layout.start + away * right
     so_far = rrb.VisibleTimeRanges(
         timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
@@ -156,10 +153,10 @@ def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
         background=rrb.Background(color=[245, 246, 248]),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=1.0, color=[150, 155, 165, 110]),
         eye_controls=rrb.EyeControls3D(
-            position=[*eye, 1.2 * layout.body_length],
+            position=[*eye, 0.96 * away],
             look_target=[*layout.start, 0.0],
             eye_up=[0.0, 0.0, 1.0],
-            tracking_entity=f"{layout.world}/{layout.followed}/com",
+            tracking_entity=f"{layout.world}/{layout.eye}",
         ),
         overrides={f"{layout.world}/{plant}/trail": so_far for plant in layout.plants},
     )
@@ -178,9 +175,8 @@ def _plot(
     origin: str,
     name: str,
     *,
-    legend: bool = True,
     axis_x: rrb.TimeAxis | None = None,
     contents: Sequence[str] | str = "$origin/**",
 ) -> rrb.TimeSeriesView:
-    corner = rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=legend)
+    corner = rrb.PlotLegend(rrb.Corner2D.RightBottom)
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=axis_x, contents=contents)

@@ -1,6 +1,7 @@
 """Finished runs as Rerun recordings, whole columns at once; nothing is logged while they simulate.
 
-Entity tree: `world/floor`, `world/obstacles`, `world/plan/{path, edges, goal}`,
+Entity tree: `world/floor`, `world/eye` (what the camera follows), `world/obstacles`,
+`world/plan/{path, edges, goal}`,
 `world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`,
 `module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`, `follow/{cross_track, offset}/<plant>`,
 `events/<plant>` (text: what the controller did, and touching obstacles), `body/{speed, heading}/<plant>`,
@@ -58,6 +59,7 @@ APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
 """Shapes are kept at most this often; plots keep every sample."""
 
+_EYE = "eye"
 _WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
 _READING_WIDTH = 0.6
 _SIDES = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
@@ -105,8 +107,9 @@ def write_recording(
     _send_floor(still, trajectories, spec)
     send_obstacles(still, world or World())
     send_plan(still, trajectories)
+    _send_eye(log, trajectories)
     for index, (plant, run) in enumerate(trajectories.items()):
-        style = style_of(plant, index)
+        style = replace(style_of(plant, index), label=plant)
         ghost = plant != "twin" and "twin" in trajectories
         scene = thinned(run, SCENE_HZ)
         send_snake(Entities(log, scene.time, f"world/{plant}/"), scene, spec.geometry, style, ghost=ghost)
@@ -172,18 +175,42 @@ def _layout(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: Sequence[str]
 ) -> Layout:
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
+    _, coms = _coms(trajectories)
     return Layout(
         plants=list(trajectories),
+        eye=_EYE,
         segments=spec.segments,
-        start=followed.com[0],
+        start=coms[:, 0].mean(axis=0),
         heading=float(followed["heading"][0]),
         body_length=spec.geometry.body_length,
+        apart=_apart(coms),
         period=gait_period(followed),
         compared=compared,
         measured=measured,
         kind=kind_of(trajectories),
         events=any(map(events_of, trajectories.values())),
     )
+
+
+def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (T,) in s and all centres of mass (plants, T, 2) in m; they stay where a run ended."""
+    time = max((run.time for run in trajectories.values()), key=lambda each: each[-1])
+    runs = trajectories.values()
+    coms = [np.column_stack([np.interp(time, run.time, each) for each in run.com.T]) for run in runs]
+    return time, np.array(coms)
+
+
+def _apart(coms: np.ndarray) -> float:
+    """Return twice the greatest distance of a centre of mass (plants, T, 2) from the middle of all, m."""
+    return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
+
+
+def _send_eye(log: rr.RecordingStream, trajectories: Mapping[str, Trajectory]) -> None:
+    """Log what the camera follows: the middle of all plants, as a point too small to be seen."""
+    time, coms = _coms(trajectories)
+    to, places = Entities(log, time, "world/"), np.pad(coms.mean(axis=0), ((0, 0), (0, 1)))
+    to.fixed(_EYE, rr.Points3D.from_fields(radii=[1e-5]))
+    to.moving(_EYE, rr.Points3D.columns(positions=places))
 
 
 def _send_floor(to: Entities, trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> None:
@@ -293,13 +320,13 @@ class _Part:
         paths = (chunk.entity_path.split("/") for chunk in self.chunks)
         return list(dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"]))
 
-    def first(self, entity: str, component: str) -> np.ndarray:
-        """Return the first row of a component with points, shape (n, 3)."""
+    def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
+        """Return the first rows (None: all) of a component with points, shape (n, 3)."""
         for chunk in self.chunks:
             if chunk.entity_path == entity and not chunk.is_static:
                 batch = chunk.to_record_batch()
                 if component in batch.schema.names:
-                    points = batch.column(component)[0].values.flatten()
+                    points = batch.column(component).slice(0, rows).flatten().flatten()
                     return np.asarray(points.to_numpy(zero_copy_only=False)).reshape(-1, 3)
         raise InputError(f"{self.name}: not a recording of srs-twin (it has no {component} at {entity})")
 
@@ -309,14 +336,19 @@ class _Part:
         if not snakes:
             raise InputError(f"{self.name}: not a recording of srs-twin (no snake is in it)")
         followed = "twin" if "twin" in snakes else snakes[0]
-        connectors = self.first(f"/world/{followed}/connectors", "Boxes3D:centers")[:, :2]
+        connectors = self.points(f"/world/{followed}/connectors", "Boxes3D:centers")[:, :2]
         along = connectors[0] - connectors[-1]
+        paths = [self.points(f"/world/{each}/com", "Points3D:positions", None)[:, :2] for each in snakes]
+        coms = np.array([path[: min(map(len, paths))] for path in paths])
+        seen = any(chunk.entity_path == f"/world/{_EYE}" for chunk in self.chunks)
         return Layout(
             plants=snakes,
+            eye=_EYE if seen else f"{followed}/com",  # recordings before 2026-11 have none
             segments=len(connectors) - 1,
-            start=self.first(f"/world/{followed}/com", "Points3D:positions")[0, :2],
+            start=coms[:, 0].mean(axis=0),
             heading=float(np.arctan2(along[1], along[0])),
             body_length=float(np.hypot(*along)),
+            apart=_apart(coms),
             period=None,
             compared=False,
             root=self.root,
