@@ -1,74 +1,84 @@
-"""The picture for the front page: both plants along the first few body lengths of their paths."""
+"""The pictures of the front page: an animated plan view, and the scene of a recording beside its signals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from PIL import Image
 from shapely import LineString
 
 from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.plan_view import APART, bounds, outline, rows_at, strobe_times
-from srs_twin.viewing.plots.signals import pressure_difference, wheel_centres
-from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, pressure_colors, style_of
+from srs_twin.viewing.plots.plan_view import outline, rows_at
+from srs_twin.viewing.plots.signals import gait_period, period_speed, pressure_difference, wheel_centres
+from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, finish, pressure_colors, style_of
 
-_HERO_WIDTH, _LEGEND_HEIGHT = 11.0, 0.35
-_HERO_BODIES = 4
-_GRID_M = 0.1
+Runs = Mapping[str, Trajectory]
+
+GRID_M = 0.1
+_DPI, _WIDE, _KEY = 100, 8.0, 0.66  # inches of the animation, and of the room below the floor
+_FRAME_S, _COLORS = 0.08, 96
+_INK = "#30333a"
 
 
-def hero_figure(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure:
-    """Return the picture for the front page: a strip along the first few body lengths of the path.
+def write_plan_animation(path: Path, runs: Runs, spec: RobotSpec, seconds: float = 7.0) -> None:
+    """Write an animated WebP of the plants crawling, seen from above, in real time.
 
-    The twin's segments have the colour of their pressure difference, the analytical model is a dashed
-    outline, both at the same moments and on the same scale.
+    The view goes along with them. The twin's segments have the colour of their pressure difference; other
+    plants are dashed outlines.
     """
-    geometry = spec.geometry
-    moments = _moments(trajectories, geometry)
-    low, high = bounds(trajectories, geometry, moments)
-    width, height = high - low
-    tall = float(np.clip(_HERO_WIDTH * height / width, 1.5, 8.0))
-    figure = Figure(figsize=(_HERO_WIDTH, tall + _LEGEND_HEIGHT))
-    below = _LEGEND_HEIGHT / (tall + _LEGEND_HEIGHT)
-    axes = figure.add_axes((0.0, below, 1.0, 1.0 - below))
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.set_aspect("equal", adjustable="datalim")
-    for index, (plant, run) in enumerate(trajectories.items()):
-        style = style_of(plant, index)
-        until = run.time <= moments[-1] + 1e-9
-        axes.plot(*run.com[until].T, color=style.color, linestyle=style.dash, linewidth=1.4, zorder=1)
-        colored = plant == "twin" or "twin" not in trajectories
-        # One scale of colour for the whole run, whichever moments are shown.
-        colors = pressure_colors(pressure_difference(run)) / 255.0
-        rows = np.searchsorted(run.time, np.array(moments) - 1e-9).clip(max=len(run) - 1)
-        for row, moment in zip(rows, rows_at(run, moments), strict=True):
-            if colored:
-                _snake(axes, moment, geometry, colors[row])
+    last = min(seconds, *(float(run.time[-1]) for run in runs.values()))
+    times = np.arange(0.0, last + 1e-9, _FRAME_S)
+    # Fewer colours halve the file.
+    first, *others = [
+        Image.fromarray(picture).quantize(_COLORS, dither=Image.Dither.NONE).convert("RGB")
+        for picture in _frames(runs, spec.geometry, times)
+    ]
+    duration = [round(1e3 * _FRAME_S)] * len(others) + [1500]  # ms; the end stays for a while
+    first.save(path, save_all=True, append_images=others, duration=duration, loop=0, lossless=True, method=4)
+
+
+def _frames(runs: Runs, geometry: Geometry, times: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield pictures (height, width, 3) at some times."""
+    coms = np.array([[np.interp(times, r.time, each) for each in r.com.T] for r in runs.values()])
+    middle = coms.mean(axis=0)
+    across = 2 * float(np.abs(coms - middle)[:, 0].max()) + 1.7 * geometry.body_length
+    up = 2 * float(np.abs(coms - middle[:, :1])[:, 1].max()) + 0.75 * geometry.body_length
+    half, tall = np.array([-0.5, 0.5]), _WIDE * up / across
+    # One scale of colour for the whole run, whichever moments are shown.
+    colors = {plant: pressure_colors(pressure_difference(run)) / 255.0 for plant, run in runs.items()}
+    for k, time in enumerate(times):
+        figure = Figure(figsize=(_WIDE, tall + _KEY), dpi=_DPI)
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.add_axes((0.0, _KEY / (tall + _KEY), 1.0, tall / (tall + _KEY)))
+        for index, (plant, run) in enumerate(runs.items()):
+            style, (row,) = style_of(plant, index), rows_at(run, [float(time)])
+            path = run.com[run.time <= time]
+            axes.plot(*path.T, color=style.color, linestyle=style.dash, linewidth=2.0, zorder=1)
+            if plant == "twin" or "twin" not in runs:
+                _snake(
+                    axes,
+                    row,
+                    geometry,
+                    colors[plant][min(np.searchsorted(run.time, time - 1e-9), len(run) - 1)],
+                )
             else:
-                outline(axes, moment, geometry, style, filled=False)
-    axes.apply_aspect()
-    _dress(axes, trajectories, spec, moments)
-    return figure
-
-
-def _moments(trajectories: Mapping[str, Trajectory], geometry: Geometry) -> list[float]:
-    """Return the times at which bodies are drawn, up to where four of them have found room, s."""
-    run = next(iter(trajectories.values()))
-    far = np.hypot(*(run.com - run.com[0]).T) > (_HERO_BODIES - 1) * APART * geometry.body_length
-    last = float(run.time[far.argmax()]) if far.any() else float(run.time[-1])
-    begun = {
-        plant: Trajectory({name: each[each_run.time <= last] for name, each in each_run.columns.items()})
-        for plant, each_run in trajectories.items()
-    }
-    moments = strobe_times(begun, geometry)
-    return np.linspace(moments[0], moments[-1], min(len(moments), _HERO_BODIES)).tolist()
+                outline(axes, row, geometry, style, filled=True)
+        axes.set(xlim=middle[0, k] + across * half, ylim=middle[1, 0] + up * half)
+        _dress(axes, runs, float(time))
+        canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def _snake(axes: Axes, moment: Trajectory, geometry: Geometry, colors: np.ndarray) -> None:
@@ -103,28 +113,66 @@ def _boxes(
     ]
 
 
-def _dress(axes: Axes, trajectories: Mapping[str, Trajectory], spec: RobotSpec, moments: list[float]) -> None:
-    """Put the floor's grid, times and names on the picture."""
+def _dress(axes: Axes, runs: Runs, time: float) -> None:
+    """Put floor, ruler, time and names on a picture."""
     axes.set_facecolor("#e9ebee")
     for side in axes.spines.values():
         side.set_visible(False)
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        axis.set_ticks(_GRID_M * np.arange(np.ceil(low / _GRID_M), np.floor(high / _GRID_M) + 1), labels=[])
-    axes.tick_params(length=0)
-    axes.grid(True, color="white", linewidth=1.0)
+        ticks = np.arange(np.ceil(low / GRID_M), np.floor(high / GRID_M) + 1)
+        axis.set_ticks(GRID_M * ticks, labels=[f"{GRID_M * k:.1f} m" if k % 2 == 0 else "" for k in ticks])
+    axes.yaxis.set_tick_params(labelleft=False)
+    axes.tick_params(length=0, labelsize=12, colors=_INK)
+    axes.grid(True, color="white", linewidth=1.4)
     axes.set_axisbelow(True)
-    shown = trajectories.get("twin") or next(iter(trajectories.values()))
-    for moment, row in zip(moments, rows_at(shown, moments), strict=True):
-        top = row.position[0].max(axis=0)[1] + spec.geometry.half_track + spec.geometry.wheel_radius
-        axes.text(row.com[0, 0], top, f"t = {moment:.1f} s", ha="center", va="bottom", fontsize=9)
-    names: list[Line2D | Patch] = [
-        Line2D([], [], color=style.color, linestyle=style.dash, label=f"{style.label}, centre of mass")
-        for style in map(style_of, trajectories, range(len(trajectories)))
+    axes.text(0.012, 0.95, f"t = {time:.1f} s", transform=axes.transAxes, va="top", fontsize=15, color=_INK)
+    handles: list[Patch | Line2D] = [
+        Patch(color=PLUS_COLOR, label="$p^+ > p^-$"),
+        Patch(color=MINUS_COLOR, label="$p^+ < p^-$"),
     ]
-    names += [
-        Patch(color=PLUS_COLOR, label="$p^+ > p^-$ (bends left)"),
-        Patch(color=MINUS_COLOR, label="$p^+ < p^-$ (bends right)"),
-        Line2D([], [], marker="o", color="white", markeredgecolor="#30333a", label="head"),
-        Patch(facecolor="none", label=f"grid {_GRID_M:g} m"),
-    ]
-    axes.figure.legend(handles=names, loc="lower center", ncols=len(names), frameon=False, fontsize=8.5)
+    for index, plant in enumerate(runs):
+        style = style_of(plant, index)
+        handles.insert(index, Line2D([], [], **style.line))
+    axes.figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=13)
+
+
+_HERO, _HERO_DPI, _SCENE = (8.5, 4.4), 150, 0.585  # inches, and the scene's share of the width
+_PANELS = ((0.755, 0.225), (0.47, 0.225), (0.095, 0.3))  # bottom and height
+
+
+def hero_figure(scene: bytes, runs: Runs, moment: float) -> Figure:
+    """Return the scene of a recording at a moment beside bend, pressure and speed of its plants.
+
+    Args:
+        scene: PNG of the 3-D view alone.
+        runs: plant → what it did.
+        moment: s.
+    """
+    figure = Figure(figsize=_HERO, dpi=_HERO_DPI)
+    picture, shown = figure.add_axes((0.0, 0.0, _SCENE, 1.0)), imread(io.BytesIO(scene))
+    cut = max(0, round(len(shown) - shown.shape[1] * _HERO[1] / (_SCENE * _HERO[0]))) // 2
+    picture.imshow(shown[cut : len(shown) - cut], aspect="auto")
+    picture.axis("off")
+    said = f"t = {moment:g} s, grid {GRID_M:g} m"
+    picture.text(0.02, 0.97, said, transform=picture.transAxes, va="top", fontsize=11, color=_INK)
+    bend, pressure, speed = (figure.add_axes((0.665, low, 0.325, up)) for low, up in _PANELS)
+    first = next(iter(runs.values()))
+    j, period = len(pressure_difference(first)[0]) // 2, gait_period(first) or 1.0
+    for index, (plant, run) in enumerate(runs.items()):
+        line = style_of(plant, index).line | {"zorder": style_of(plant, index).zorder}
+        bend.plot(run.time, run.stack("bend")[:, j], **line)
+        pressure.plot(run.time, 1e-3 * pressure_difference(run)[:, j], **line)
+        speed.plot(*period_speed(run, period), **line)
+    for axes, label in (
+        (bend, f"bend {j + 1} (rad)"),
+        (pressure, "$p^+ - p^-$ (kPa)"),
+        (speed, "speed (m/s)"),
+    ):
+        axes.axvline(moment, color="0.4", linewidth=0.8)
+        axes.set_xlim(moment - 2 * period, moment + 2 * period)
+        finish(axes, label)
+    bend.set_xticklabels([])
+    speed.set(xlim=(first.time[0], first.time[-1]), ylim=(0.0, None))
+    speed.set_xlabel("time (s)", fontsize=9, labelpad=1)
+    speed.legend(loc="lower right", fontsize=9, frameon=False)
+    return figure

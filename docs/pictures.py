@@ -2,17 +2,20 @@
 
     uv run python docs/pictures.py
 
-`plan.png`, `why.png` and those of sweeps need nothing; `hero.png` is a screenshot of Rerun's viewer and
-needs a Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers); `web.png` is the
-page in a browser (chromium, chromium-driver); `strobe.png` is drawn by MuJoCo (libegl1, libgl1-mesa-dri).
+`plan.webp`, `why.png` and those of sweeps need nothing; the scene in `hero.png` is Rerun's and needs a
+Vulkan driver (on a machine without a graphics card Debian's mesa-vulkan-drivers); `web.png` is the page in a
+browser (chromium, chromium-driver); `strobe.png` is drawn by MuJoCo (libegl1, libgl1-mesa-dri).
 """
 
 from __future__ import annotations
 
+import io
 import sys
 import tempfile
 import threading
 from pathlib import Path
+
+from PIL import Image
 
 from srs_twin import load_scenario
 from srs_twin.attribution import explain
@@ -27,11 +30,12 @@ from srs_twin.viewing.rerun.web import served
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import browser  # noqa: E402
-from hero import hero_figure  # noqa: E402
+from hero import hero_figure, write_plan_animation  # noqa: E402
 from screenshot import screenshots  # noqa: E402
 
 IMAGES = Path(__file__).parent / "images"
-MOMENT_S = 3.3
+MOMENT_S = 5.3
+_BAR = 36  # pixels of the viewer's bar, with warnings about this machine
 SWEEPS = {"fig31": "com_speed_m_s", "ilc_spread": "scatter_path_bend_per_m"}
 """Sweep → which of its plots."""
 
@@ -51,15 +55,15 @@ def main() -> None:
     scenario = load_scenario("gen2_straight")
     with tempfile.TemporaryDirectory() as folder:
         result = run_scenario(scenario, Path(folder))
-        hero_figure(dict(result.trajectories), scenario.robot).savefig(IMAGES / "plan.png", dpi=110)
+        write_plan_animation(IMAGES / "plan.webp", result.trajectories, scenario.robot)
         look(scenario, result)
 
 
 def look(scenario: Scenario, result: RunResult) -> None:
     """Make the pictures of a run in Rerun's viewer, in a browser, and by MuJoCo."""
     recording = result.folder / "recording.rrd"
-    (picture,) = screenshots(recording, [MOMENT_S])
-    (IMAGES / "hero.png").write_bytes(picture)
+    (scene,) = screenshots(recording, [MOMENT_S], scene_only=True, size=(1300, 1000))
+    hero_figure(scene, result.trajectories, MOMENT_S).savefig(IMAGES / "hero.png")
     with served([recording]) as (address, serve), browser.chromium(1280, 800) as chromium:
         threading.Thread(target=serve, daemon=True).start()
         chromium.get(address)
@@ -68,7 +72,8 @@ def look(scenario: Scenario, result: RunResult) -> None:
             chromium,
             lambda shown: browser.shows_a_snake(shown) and browser.share(shown[:, -400:], blue) > 0.001,
         )
-        (IMAGES / "web.png").write_bytes(page)
+        shown = Image.open(io.BytesIO(page))
+        shown.crop((0, _BAR, *shown.size)).save(IMAGES / "web.png")
     write_strobe(IMAGES / "strobe.png", scenario, result.trajectories["twin"])
 
 

@@ -13,7 +13,7 @@ import sys
 import numpy as np
 import pytest
 import rerun as rr
-from hero import hero_figure
+from hero import write_plan_animation
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from screenshot import screenshots
@@ -295,7 +295,7 @@ def test_odd_runs_can_be_seen_and_reported(tmp_path, name):
         comparison=both,
     )
     assert (tmp_path / "r.html").read_text("utf-8").count("<figure>") == (5 if both else 4)
-    hero_figure(runs, spec).savefig(tmp_path / "hero.png")
+    write_plan_animation(tmp_path / "plan.webp", runs, spec, seconds=0.1)
 
 
 @pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])

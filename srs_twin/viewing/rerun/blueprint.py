@@ -33,6 +33,7 @@ class Layout:
         period: of the gait, s; plots show a few of them around the cursor. None: they show the whole run.
         compared: whether there are differences of the plants to plot.
         kind: of the experiment; the plots that matter for it are shown.
+        speeds: ends of the axis of speed, m/s; None: the viewer chooses.
         events: whether there is anything in the text log.
         root: entity above all of them, where several runs are in one recording.
         measured: of what there are differences from a measured robot: shape, path, bend.
@@ -48,6 +49,7 @@ class Layout:
     period: float | None
     compared: bool
     kind: Kind = "gait"
+    speeds: tuple[float, float] | None = None
     events: bool = False
     root: str = ""
     measured: Sequence[str] = ()
@@ -115,7 +117,8 @@ def _rows(layout: Layout) -> Rows:
     measured = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
     if "bend" in layout.measured:
         measured.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
-    body = [_plot("body/speed", "Speed (m/s)"), _plot("body/heading", "Heading (rad)")]
+    upright = None if layout.speeds is None else rrb.ScalarAxis(range=layout.speeds)
+    body = [_plot("body/speed", "Speed (m/s)", axis_y=upright), _plot("body/heading", "Heading (rad)")]
     if layout.compared:
         body.append(_plot("comparison", "Difference (mm)"))
     body += measured
@@ -176,7 +179,10 @@ def _plot(
     name: str,
     *,
     axis_x: rrb.TimeAxis | None = None,
+    axis_y: rrb.ScalarAxis | None = None,
     contents: Sequence[str] | str = "$origin/**",
 ) -> rrb.TimeSeriesView:
     corner = rrb.PlotLegend(rrb.Corner2D.RightBottom)
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=axis_x, contents=contents)
+    return rrb.TimeSeriesView(
+        origin=origin, name=name, plot_legend=corner, axis_x=axis_x, axis_y=axis_y, contents=contents
+    )

@@ -176,6 +176,8 @@ def _layout(
 ) -> Layout:
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
+    # With zero: an axis cut off makes a small difference look large.
+    speeds = np.concatenate([[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())])
     return Layout(
         plants=list(trajectories),
         eye=_EYE,
@@ -188,6 +190,7 @@ def _layout(
         compared=compared,
         measured=measured,
         kind=kind_of(trajectories),
+        speeds=(1.1 * float(speeds.min()), 1.1 * float(speeds.max())),
         events=any(map(events_of, trajectories.values())),
     )
 
@@ -260,9 +263,14 @@ def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> Non
         if run.has(name):
             to.line(f"follow/{entity}/{plant}", factor * run[name], style)
     to.line(f"body/heading/{plant}", run["heading"], style)
-    period = gait_period(run)
-    time, speed = (run.time, forward_speed(run)) if period is None else period_speed(run, period)
+    time, speed = _speed(run)
     replace(to, time=time).line(f"body/speed/{plant}", speed, style)
+
+
+def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (s) and speeds (m/s), over a gait period where there is one."""
+    period = gait_period(run)
+    return (run.time, forward_speed(run)) if period is None else period_speed(run, period)
 
 
 def events_of(run: Trajectory) -> list[Event]:
