@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import mujoco
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -21,7 +22,7 @@ from srs_twin.viewing.mujoco import opengl, render
 from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.render import FollowCamera
 from srs_twin.viewing.mujoco.stage import Stage
-from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB
+from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES
 
 av = pytest.importorskip("av")
 
@@ -178,7 +179,40 @@ def test_stage_puts_the_snake_where_it_was(runs, opengl_here):
             assert (x, y) == pytest.approx((twin[f"x_{i}"][row], twin[f"y_{i}"][row]), abs=1e-9)
 
 
+def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, opengl_here, tmp_path):
+    """The orange body is where the other plant was; the boxes below are there with room for them alone."""
+    run = load_run(runs / "gen2_straight")
+    twin = run.trajectories["twin"]
+    moved = {name: c + 0.25 * name.startswith("x_") for name, c in twin.columns.items()}
+    ghost = Trajectory(moved | {"com_x": twin["com_x"] + 0.25}, metadata=twin.metadata)
+    shown = {}
+    for name, size in (("wide", render.Size(640, 360)), ("narrow", render.Size(320, 180))):
+        for given in (None, ("analytical", ghost)):
+            path = tmp_path / "a.png"
+            render.write_image(path, run.scenario, twin, 2.0, size=size, ghost=given)
+            picture = imread(path)[..., :3] * 255
+            shown[name, given is not None] = picture[: int(0.93 * len(picture))], picture[-8:]
+    orange = {key: alike(above, STYLES["analytical"].rgb) for key, (above, _) in shown.items()}
+    assert min(orange["wide", True], orange["narrow", True]) > 0.001 > 5 * orange["wide", False]
+    assert alike(shown["wide", True][1], STYLES["analytical"].rgb) > 0.1
+    assert alike(shown["wide", False][1], PLUS_RGB) > 0.1 > alike(shown["narrow", False][1], PLUS_RGB)
+    camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False, ghost=ghost).at(0)
+    assert camera.lookat[0] == pytest.approx(twin.com[0, 0] + 0.125, abs=0.02)
+
+
+def test_the_bar_is_as_long_as_it_says(runs, opengl_here):
+    run = load_run(runs / "gen2_straight")
+    stage = Stage(run.scenario, run.trajectories["twin"])
+    camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(0)
+    scene = mujoco.MjvScene(stage.model, maxgeom=10)
+    stage._add_scale(scene, camera)
+    (bar,) = scene.geoms[: scene.ngeom]
+    assert bar.label == "0.1 m" and 2 * (bar.size[0] - bar.size[1]) == pytest.approx(0.1)
+
+
 REFUSED = {
+    "ghost on a strobe": (("--strobe", "--ghost"), "--ghost is for --video and --image"),
+    "ghost of none": (("--image", "1", "--ghost"), "the analytical model did not run; leave out --ghost"),
     "nothing asked": ((), "give one of --video FILE.mp4, --image t=2.5 and --strobe"),
     "two things asked": (("--strobe", "--image", "1"), "give one of"),
     "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for pictures"),

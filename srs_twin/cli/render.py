@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from srs_twin.viewing.mujoco.render import Size
 
 VIDEO, PICTURE = ".mp4", ".png"
+_GHOST = "analytical"
 _SMALLEST, _LARGEST = 64, 4096  # pixels
 
 
@@ -28,6 +29,7 @@ def render(
     video: Annotated[str | None, option("--video FILE.mp4")] = None,
     image: Annotated[str | None, option("--image t=2.5")] = None,
     strobe: Annotated[bool, option("--strobe")] = False,
+    ghost: Annotated[bool, option("--ghost")] = False,
     out: Annotated[str | None, option("--out FILE.png")] = None,
     size: Annotated[str, option("--size WxH")] = "1280x720",
     fps: Annotated[int, option("--fps N", min=1, max=120)] = 30,
@@ -41,6 +43,7 @@ def render(
         video: A video; of several runs, their folder.
         image: A picture of that moment, s.
         strobe: A picture from above of several moments.
+        ghost: The analytical model as well, see-through.
         out: Where the picture goes; of several runs, a folder. [default: the run's folder]
         size: Pixels; of --strobe the width counts.
         fps: Pictures a second of a video.
@@ -50,6 +53,8 @@ def render(
         raise InputError("give one of --video FILE.mp4, --image t=2.5 and --strobe")
     if video is not None and out is not None:
         raise InputError("--out is for pictures; the video goes where --video says")
+    if ghost and strobe:
+        raise InputError("--ghost is for --video and --image")
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
     usable_opengl()  # first: MuJoCo, imported from here on, refuses a name in MUJOCO_GL that it does not know
@@ -75,10 +80,13 @@ def render(
                 f"{shown(run.folder)}: the twin did not run, and MuJoCo draws nothing else; "
                 "`srs-twin view` shows the analytical model"
             )
+        if ghost and _GHOST not in run.trajectories:
+            raise InputError(f"{shown(run.folder)}: the analytical model did not run; leave out --ghost")
         open_folder(path.parent, (path.name,))
     for run, path in work:
         with ScenarioProgress(run.name, quiet=quiet) as progress:
-            told = {"progress": partial(progress, "drawing")} if video is not None else {}
+            told: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
+            told |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
             write(path, run.scenario, run.trajectories["twin"], **told)
         if not quiet:
             typer.echo(printable(str(path)))

@@ -21,7 +21,7 @@ from srs_twin.io.files import atomic_write, shown
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
-from srs_twin.viewing.mujoco.stage import Stage
+from srs_twin.viewing.mujoco.stage import Ghost, Stage
 from srs_twin.viewing.plots.signals import gait_period
 
 AddPicture = Callable[[np.ndarray], None]
@@ -77,6 +77,7 @@ def film(path: Path, *, width: int, height: int, fps: int) -> Iterator[AddPictur
 
 _STEADY_S = 0.5  # a mean over this much where there is no gait period
 _AHEAD_DEG = 25.0  # how far it looks ahead of straight across the snake
+_FURTHER = 0.7  # how much further away it is, over how far apart the plants come
 _ON_A_BENCH = (-60.0, 2.6)
 _ON_THE_FLOOR = (-35.0, 1.7)
 
@@ -84,23 +85,32 @@ _ON_THE_FLOOR = (-35.0, 1.7)
 class FollowCamera:
     """Looks at the centre of mass from the snake's right, smoothed over a gait period.
 
-    What hangs on a bench is looked at from above, always at the same place.
+    With a ghost it looks at the middle of both, from as far away as they need. What hangs on a bench is
+    looked at from above, always at the same place.
     """
 
-    def __init__(self, run: Trajectory, body_length: float, *, bench: bool) -> None:
+    def __init__(
+        self, run: Trajectory, body_length: float, *, bench: bool, ghost: Trajectory | None = None
+    ) -> None:
         """Prepare for a run.
 
         Args:
             run: what is seen.
             body_length: of the snake, m; how far away the camera is goes with it.
             bench: whether it hangs at its head.
+            ghost: what is seen besides.
         """
         elevation, lengths = _ON_A_BENCH if bench else _ON_THE_FLOOR
         self._at = np.tile(run.position[0].mean(axis=0), (len(run), 1)) if bench else _steady(run)
+        distance = lengths * body_length
+        if ghost is not None and not bench:
+            other = np.column_stack([np.interp(run.time, ghost.time, each) for each in _steady(ghost).T])
+            distance += _FURTHER * float(np.linalg.norm(other - self._at, axis=1).max())
+            self._at = (self._at + other) / 2
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         self._camera.azimuth = math.degrees(float(run["heading"][0])) + 90.0 - _AHEAD_DEG
-        self._camera.elevation, self._camera.distance = elevation, lengths * body_length
+        self._camera.elevation, self._camera.distance = elevation, distance
 
     def at(self, row: int) -> mujoco.MjvCamera:
         """Return the camera as it stands at a sample."""
@@ -139,6 +149,7 @@ def write_video(
     size: Size = Size(),  # noqa: B008 (frozen)
     fps: int = 30,
     speed: float = 1.0,
+    ghost: Ghost | None = None,
     progress: Callable[[float], None] = lambda part: None,
 ) -> int:
     """Write a run as a video in which the camera goes along; return the number of pictures.
@@ -150,14 +161,14 @@ def write_video(
         size: of the pictures.
         fps: pictures a second.
         speed: simulated over shown time: 0.25 is slow motion.
+        ghost: another plant, shown see-through.
         progress: called with the part that is done, 0 to 1.
 
     Raises:
         InputError: nothing to draw, no OpenGL, no encoder, or the file cannot be written.
     """
     encoder()  # before a minute of drawing
-    stage = Stage(scenario, run)
-    camera = FollowCamera(run, scenario.robot.geometry.body_length, bench=stage.bench)
+    stage, camera = _scene(scenario, run, ghost)
     count = int(stage.duration / speed * fps + 1e-9) + 1
     times = run.time[0] + np.arange(count) * speed / fps
     with (
@@ -178,6 +189,7 @@ def write_image(
     time: float,
     *,
     size: Size = Size(),  # noqa: B008
+    ghost: Ghost | None = None,
 ) -> None:
     """Write a picture of a run at a moment as PNG, from where the video's camera is then.
 
@@ -187,19 +199,26 @@ def write_image(
         run: what the twin did.
         time: s; the nearest sample is shown.
         size: of the picture.
+        ghost: as in `write_video`.
 
     Raises:
         InputError: the run does not have that moment, or as in `write_video`.
     """
-    stage = Stage(scenario, run)
+    stage, camera = _scene(scenario, run, ghost)
     first, last = float(run.time[0]), float(run.time[-1])
     if not first - 1e-9 <= time <= last + 1e-9:
         raise InputError(f"t = {time:g} s is not in the run, which goes from {first:g} to {last:g} s")
-    camera = FollowCamera(run, scenario.robot.geometry.body_length, bench=stage.bench)
     with Canvas(stage.model, size.width, size.height) as canvas:
         row = stage.row_at(time)
         picture = stage.picture(canvas, camera.at(row), row)
     write_png(path, picture)
+
+
+def _scene(scenario: Scenario, run: Trajectory, ghost: Ghost | None) -> tuple[Stage, FollowCamera]:
+    stage = Stage(scenario, run, ghost)
+    other = None if ghost is None else ghost[1]
+    length = scenario.robot.geometry.body_length
+    return stage, FollowCamera(run, length, bench=stage.bench, ghost=other)
 
 
 def write_png(path: Path, picture: np.ndarray) -> None:

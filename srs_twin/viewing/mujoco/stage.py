@@ -14,17 +14,25 @@ from srs_twin.comparison.following import following, segments_of
 from srs_twin.errors import InputError
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.mujoco.canvas import Canvas
-from srs_twin.viewing.plots.signals import goal_ring, pressure_difference, segment_points
-from srs_twin.viewing.plots.style import STYLES, pressure_colors
+from srs_twin.viewing.mujoco.canvas import Canvas, Label
+from srs_twin.viewing.plots.signals import body_line, goal_ring, pressure_difference, segment_points
+from srs_twin.viewing.plots.style import (
+    GOAL_COLOR,
+    MINUS_COLOR,
+    PLUS_COLOR,
+    STYLES,
+    pressure_colors,
+    style_of,
+    unit_rgba,
+)
 
-Rgba = tuple[float, float, float, float]
+Ghost = tuple[str, Trajectory]
+"""Name of a plant and what it did."""
 
-_TRAIL: Rgba = (*(byte / 255 for byte in STYLES["twin"].rgb), 1.0)  # type: ignore[assignment]
-PLAN_RGBA: Rgba = (0.15, 0.15, 0.15, 1.0)
-GOAL_RGBA: Rgba = (0.69, 0.19, 0.19, 1.0)
 _MOST_PIECES = 400
 _OBSTACLE_ALPHA = 0.35
+_INK, _GHOST_ALPHA, _PIECES = "#30333a", 0.13, 6  # four or five capsules lie on each other
+_SCALE_M = 0.1
 _LINE = 0.001  # thickness of lines on the floor and half of their width, m
 
 
@@ -32,21 +40,23 @@ class Stage:
     """The scene of a run: robot and world as they were built, at the positions that the run recorded.
 
     Segments have the colour of their pressure difference; the centre of mass leaves a trail, and what the
-    snake was to follow lies on the floor.
+    snake was to follow lies on the floor. Another plant may be there as a ghost.
 
     Attributes:
         run: the twin's trajectory.
         model: of MuJoCo, the stage's own.
         data: where everything is now.
         bench: whether the head is clamped, in the air.
+        ghost: another plant; None: there is none.
     """
 
-    def __init__(self, scenario: Scenario, run: Trajectory) -> None:
+    def __init__(self, scenario: Scenario, run: Trajectory, ghost: Ghost | None = None) -> None:
         """Build the scene.
 
         Args:
             scenario: what was run.
             run: what the twin did, with its ``qpos`` columns.
+            ghost: name of another plant and what it did.
 
         Raises:
             InputError: no samples, no ``qpos`` columns, or not of this robot.
@@ -54,6 +64,10 @@ class Stage:
         if not run.has("qpos") or not len(run):
             raise InputError("no positions of the twin were recorded (columns qpos_1…): nothing to draw")
         self.run, self.bench = run, scenario.file.bench
+        self.ghost = ghost
+        self._labels = _legend(run, ghost, bench=self.bench)
+        if ghost is not None:
+            self._ghost_line = body_line(ghost[1], scenario.robot.geometry, _PIECES)
         plant: Any = scenario.build_plant("twin")
         self.model = plant.physics.model.ptr
         self.data = mujoco.MjData(self.model)
@@ -97,18 +111,55 @@ class Stage:
     def picture(self, canvas: Canvas, camera: mujoco.MjvCamera, row: int) -> np.ndarray:
         """Return a picture of a sample, shape (height, width, 3), bytes."""
         self.show(row)
-        return canvas.draw(self.data, camera, lambda scene: self.add_lines(scene, row))
+
+        def add(scene: mujoco.MjvScene) -> None:
+            self.add_lines(scene, row)
+            self._add_scale(scene, camera)
+            self._add_ghost(scene, row)
+
+        time = Label(f"t = {self.run.time[row]:.2f} s", _INK)
+        return canvas.draw(self.data, camera, add, [time, *self._labels])
 
     def add_lines(self, scene: mujoco.MjvScene, row: int, half: float = _LINE) -> None:
         """Draw the trail up to a sample, and what the snake was to follow, in lines of half a width in m."""
         if not self.bench:
             seen = np.append(self._marks[self._marks < row], row)
-            add_line(scene, self.run.com[seen], _TRAIL, half, level=2)
+            add_line(scene, self.run.com[seen], STYLES["twin"].color, half, level=2)
         for points, color in self._fixed:
             add_line(scene, points, color, half)
 
+    def _add_scale(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
+        """Draw a bar of 0.1 m across the view, nearer than what the camera looks at, with its length."""
+        azimuth = math.radians(camera.azimuth)
+        ahead, right = (np.array([math.cos(a), math.sin(a)]) for a in (azimuth, azimuth - math.pi / 2))
+        middle = np.array(camera.lookat[:2]) - 0.25 * camera.distance * ahead
+        first = scene.ngeom
+        ends = middle + _SCALE_M * np.array([[-0.5], [0.5]]) * right
+        add_line(scene, ends, _INK, 0.003 * camera.distance)
+        if scene.ngeom > first:
+            scene.geoms[first].label = f"{_SCALE_M:g} m"
 
-def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: Rgba, half: float, level: int = 1) -> None:
+    def _add_ghost(self, scene: mujoco.MjvScene, row: int) -> None:
+        """Draw the body of the ghost at the time of a sample; it stays where its run ended."""
+        if self.ghost is None:
+            return
+        plant, run = self.ghost
+        line = self._ghost_line[int(np.abs(run.time - self.run.time[row]).argmin())]
+        color = np.array(unit_rgba(style_of(plant).color, _GHOST_ALPHA), dtype=np.float32)
+        skin = self._skins[0][0]
+        points = np.pad(line, ((0, 0), (0, 1)), constant_values=self.data.geom_xpos[skin, 2])
+        # A little thinner than the twin, so that two at the same place do not flicker.
+        radius = 0.92 * self.model.geom_size[skin, 0]
+        for begin, end in zip(points, points[1:], strict=False):
+            if scene.ngeom == scene.maxgeom:
+                return
+            geom, piece = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+            mujoco.mjv_initGeom(geom, piece, np.zeros(3), np.zeros(3), np.zeros(9), color)
+            mujoco.mjv_connector(geom, piece, radius, begin, end)
+            scene.ngeom += 1
+
+
+def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: str, half: float, level: int = 1) -> None:
     """Add a line on the floor to a scene, as far as there is room.
 
     It is made of flat boxes: capsules would take longer to draw than everything else. Each lies a little
@@ -117,11 +168,11 @@ def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: Rgba, half: floa
     Args:
         scene: of a picture that is being made.
         points: (n, 2), m.
-        color: red, green, blue, opacity, 0 to 1.
+        color: as #rrggbb.
         half: of its width, m.
         level: lines of a higher one lie on those of a lower one.
     """
-    box, rgba = mujoco.mjtGeom.mjGEOM_BOX, np.array(color, dtype=np.float32)
+    box, rgba = mujoco.mjtGeom.mjGEOM_BOX, np.array(unit_rgba(color), dtype=np.float32)
     heights = _LINE * np.linspace(level, level + 1, len(points))
     for begin, end, height in zip(points, points[1:], heights, strict=False):
         if scene.ngeom == scene.maxgeom:
@@ -131,6 +182,15 @@ def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: Rgba, half: floa
         size, place = [length / 2 + half, half, _LINE / 2], [*(begin + end) / 2, height]
         mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, place, [c, -s, 0, s, c, 0, 0, 0, 1], rgba)
         scene.ngeom += 1
+
+
+def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]:
+    """Return what the colours mean."""
+    labels = [Label("p+ > p-", PLUS_COLOR), Label("p+ < p-", MINUS_COLOR)]
+    labels += [] if bench else [Label("twin, CoM", STYLES["twin"].color)]
+    if following(run) is not None:
+        labels += [Label("plan", STYLES["plan"].color), Label("goal", GOAL_COLOR)]
+    return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])
 
 
 def _light(model: mujoco.MjModel) -> None:
@@ -156,10 +216,10 @@ def _skins(model: mujoco.MjModel, segments: int) -> Sequence[list[int]]:
     return found
 
 
-def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, Rgba]]:
+def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, str]]:
     """Return the path of the first plan and the edge of the goal as lines, none where nothing was planned."""
     about = following(run)
     if about is None:
         return []
-    lines = [(segment_points(segment), PLAN_RGBA) for segment in segments_of(about["plans"][0])]
-    return [*lines, (goal_ring(about["goal"]), GOAL_RGBA)]
+    lines = [(segment_points(segment), STYLES["plan"].color) for segment in segments_of(about["plans"][0])]
+    return [*lines, (goal_ring(about["goal"]), GOAL_COLOR)]

@@ -15,9 +15,9 @@ from srs_twin.io.files import atomic_write
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
-from srs_twin.viewing.mujoco.stage import GOAL_RGBA, PLAN_RGBA, Stage
+from srs_twin.viewing.mujoco.stage import Stage
 from srs_twin.viewing.plots.plan_view import strobe_times
-from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES
+from srs_twin.viewing.plots.style import GOAL_COLOR, MINUS_COLOR, PLUS_COLOR, STYLES
 
 _DPI = 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.7, 0.15, 0.35, 0.85  # margins, inches
@@ -107,7 +107,8 @@ def _from_above(
 
 
 def _add_key(figure: Figure, *, planned: bool) -> None:
-    plan = [Line2D([], [], color=PLAN_RGBA, label="plan"), Line2D([], [], color=GOAL_RGBA, label="goal")]
+    colors = {"plan": STYLES["plan"].color, "goal": GOAL_COLOR}
+    plan = [Line2D([], [], color=color, label=name) for name, color in colors.items()]
     handles = [
         Line2D([], [], color=STYLES["twin"].color, label="CoM"),
         *(plan if planned else []),

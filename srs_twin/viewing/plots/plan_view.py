@@ -15,7 +15,7 @@ from srs_twin.comparison.following import following, footprint_of, segments_of
 from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line, segment_points
-from srs_twin.viewing.plots.style import Style, finish, panels, style_of
+from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, finish, panels, style_of
 
 if TYPE_CHECKING:
     from srs_twin.planning import Footprint, Segment
@@ -95,7 +95,7 @@ def bounds(
     return points.min(axis=0) - margin, points.max(axis=0) + margin
 
 
-_OBSTACLE, _SWEPT, _PATH = "0.35", "#c9dcec", "#3a3a3a"
+_OBSTACLE, _SWEPT, _PATH = "0.35", "#c9dcec", STYLES["plan"].color
 
 
 def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure | None:
@@ -159,7 +159,7 @@ def _sheet(
         axes.plot(x, y, color=_PATH, linewidth=1.0, zorder=2, label="plan")
         starts = np.array([(each.start.x, each.start.y) for each in segments])
         axes.plot(*starts.T, ".", color=_PATH, markersize=3, zorder=2)
-    axes.add_patch(Circle((goal["x"], goal["y"]), goal["radius"], fill=False, edgecolor="#b03030", zorder=2))
+    axes.add_patch(Circle((goal["x"], goal["y"]), goal["radius"], fill=False, edgecolor=GOAL_COLOR, zorder=2))
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "y (m)", "x (m)", title="Plan, the floor planned for the body, obstacles and goal")

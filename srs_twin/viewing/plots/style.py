@@ -17,12 +17,19 @@ Place = Literal["left", "center"]
 _NO_PRESSURE = (225, 225, 222)
 # Of pressures; neither is a plant's colour.
 PLUS_COLOR, MINUS_COLOR = "#aa3377", "#009e73"
+GOAL_COLOR = "#b03030"
 
 
 def rgb(color: str) -> tuple[int, int, int]:
     """Return a colour #rrggbb as three bytes."""
     red, green, blue = bytes.fromhex(color[1:])
     return red, green, blue
+
+
+def unit_rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
+    """Return a colour #rrggbb as MuJoCo takes it: red, green, blue, opacity, 0 to 1."""
+    red, green, blue = rgb(color)
+    return red / 255, green / 255, blue / 255, alpha
 
 
 PLUS_RGB, MINUS_RGB = rgb(PLUS_COLOR), rgb(MINUS_COLOR)

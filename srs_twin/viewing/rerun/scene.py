@@ -21,7 +21,7 @@ from srs_twin.viewing.plots.signals import (
     wheel_centres,
     wheel_turns,
 )
-from srs_twin.viewing.plots.style import Style, pressure_colors
+from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.world import World
 
@@ -117,7 +117,7 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     replace(to, time=run.time[rows]).moving("contact", arrows, touched[rows].sum(axis=1))
 
 
-_PATH, _EDGE, _GOAL = (60, 60, 60), (120, 165, 205), (176, 48, 48)
+_PATH, _EDGE, _GOAL = STYLES["plan"].rgb, (120, 165, 205), rgb(GOAL_COLOR)
 _LOW = 0.001
 
 
