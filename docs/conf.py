@@ -1,7 +1,8 @@
 """How Sphinx makes the site: the Markdown of the checkout, and reference pages made from the code.
 
 `uv run --group docs sphinx-build -W -c docs . site` builds it; -W makes a broken link an error. Nothing of
-the site comes from elsewhere: the theme takes the reader's own fonts, formulas are MathML.
+the site comes from elsewhere: the theme takes the reader's own fonts, and formulas are MathML in a font that
+comes with it (OFL).
 """
 
 from __future__ import annotations

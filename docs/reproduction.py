@@ -11,7 +11,7 @@ from pathlib import Path
 
 from srs_twin.io.files import atomic_write
 from srs_twin.reproduction import Baseline, Claim, Judged, Outcome, load_baseline, load_claims
-from srs_twin.reproduction.report import TITLES, USES, cell, count, published, summary_line
+from srs_twin.reproduction.report import TITLES, USES, cell, count, published
 from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED
 
 ROOT = Path(__file__).parents[1]
@@ -43,6 +43,18 @@ def markdown(rows: Sequence[Judged]) -> str:
             *(["\n".join(["Missed, and why as far as known:", "", *why])] if why else []),
         ]
     return "\n\n".join(parts)
+
+
+def table(rows: Sequence[Judged]) -> str:
+    """Return the table of the README: what is met of all rows, a line a use."""
+    columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
+    lines = [f"{len(rows)} rows; met of those judged:", "", f"| use | {' | '.join(columns.values())} |"]
+    lines += [f"|{' --- |' * (len(columns) + 1)}"]
+    for use in USES:
+        counts = [count(rows, column, (use,)) for column in columns]
+        cells = [f"{each[MET]} of {each['all']}" if each["all"] else "" for each in counts]
+        lines.append(f"| {TITLES[use]} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def _counted(rows: Sequence[Judged]) -> str:
@@ -101,7 +113,7 @@ def between(page: str, name: str, text: str) -> str:
 
 def pages(rows: tuple[Judged, ...]) -> dict[Path, str]:
     """Return both pages as they are to be."""
-    texts = {ROOT / "README.md": summary_line(rows), ROOT / "docs/reproduction.md": markdown(rows)}
+    texts = {ROOT / "README.md": table(rows), ROOT / "docs/reproduction.md": markdown(rows)}
     return {path: between(path.read_text("utf-8"), NAME, text) for path, text in texts.items()}
 
 
