@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 from conftest import ROOT
@@ -28,17 +31,25 @@ def workflow(name):
     return YAML(typ="safe", pure=True).load(FENCES["yaml", name])
 
 
+ACTION = YAML(typ="safe", pure=True).load(ROOT / ".github/actions/rollouts/action.yml")
+TEMPLATE = YAML(typ="safe", pure=True).load(ROOT / "ci/gitlab.yml")[".srs_twin_rollouts"]
+
+
 def github_steps():
-    (job,) = workflow("github")["jobs"].values()
-    return job["steps"]
+    return ACTION["runs"]["steps"]
+
+
+def inputs_of(text, **given):
+    """Return a text of the action with its inputs in their places."""
+    values = {name: each["default"] for name, each in ACTION["inputs"].items()} | given
+    return re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda found: values[found[1]], text)
 
 
 def shell_lines():
     """Every line of a shell that the docs and the Containerfile's head show or the workflows hold."""
-    lines = [step["run"] for step in github_steps() if "run" in step]
-    lines += workflow("gitlab")["scenarios"]["script"]
+    lines: list[str] = []
     lines += FENCES["sh", ""].splitlines()
-    lines += re.findall(r"`((?:uv run --no-dev |podman run .*)?srs-twin [a-z][^`…]*)`", DOCS)
+    lines += re.findall(r"`((?:uv run |podman run .*)?srs-twin [a-z][^`…]*)`", DOCS)
     lines += re.findall(r"^#   (podman run .*)$", CONTAINERFILE, re.M)
     lines += [line for line in DOCS.splitlines() if line.startswith("podman run")]
     return sorted({line for line in lines if "srs-twin" in line and " build " not in line})
@@ -65,31 +76,74 @@ def test_the_rule_catches_options_that_are_not_there():
         command().commands["run"].make_context("run", ["scenarios/", "--junitt", "out.xml"])
 
 
-def test_both_workflows_do_the_job():
-    for lines in (
-        [step.get("run", "") for step in github_steps()],
-        workflow("gitlab")["scenarios"]["script"],
-    ):
-        found = [arguments(line) for line in lines if "srs-twin" in line]
-        assert [words[0] for words in found] == ["doctor", "run"]
-        assert {"--check", "--junit", "out.xml", "scenarios/"} <= set(found[1])
-        assert all(line.split()[0] in ("pip", "uv", "") for line in lines if line)
-
-
-def test_github_keeps_the_report_whatever_came_out():
-    upload = next(step for step in github_steps() if "upload-artifact" in step.get("uses", ""))
-    assert upload["if"] == "${{ !cancelled() }}"
-    kept = upload["with"]["path"].split()
-    from srs_twin.experiment import METRICS, RECORDING, REPORT
-
-    assert kept == ["out.xml", *(f"runs/*/{name}" for name in (REPORT, RECORDING, METRICS))]
+def test_the_workflows_of_the_page_use_what_is_there():
+    (job,) = workflow("github")["jobs"].values()
+    checkout, ours = job["steps"]
+    assert (ROOT / ours["uses"] / "action.yml").is_file() and checkout["uses"] == "actions/checkout@v4"
+    assert set(ours["with"]) <= set(ACTION["inputs"])
     assert workflow("github")["permissions"] == {"contents": "read"}
+    page = workflow("gitlab")
+    assert (ROOT / page["include"]).is_file() and page["scenarios"]["extends"] == ".srs_twin_rollouts"
+    assert set(page["scenarios"]["variables"]) <= set(TEMPLATE["variables"])
     assert all(re.fullmatch(r"[\w/-]+@v\d+", step["uses"]) for step in github_steps() if "uses" in step)
 
 
-def test_gitlab_reads_the_report():
-    artifacts = workflow("gitlab")["scenarios"]["artifacts"]
-    assert artifacts["when"] == "always" and artifacts["reports"] == {"junit": "out.xml"}
+FAST = """title: short
+robot: gen2
+duration_s: 2
+controller: {kind: gait, frequency_hz: 2.0, offset: 0.0}
+plants: {analytical: {}}
+expect: [{metric: com_speed_m_s, plant: analytical, above: LEAST}]
+"""
+
+
+@pytest.fixture
+def room(tmp_path, monkeypatch):
+    """A folder with a scenario, and a `uv` that runs this package and installs nothing."""
+    (tmp_path / "bin").mkdir()
+    uv = tmp_path / "bin/uv"
+    python = f'exec {shlex.quote(sys.executable)} -c "from srs_twin.cli import main; main()"'
+    skip = '[ "$1" = sync ] && exit 0\nwhile [ "$1" != srs-twin ]; do shift; done; shift'
+    uv.write_text(f'#!/bin/sh\n{skip}\n{python} "$@"\n')
+    uv.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    (tmp_path / "scenarios").mkdir()
+    return tmp_path
+
+
+def bash(script, room, **variables):
+    named = {name: str(value) for name, value in variables.items()}
+    command = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", script]
+    return subprocess.run(
+        command, cwd=room, env=os.environ | named, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
+def test_the_steps_of_the_action_run(room, least, code):
+    (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
+    install, run = (step["run"] for step in github_steps() if "run" in step)
+    files = {"GITHUB_OUTPUT": room / "output", "GITHUB_STEP_SUMMARY": room / "summary"}
+    assert bash(inputs_of(install, project=str(ROOT)), room, **files).returncode == 0
+    done = bash(inputs_of(run, project=str(ROOT)), room, **files)
+    assert done.returncode == code, done.stderr
+    assert ("met " if code == 0 else "MISSED") in (room / "summary").read_text()
+    assert (room / "output").read_text() == "junit=runs/junit.xml\n"
+    upload = next(step for step in github_steps() if "upload-artifact" in step.get("uses", ""))
+    assert upload["if"] == "${{ !cancelled() }}"
+    for pattern in inputs_of(upload["with"]["path"]).split():
+        assert list(room.glob(pattern)), pattern
+
+
+@pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
+def test_the_script_of_the_template_runs(room, least, code):
+    (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
+    variables = TEMPLATE["variables"] | {"PROJECT": ROOT, "UV_CACHE_DIR": room / "cache"}
+    done = bash("\n".join(TEMPLATE["script"]), room, **variables)
+    assert done.returncode == code, done.stderr
+    artifacts = TEMPLATE["artifacts"]
+    assert artifacts["when"] == "always"
+    assert (room / artifacts["reports"]["junit"]).is_file() and (room / artifacts["paths"][0]).is_dir()
 
 
 def test_workflows_use_a_python_that_is_allowed():
@@ -98,7 +152,7 @@ def test_workflows_use_a_python_that_is_allowed():
     )
     low, high = map(int, allowed.groups())
     versions = [s["with"]["python-version"] for s in github_steps() if "setup-python" in s.get("uses", "")]
-    images = re.findall(r"python:([\d.]+)-slim", DOCS + CONTAINERFILE)
+    images = re.findall(r"python:([\d.]+)-slim", TEMPLATE["image"] + CONTAINERFILE)
     assert len(versions) == 1 and len(images) >= 3
     assert all(low <= int(version.split(".")[1]) < high for version in [*versions, *images])
 
