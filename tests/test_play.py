@@ -9,6 +9,8 @@ from snakes import robot
 from srs_twin import Gait, TwinSnake, rollout
 from srs_twin.viewing.mujoco import live
 from srs_twin.viewing.mujoco.live import LiveSnake, steer
+from srs_twin.viewing.mujoco.stage import Skins
+from srs_twin.viewing.plots.style import pressure_colors
 
 SPEC = robot()
 
@@ -155,3 +157,16 @@ def test_without_a_display_it_says_so(srs_twin_process, tmp_path, display, words
 def test_a_robot_that_is_not_there_is_told_first(srs_twin_process, tmp_path):
     done = srs_twin_process("play", "gen5", cwd=tmp_path, DISPLAY="")
     assert done.returncode == 2 and "unknown robot 'gen5'; did you mean gen" in done.stderr
+
+
+def test_the_body_has_the_colours_of_its_pressures():
+    snake = run(FakeWindow(20))
+    physics = snake.twin.physics
+    skins = Skins(physics.model.ptr, SPEC.segments)
+    skins.show(snake.state.pressure, SPEC.supply.nominal)
+    difference = snake.state.pressure[:, 0] - snake.state.pressure[:, 1]
+    assert np.ptp(difference) > 0.1 * SPEC.supply.nominal
+    wanted = pressure_colors(difference, SPEC.supply.nominal) / 255
+    for geoms, color in zip(skins.geoms, wanted, strict=True):
+        assert geoms and np.allclose(physics.model.ptr.geom_rgba[geoms], color, atol=1e-6)
+    assert np.array_equal(pressure_colors(np.array([2.0, -3.0]), 2.0), pressure_colors(np.array([2.0, -2.0])))

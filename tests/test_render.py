@@ -132,7 +132,7 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
             stage.model.geom_rgba[obstacle, 3] = alpha
             for color in ((1, 0, 0, 1), (0, 0, 1, 1)):
                 stage.show(row)
-                for geoms in stage._skins:
+                for geoms in stage._skins.geoms:
                     stage.model.geom_rgba[geoms] = color
                 shown[alpha, color[0]] = canvas.draw(stage.data, camera).astype(int)
     seen = {alpha: np.abs(shown[alpha, 0] - shown[alpha, 1]).sum() for alpha, _ in shown}

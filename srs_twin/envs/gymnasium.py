@@ -2,7 +2,8 @@
 
 Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives what it gives alone, bit for bit. Threads
 take whole environments, as in `TwinBatch`: nearly all the time of a step is one engine call, which releases
-the interpreter's lock. Pictures show the twin, its obstacles and its goal, drawn without a screen.
+the interpreter's lock. Pictures show the twin coloured by pressure, its obstacles and its goal as a ring, as
+`srs-twin render` draws them; no screen is needed.
 """
 
 from __future__ import annotations
@@ -21,8 +22,7 @@ from srs_twin.envs.task import Episode, Signals, high, low
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.parallel import Workers
 
-_GOAL = np.array([0.69, 0.19, 0.19, 0.6], dtype=np.float32)
-_GOAL_HEIGHT = 0.002  # m
+_GOAL_LINE = 0.003  # half of its width over the camera's distance
 _ELEVATION, _LENGTHS, _APART = -65.0, 4.0, 1.7
 
 
@@ -42,15 +42,20 @@ class Pictures:
             InputError: no OpenGL draws here without a screen.
         """
         from srs_twin.viewing.mujoco.canvas import Canvas
+        from srs_twin.viewing.mujoco.stage import Skins
 
         physics = episode.twin.physics
         model, data = physics.model.ptr, physics.data.ptr
         if model is not self._model:
             self.close()
             self._canvas, self._model = Canvas(model, *self._size), model
+            self._skins = Skins(model, episode.twin.spec.segments)
+        self._skins.show(episode.state.pressure, episode.twin.spec.supply.nominal)
         mujoco.mj_camlight(model, data)
         camera = _camera(episode)
-        picture: np.ndarray = self._canvas.draw(data, camera, lambda scene: _add_goal(scene, episode))
+        picture: np.ndarray = self._canvas.draw(
+            data, camera, lambda scene: _add_goal(scene, episode, camera.distance)
+        )
         return picture
 
     def close(self) -> None:
@@ -73,16 +78,15 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
     return camera
 
 
-def _add_goal(scene: mujoco.MjvScene, episode: Episode) -> None:
-    """Lay the goal on the floor as a disc."""
-    goal = episode.goal
-    if goal is None or scene.ngeom == scene.maxgeom:
-        return
-    disc = scene.geoms[scene.ngeom]
-    size = np.array([goal.radius, goal.radius, _GOAL_HEIGHT])
-    place, cylinder = np.array([goal.x, goal.y, _GOAL_HEIGHT]), mujoco.mjtGeom.mjGEOM_CYLINDER
-    mujoco.mjv_initGeom(disc, cylinder, size, place, np.eye(3).ravel(), _GOAL)
-    scene.ngeom += 1
+def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
+    """Lay the edge of the goal on the floor, seen from a distance in m."""
+    from srs_twin.viewing.mujoco.stage import add_line
+    from srs_twin.viewing.plots.signals import goal_ring
+    from srs_twin.viewing.plots.style import GOAL_COLOR
+
+    if episode.goal is not None:
+        ring = goal_ring({key: getattr(episode.goal, key) for key in ("x", "y", "radius")})
+        add_line(scene, ring, GOAL_COLOR, _GOAL_LINE * distance)
 
 
 RENDER_MODES = ("rgb_array",)

@@ -9,6 +9,7 @@ import pytest
 from srs_twin import InputError
 from srs_twin.envs.gymnasium import SnakeEnv
 from srs_twin.viewing.mujoco.opengl import usable_opengl
+from srs_twin.viewing.plots.style import GOAL_COLOR, PLUS_COLOR, PLUS_RGB, rgb
 
 
 def drawable() -> bool:
@@ -19,8 +20,14 @@ def drawable() -> bool:
     return True
 
 
+def alike(picture: np.ndarray, color: tuple[int, int, int]) -> int:
+    """Count the pixels that have a colour's hue, in light and shade."""
+    bright = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1)
+    return int((np.abs(bright - np.array(color) / max(color)).max(axis=-1) < 0.12).sum())
+
+
 def test_an_episode_is_drawn_or_what_is_missing_is_told():
-    env = SnakeEnv("GoTo", render_mode="rgb_array", width=160, height=120)
+    env = SnakeEnv("GoTo", render_mode="rgb_array", width=320, height=240)
     with pytest.raises(InputError, match="reset the environment first"):
         env.render()
     env.reset(seed=0)
@@ -29,19 +36,22 @@ def test_an_episode_is_drawn_or_what_is_missing_is_told():
             env.render()
         return
     first = env.render()
-    assert first.shape == (120, 160, 3) and first.dtype == np.uint8
+    assert first.shape == (240, 320, 3) and first.dtype == np.uint8
+    later = []
     for _ in range(8):
         env.step(np.array([0.3, 2.0, 55.0]))
-    second = env.render()
-    # Floor and shadows are grey and blue; the body and the goal are warm.
-    warm = second[..., 0].astype(int) - second[..., 2] > 40
-    assert 50 < warm.sum() < 0.2 * warm.size
-    red = second[..., 0].astype(int) - second[..., 1] > 60
-    assert 20 < red.sum() < warm.sum(), "the goal lies there as well"
+        later.append(env.render())
+    for color in (PLUS_COLOR, GOAL_COLOR):
+        seen = max(alike(each, rgb(color)) for each in later)
+        assert 20 < seen < 0.05 * first[..., 0].size, "chambers, and the ring of the goal"
+    second = later[-1]
+    green = [(each[..., 1].astype(int) - each[..., 0] > 60).sum() for each in later]
+    assert max(green) > 20, "the other chambers"
+    assert alike(first, PLUS_RGB) == 0, "chambers are empty at the start"
     assert (first != second).any(axis=-1).sum() > 100
     env.close()
     env.reset(seed=1)
-    assert env.render().shape == (120, 160, 3)
+    assert env.render().shape == (240, 320, 3)
     env.close()
 
 

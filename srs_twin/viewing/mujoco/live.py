@@ -173,6 +173,8 @@ class MujocoWindow:
         import mujoco
         import mujoco.viewer
 
+        from srs_twin.viewing.mujoco.stage import Skins
+
         physics = snake.twin.physics
         model, data = physics.model.ptr, physics.data.ptr
         try:
@@ -181,6 +183,7 @@ class MujocoWindow:
             )
         except RuntimeError as error:
             raise InputError(f"MuJoCo's viewer cannot be opened here: {error}") from error
+        self._skins = Skins(model, snake.twin.spec.segments)
         camera = self._viewer.cam
         camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         camera.trackbodyid = model.body("connector_1").rootid[0]
@@ -200,6 +203,7 @@ class MujocoWindow:
     def show(self, snake: LiveSnake) -> None:
         """See `Window.show`."""
         names, values = ("\n".join(column) for column in zip(*snake.status_lines(), strict=True))
+        self._skins.show(snake.state.pressure, snake.twin.spec.supply.nominal)
         self._viewer.set_texts((None, None, names, values))
         self._viewer.sync()
 

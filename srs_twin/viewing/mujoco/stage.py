@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -77,9 +76,8 @@ class Stage:
                 f"the trajectory has {self._qpos.shape[1]} columns qpos_1…, the scenario's twin "
                 f"{self.model.nq}: they do not belong together; run the scenario again"
             )
-        _light(self.model)
+        self._skins = Skins(self.model, scenario.robot.segments)
         _see_through(self.model)
-        self._skins = _skins(self.model, scenario.robot.segments)
         self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
         every = max(1, -(-len(run) // _MOST_PIECES))
         self._marks = np.arange(0, len(run), every)
@@ -105,8 +103,7 @@ class Stage:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        for geoms, color in zip(self._skins, self._colors[row], strict=True):
-            self.model.geom_rgba[geoms] = color
+        self._skins.paint(self._colors[row])
 
     def picture(self, canvas: Canvas, camera: mujoco.MjvCamera, row: int) -> np.ndarray:
         """Return a picture of a sample, shape (height, width, 3), bytes."""
@@ -146,7 +143,7 @@ class Stage:
         plant, run = self.ghost
         line = self._ghost_line[int(np.abs(run.time - self.run.time[row]).argmin())]
         color = np.array(unit_rgba(style_of(plant).color, _GHOST_ALPHA), dtype=np.float32)
-        skin = self._skins[0][0]
+        skin = self._skins.geoms[0][0]
         points = np.pad(line, ((0, 0), (0, 1)), constant_values=self.data.geom_xpos[skin, 2])
         # A little thinner than the twin, so that two at the same place do not flicker.
         radius = 0.92 * self.model.geom_size[skin, 0]
@@ -193,13 +190,6 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
     return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])
 
 
-def _light(model: mujoco.MjModel) -> None:
-    """Let no more light fall on anything than white reflects: a colour here stands for a pressure."""
-    model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.2] * 3
-    model.light_diffuse[:], model.light_specular[:] = 0.45, 0.0
-    model.mat_reflectance[:] = 0.0
-
-
 def _see_through(model: mujoco.MjModel) -> None:
     """Let the camera see a snake behind an obstacle."""
     for geom in range(model.ngeom):
@@ -207,13 +197,32 @@ def _see_through(model: mujoco.MjModel) -> None:
             model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
 
 
-def _skins(model: mujoco.MjModel, segments: int) -> Sequence[list[int]]:
-    """Return the geoms that are drawn as the skin of each segment."""
-    found: list[list[int]] = [[] for _ in range(segments)]
-    for geom in range(model.ngeom):
-        if match := re.fullmatch(r"skin_(\d+)_\d+", model.geom(geom).name):
-            found[int(match[1]) - 1].append(geom)
-    return found
+class Skins:
+    """What is drawn of the segments of a model, lit so that a colour stands for a pressure.
+
+    Attributes:
+        geoms: of each segment.
+    """
+
+    def __init__(self, model: mujoco.MjModel, segments: int) -> None:
+        """Find them, and let no more light fall on anything than white reflects."""
+        model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.2] * 3
+        model.light_diffuse[:], model.light_specular[:] = 0.45, 0.0
+        model.mat_reflectance[:] = 0.0
+        self._model = model
+        self.geoms: list[list[int]] = [[] for _ in range(segments)]
+        for geom in range(model.ngeom):
+            if match := re.fullmatch(r"skin_(\d+)_\d+", model.geom(geom).name):
+                self.geoms[int(match[1]) - 1].append(geom)
+
+    def paint(self, colors: np.ndarray) -> None:
+        """Give each segment a colour, shape (segments, 4), 0 to 1."""
+        for geoms, color in zip(self.geoms, colors, strict=True):
+            self._model.geom_rgba[geoms] = color
+
+    def show(self, pressure: np.ndarray, most: float) -> None:
+        """Show pressures (segments, 2) of the + and − chambers; `most` is what has the full colour."""
+        self.paint(pressure_colors(pressure[:, 0] - pressure[:, 1], most) / np.float32(255))
 
 
 def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, str]]:

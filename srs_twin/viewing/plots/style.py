@@ -90,14 +90,16 @@ def style_of(plant: str, index: int = 0) -> Style:
     return STYLES.get(plant) or Style(plant, _MORE[index % len(_MORE)], "-.", 1.5)
 
 
-def pressure_colors(difference: np.ndarray) -> np.ndarray:
+def pressure_colors(difference: np.ndarray, most: float | None = None) -> np.ndarray:
     """Return RGBA bytes, shape (…, 4): purple for p⁺ above p⁻, green below, light grey between.
 
     Args:
-        difference: p⁺ − p⁻, any unit; the largest magnitude has the full colour, NaN is grey.
+        difference: p⁺ − p⁻, any unit; NaN is grey.
+        most: which magnitude has the full colour; default the largest one.
     """
     known = np.nan_to_num(difference)
-    share = (known / max(float(np.max(np.abs(known), initial=0.0)), 1e-12))[..., None]
+    most = float(np.max(np.abs(known), initial=0.0)) if most is None else most
+    share = np.clip(known / max(most, 1e-12), -1.0, 1.0)[..., None]
     full = np.where(share > 0, PLUS_RGB, MINUS_RGB)
     rgb = np.rint(_NO_PRESSURE + np.abs(share) * (full - np.array(_NO_PRESSURE)))
     return np.concatenate([rgb, np.full_like(share, 255)], axis=-1).astype(np.uint8)
