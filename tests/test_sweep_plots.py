@@ -141,17 +141,52 @@ def test_both_signs_have_zero_in_the_middle():
     assert axes.get_title("left") == "twin − analytical"
 
 
-def test_other_varied_fields_are_averaged_and_it_is_said():
-    low, high = grid(), grid()
-    both = {name: [*low[name], *high[name]] for name in low}
-    both[OFFSET] = [0.0] * 12 + [0.4] * 12
+def twice(field, values=(0.0, 0.4)):
+    """The grid at two values of a further field; at the second the model is three times as fast."""
+    low = grid()
+    both = {name: [*column, *column] for name, column in low.items()}
+    both[field] = [values[0]] * 12 + [values[1]] * 12
     both[A] = [*low[A], *(3 * v for v in low[A])]
     del both[B]
-    figure = draw(CONTOUR, both)
+    return both
+
+
+def test_seeds_are_averaged_and_it_is_said():
+    figure = draw(CONTOUR, twice("seed", (0, 1)))
     (axes,) = planes(figure)
-    assert "mean over steering offset" in words(figure)
-    assert filled(axes)[0].zmax == pytest.approx(2 * max(low[A]))
-    assert "mean over" not in words(draw(plot("line", F, SPEED, by=OFFSET), both | {P: [30.0] * 24}))
+    assert "each value the mean over seed" in words(figure)
+    assert filled(axes)[0].zmax == pytest.approx(2 * max(grid()[A]))
+    assert "mean over" not in words(draw(plot("scatter", F, SPEED), twice("seed", (0, 1))))
+
+
+def test_what_is_varied_on_purpose_is_not_averaged_in_contours():
+    figure = draw(CONTOUR, twice(OFFSET))
+    first, second = planes(figure)
+    assert [axes.get_title("left") for axes in (first, second)] == [
+        "analytical, steering offset: 0",
+        "analytical, steering offset: 0.4",
+    ]
+    assert filled(first)[0].zmax == pytest.approx(max(grid()[A]))
+    assert filled(second)[0].zmax == pytest.approx(3 * max(grid()[A]))
+    assert np.array_equal(filled(first)[0].levels, filled(second)[0].levels)
+    assert "one row for each steering offset" in words(figure) and "mean over" not in words(figure)
+    many = {name: column * 8 for name, column in grid().items()} | {OFFSET: np.repeat(range(8), 12).tolist()}
+    figure = draw(CONTOUR, many)
+    assert len(planes(figure)) == 2 * 6 and "steering offset, 6 of 8 shown" in words(figure)
+
+
+def test_what_is_varied_on_purpose_is_not_averaged_in_lines():
+    """The first field that is not named tells lines apart by colour; with `by` each has a line of its own."""
+    both = twice(OFFSET) | {P: [30.0] * 24, F: [1.0, 2.0, 3.0] * 8, "plants.twin.gaps": [True, False] * 12}
+    (axes,) = planes(draw(LINE, both | {"plants.twin.gaps": [True] * 24}))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["0", "0.4"]
+    assert len(curves(axes)) == 2
+    figure = draw(plot("line", F, SPEED, by=OFFSET), both)
+    assert len(curves(planes(figure)[0])) == 4 and "one line for each gaps" in words(figure).lower()
+    # Of samples each run has values of its own: nothing is at the same place, and nothing is averaged.
+    sampled = grid() | {F: np.linspace(1, 2, 12).tolist(), OFFSET: np.linspace(0, 1, 12).tolist()}
+    figure = draw(LINE, sampled)
+    assert len(curves(planes(figure)[0])) == 2 and "one line" not in words(figure)
 
 
 def test_lines_hold_the_table_one_a_value_and_plant():

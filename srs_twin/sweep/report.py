@@ -1,4 +1,4 @@
-"""report.html of a sweep: what was varied, a row a run, and means by the values of each field."""
+"""report.html of a sweep: what was varied, a row a run, and means over seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from srs_twin.io.files import write_text
 from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label
-from srs_twin.viewing.plots.sweep_table import COMPARISON, PLAN, SweepTable, Values
+from srs_twin.viewing.plots.sweep_table import COMPARISON, PLAN, SweepTable
 
 if TYPE_CHECKING:
     from srs_twin.sweep.execution import Summary
@@ -24,8 +24,6 @@ MOST_RUNS = 200
 
 _MOST_COLUMNS = 24
 _COLUMNS = 6  # of metrics side by side: what a printed page holds
-_MOST_VALUES = 60  # of a field; more numbers are put together
-_PARTS = 10
 _NONE = "–"
 
 
@@ -56,30 +54,24 @@ def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     return _tables(headings, zip(named, order, strict=True), columns, _text, left_out)
 
 
-def means_by(name: str, rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return mean ± standard deviation of each metric by the values of a field, few metrics a table.
+def means(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
+    """Return mean ± standard deviation over seeds, a row a combination of all other fields.
 
-    None where they say nothing new: the field has one value, or `run_tables` has each value's only run.
+    None where every combination has one run. What was varied on purpose is never averaged over.
 
     Args:
-        name: a varied field; where it has many values, ten equal parts of their range.
         rows: results of a sweep; runs that failed are left out.
         metrics: as `run_tables` takes them.
     """
-    field, failed = rows.values(name, ""), rows.failed
-    known = field.numbers[np.isfinite(field.numbers)]
-    different = len(np.unique(known))
-    if different < 2 or (different == len(known) and len(failed) <= MOST_RUNS):
+    groups = rows.groups(rows.settings)
+    if len(groups) == len(rows.failed):
         return []
-    texts, group, left_out = _groups(field)
+    if len(groups) > MOST_RUNS:
+        return [Table((), (), note=f"{len(groups)} combinations; their runs are in results.parquet.")]
+    done = [(texts, each[~rows.failed[each]]) for texts, each in groups]
+    lines = [((*texts, str(len(each))), each) for texts, each in done]
     columns, not_shown = _columns(rows, metrics)
-    order = np.argsort(group, kind="stable")
-    begins = np.searchsorted(group[order], np.arange(len(texts) + 1))
-    runs = [order[low:high] for low, high in zip(begins, begins[1:], strict=False)]
-    runs = [each[~failed[each]] for each in runs]
-    lines = [((text, str(len(each))), each) for text, each in zip(texts, runs, strict=True)]
-    note = " ".join(filter(None, (left_out, not_shown)))
-    return _tables((field.label, "runs"), lines, columns, _mean, note)
+    return _tables((*map(field_label, rows.settings), "runs"), lines, columns, _mean, not_shown)
 
 
 def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
@@ -119,22 +111,6 @@ def _tables(
         shown = (*headings, *(column.heading for column in few))
         made.append(Table(shown, rows, range(len(shown)), note))
     return made
-
-
-def _groups(field: Values) -> tuple[list[str], np.ndarray, str]:
-    """Return the values of a field as text, which of them each row has (-1: none), and what is left out."""
-    known = np.isfinite(field.numbers)
-    different = np.unique(field.numbers[known])
-    group = np.full(len(field.numbers), -1)
-    if len(different) <= _MOST_VALUES or field.names:
-        group[known] = np.searchsorted(different, field.numbers[known])
-        group[group >= _MOST_VALUES] = -1
-        more = len(different) > _MOST_VALUES
-        said = f"{_MOST_VALUES} of {len(different)} values are shown." if more else ""
-        return [field.text(value) for value in different[:_MOST_VALUES]], group, said
-    ends = np.linspace(different[0], different[-1], _PARTS + 1)
-    group[known] = np.clip(np.searchsorted(ends, field.numbers[known], side="right") - 1, 0, _PARTS - 1)
-    return [f"{low:.4g} to {high:.4g}" for low, high in zip(ends, ends[1:], strict=False)], group, ""
 
 
 def _mean(numbers: np.ndarray) -> str:
@@ -189,7 +165,8 @@ def write_report(
         published=summary.published,
         plots=[image(content, "png", title) for title, content in pictures.items()],
         runs=run_tables(rows, metrics),
-        means={field_label(name): means_by(name, rows, metrics) for name in rows.fields},
+        repeats=", ".join(map(field_label, rows.repeats)),
+        means=means(rows, metrics),
         made_with=Table(["", ""], versions),
     )
     write_text(path, content)

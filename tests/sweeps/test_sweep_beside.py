@@ -65,9 +65,10 @@ def test_published_values_decide_no_row(tmp_path):
     assert "<td>0.3</td>" not in report
 
 
-def test_the_table_holds_means_and_differences():
+def test_the_table_holds_means_over_seeds_and_differences():
+    seeds = SweepTable.of({"seed" if name == F else name: column for name, column in TABLE.items()})
     found = published_table(
-        published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), rows()
+        published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), seeds
     )
     assert found.headings == (
         "metric", "supply pressure (kPa)", "published", "analytical", "difference", "twin", "difference",
@@ -80,6 +81,18 @@ def test_the_table_holds_means_and_differences():
         ("CoM speed (m/s)", "40", "0.1", "-0.1", "-0.2", "–", "–", "2"),
         ("CoM speed (m/s)", "50", "–", "–", "–", "–", "–", "0"),
     )
+
+
+def test_the_table_keeps_other_settings_apart():
+    found = published_table(published("here", {P: [20.0, 30.0, 50.0]}, {SPEED: [0.1, 0.5, 0.2]}), rows())
+    assert found.headings[1:4] == ("supply pressure (kPa)", "gait frequency (Hz)", "published")
+    assert "runs" not in found.headings
+    assert [row[1:6] for row in found.rows] == [
+        ("20", "1", "0.1", "0.1", "+0.0 %"),
+        ("20", "2", "0.1", "0.3", "+200.0 %"),
+        ("30", "1", "0.5", "0.4", "-20.0 %"),
+        ("50", "–", "0.2", "–", "–"),
+    ]
 
 
 def test_several_fields_mean_one_place():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-import statistics
 from html.parser import HTMLParser
+from itertools import product
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -15,7 +15,7 @@ from small import SMALL, diverges, execute, here, write
 from srs_twin.errors import DivergedError
 from srs_twin.parallel import Done
 from srs_twin.sweep import load_sweep
-from srs_twin.sweep.report import MOST_RUNS, means_by, run_tables
+from srs_twin.sweep.report import MOST_RUNS, means, run_tables
 from srs_twin.viewing.plots.sweep_table import SweepTable
 
 PICTURE = (
@@ -71,7 +71,7 @@ def test_the_page_holds_the_results(tmp_path):
     page, results, summary = left(tmp_path, "title: Speed <b> & more\n" + SMALL + PICTURE + BESIDE)
     assert page.texts["title"] == page.texts["h1"] == ["Speed <b> & more"]
     assert "8 of 8 runs done, 0 failed" in page.texts["p"] and "a <b>" in page.texts["p"]
-    varied, beside, runs, by_frequency, by_pressure, made_with = page.tables
+    varied, beside, runs, made_with = page.tables
     assert ["supply pressure (kPa)", "supply.pressure_kpa", "41, 45.6667, 50.3333, 55"] in varied
     assert ["simulated time (s)", "duration_s", "2 (fixed)"] in varied
     columns = results.to_pydict()
@@ -80,14 +80,11 @@ def test_the_page_holds_the_results(tmp_path):
     speeds = dict(zip(places, columns[f"analytical.{SPEED}"], strict=True))
     for (f, p), line in zip(sorted(speeds), runs[1:], strict=True):
         assert [float(cell) for cell in line[:3]] == pytest.approx([f, p, speeds[f, p]], rel=1e-3)
-    at = [speed for (_, p), speed in speeds.items() if p == 41]
-    assert by_pressure[1][:2] == ["41", "2"]
-    assert by_pressure[1][2] == f"{statistics.mean(at):.4g} ± {statistics.stdev(at):.2g}"
-    assert [line[0] for line in by_frequency[1:]] == ["2", "2.5"]
-    mean = statistics.mean(at)
-    assert beside[1:] == [
-        ["CoM speed (m/s)", "41", "0.2", f"{mean:.4g}", f"{100 * (mean / 0.2 - 1):+.1f} %", "2"]
+    assert [line[:4] for line in beside[1:]] == [
+        ["CoM speed (m/s)", "41", frequency, "0.2"] for frequency in ("2", "2.5")
     ]
+    for f, line in zip((2, 2.5), beside[1:], strict=True):
+        assert line[4:] == [f"{speeds[f, 41]:.4g}", f"{100 * (speeds[f, 41] / 0.2 - 1):+.1f} %"]
     assert ["results sha256", summary.sha256] in made_with
     assert any(line[0] == "mujoco" for line in made_with)
 
@@ -137,30 +134,44 @@ def table(x, value, failed=()):
     )
 
 
-def test_many_runs_are_summed_up():
-    """Of more runs than a page holds: ten equal parts of the range, each with mean, deviation and number."""
+def test_means_are_over_seeds_alone():
+    """A row a combination of what was varied on purpose, with mean, deviation and number of runs."""
     rng = np.random.default_rng(2)
-    x, value = rng.uniform(0, 100, 500), rng.normal(5, 2, 500)
-    rows = table([0.0, 100.0, *x], [0.0, 0.0, *value], failed=(0, 1))
+    names = "controller.offset", "controller.frequency_hz", "seed"
+    columns = dict(
+        zip(names, zip(*product((0.1, 0.2), (1.0, 1.5, 2.0), range(50)), strict=True), strict=True)
+    )
+    value = rng.normal(5, 2, 300)
+    status = ["failed" if i == 7 else "done" for i in range(300)]
+    rows = SweepTable.of({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
     assert [found.rows for found in run_tables(rows, [SPEED])] == [()]
-    ((found),) = means_by("seed", rows, [SPEED])
+    (found,) = means(rows, [SPEED])
+    assert found.headings[:3] == ("steering offset", "gait frequency (Hz)", "runs")
+    assert [line[:2] for line in found.rows] == list(product(("0.1", "0.2"), ("1", "1.5", "2")))
     for k, line in enumerate(found.rows):
-        inside = value[(x >= 10 * k) & (x < 10 * k + 10)]
-        assert line[:2] == (f"{10 * k} to {10 * k + 10}", str(len(inside)))
-        assert line[2] == f"{inside.mean():.4g} ± {inside.std(ddof=1):.2g}"
-    assert sum(int(line[1]) for line in found.rows) == 500
+        own = np.delete(value[50 * k : 50 * k + 50], [7] if k == 0 else [])
+        assert line[2:] == (str(len(own)), f"{own.mean():.4g} ± {own.std(ddof=1):.2g}")
+    many = SweepTable.of(
+        {"key": range(402), "seed": [0, 1] * 201, "a.b": np.repeat(range(201), 2), "status": ["done"] * 402}
+    )
+    assert [(found.rows, found.note[:16]) for found in means(many, [SPEED])] == [((), "201 combinations")]
 
 
 def test_as_many_runs_as_a_page_holds_are_shown():
     rows = table(list(range(MOST_RUNS))[::-1], [float(i) for i in range(MOST_RUNS)])
     (found,) = run_tables(rows, [SPEED])
     assert [int(line[0]) for line in found.rows] == list(range(MOST_RUNS))
-    assert means_by("seed", rows, [SPEED]) == []  # each value has one run, and that is shown
+    alone = SweepTable.of(
+        {name: each for name, each in rows.columns.items() if name != "seed"}
+        | {"controller.offset": list(range(MOST_RUNS))}
+    )
+    assert means(alone, [SPEED]) == []  # each has one run, and that is shown
 
 
 def test_runs_without_the_metric_are_counted():
-    rows = table([1, 1, 1, 2, 2], [1.0, None, 3.0, None, None])
-    (found,) = means_by("seed", rows, [SPEED, "path_radius_m"])
+    given = table([1, 2, 3, 1, 2], [1.0, None, 3.0, None, None]).columns
+    rows = SweepTable({**given, "a.b": [1, 1, 1, 2, 2]})
+    (found,) = means(rows, [SPEED, "path_radius_m"])
     assert found.rows == (("1", "3", "2 ± 1.4 (2)"), ("2", "2", "–"))
 
 
@@ -199,4 +210,4 @@ def test_the_command_leaves_long_tables_to_the_page(srs_twin, tmp_path):
     run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
     assert run.returncode == 0 and "beside T" not in run.stdout and "no run has supply.pressure" in run.stderr
     page = Page((tmp_path / "runs" / "sweeps" / "small" / "report.html").read_text("utf-8"))
-    assert len(page.tables[1]) == 32
+    assert len(page.tables[1]) == 33  # two frequencies at the one that was run

@@ -181,12 +181,36 @@ class SweepTable:
                 return self.metric(name, each)
         raise UnknownNameError("column", name, self.fields)
 
-    def others(self, drawn: Iterable[str | None]) -> list[str]:
-        """Return the fields that vary too, but are not among those drawn."""
-        known = set(drawn)
-        return [
-            name for name in self.fields if name not in known and len(set(map(str, self.columns[name]))) > 1
-        ]
+    @property
+    def repeats(self) -> list[str]:
+        """The varied fields that only repeat a run: seeds. Means are over these alone."""
+        return [name for name in self.fields if name.rpartition(".")[2] == "seed"]
+
+    @property
+    def settings(self) -> list[str]:
+        """The fields that are varied on purpose."""
+        return [name for name in self.fields if name not in self.repeats]
+
+    def mixed(self, drawn: Iterable[str]) -> list[str]:
+        """Return the settings that differ between runs with the same values of the fields drawn."""
+        known = [name for name in drawn if name in self.fields]
+        places = len(self.groups(known))
+        others = (name for name in self.settings if name not in known)
+        return [name for name in others if len(self.groups([*known, name])) > places]
+
+    def groups(self, names: Sequence[str]) -> list[tuple[tuple[str, ...], np.ndarray]]:
+        """Return the combinations of values of some fields in order: as text, and the rows that have them."""
+        columns = [self.values(name, "") for name in names]
+        if not columns:
+            return [((), np.arange(len(self.failed)))]
+        if not len(self.failed):
+            return []
+        numbers = np.nan_to_num([each.numbers for each in columns], nan=-np.inf)
+        places, which = np.unique(numbers, axis=1, return_inverse=True)
+        order = np.argsort(which.reshape(-1), kind="stable")
+        rows = np.split(order, np.cumsum(np.bincount(which.reshape(-1)))[:-1])
+        texts = ([c.text(n) for c, n in zip(columns, place, strict=True)] for place in places.T)
+        return [(tuple(text), each) for text, each in zip(texts, rows, strict=True)]
 
     def _names(self, owner: str, metric: str) -> list[str]:
         """Return the column of a metric, or those of its parts where it is a list."""
@@ -232,36 +256,41 @@ NONE = "–"
 
 
 def published_table(published: Published, rows: SweepTable) -> Table:
-    """Return what was published beside what the plants did there; of several runs, their mean.
+    """Return what was published beside what the plants did there: the mean over seeds, a row a setting.
 
     Args:
         published: what was published.
         rows: results of a sweep that varies these fields.
     """
     plants = [o for o in OWNERS if o != COMPARISON and any(o in rows.holders(m) for m in published.metrics)]
-    runs = [_runs(rows, place) for place in published.places]
-    averaged = any(chosen.sum() > 1 for chosen in runs)
+    apart = rows.mixed(published.at)
+    runs = [_runs(rows, apart, place) for place in published.places]
+    averaged = any(len(chosen) > 1 for there in runs for _, chosen in there)
     made = []
     for metric, values in published.metrics.items():
-        for place, chosen, value in zip(published.places, runs, values, strict=True):
-            line = [metric_label(metric), *map(_written, place.values()), _written(value)]
-            for plant in plants:
-                mean = _mean(rows, metric, plant, chosen)
-                line += [_written(mean), _difference(value, mean)]
-            made.append((*line, *([str(int(chosen.sum()))] if averaged else [])))
-    headings = ["metric", *map(field_label, published.at), "published"]
+        for place, there, value in zip(published.places, runs, values, strict=True):
+            for texts, chosen in there:
+                line = [metric_label(metric), *map(_written, place.values()), *texts, _written(value)]
+                for plant in plants:
+                    mean = _mean(rows, metric, plant, chosen)
+                    line += [_written(mean), _difference(value, mean)]
+                made.append((*line, *([str(len(chosen))] if averaged else [])))
+    headings = ["metric", *map(field_label, (*published.at, *apart)), "published"]
     headings += [heading for plant in plants for heading in (plant, "difference")]
     headings += ["runs"] * averaged
     numbers = range(1, len(headings))
     return Table(tuple(headings), tuple(made), numbers, published.note or "", published.source)
 
 
-def _runs(rows: SweepTable, place: Mapping[str, Value]) -> np.ndarray:
-    """Return which runs at a place did not fail, shape (rows,)."""
+def _runs(
+    rows: SweepTable, apart: Sequence[str], place: Mapping[str, Value]
+) -> list[tuple[tuple[str, ...], np.ndarray]]:
+    """Return the runs at a place that did not fail, by the values of other settings; one entry at least."""
     chosen = ~rows.failed
     for field, value in place.items():
         chosen = chosen & rows.values(field, "").at(value)
-    return chosen
+    found = [(texts, group[chosen[group]]) for texts, group in rows.groups(apart)]
+    return [each for each in found if len(each[1])] or [((NONE,) * len(apart), np.zeros(0, dtype=int))]
 
 
 def _mean(rows: SweepTable, metric: str, plant: str, chosen: np.ndarray) -> float | None:

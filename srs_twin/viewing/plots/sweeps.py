@@ -1,7 +1,9 @@
 """Pictures of a sweep: a metric over two fields, along one, or against another column.
 
 A metric over two fields is drawn as filled contours: of a regular grid, or of scattered points by
-triangulation. What cannot be drawn (all failed, no value anywhere) gives a picture that says so.
+triangulation. Means are over seeds alone: where other fields vary as well, there is a line, or a row of
+contours, for each combination of their values. What cannot be drawn (all failed, no value anywhere) gives a
+picture that says so.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 
 FORMATS = (".png", ".svg")
 _MOST_LINES = 12
+_MOST_ROWS = 6  # of contours
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 _ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "borderaxespad": 0.2}
 _SPACES: dict[str, Any] = {"handletextpad": 0.4, "columnspacing": 1.2, "handlelength": 2.8}
@@ -71,6 +74,8 @@ def draw(
     # A metric of the plants is theirs; the comparison's stands alone.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
     contour = plot.kind == "contour"
+    if plot.kind == "line" and plot.by is None and (apart := _apart(plot, rows)):
+        plot = plot.model_copy(update={"by": apart[0]})
     figure = _contour(plot, rows, owners) if contour else _plane(plot, rows, owners, published)
     figure.suptitle(_title(plot, rows, owners), x=0.01, ha="left", fontsize=10)
     return figure
@@ -90,15 +95,23 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(part, format=target.suffix[1:], dpi=130, metadata=about)
 
 
+def _apart(plot: Plot, rows: SweepTable) -> list[str]:
+    """Return the fields that a picture has to keep apart besides those that it names."""
+    return [] if plot.kind == "scatter" else rows.mixed(filter(None, (plot.x, plot.y, plot.by)))
+
+
 def _title(plot: Plot, rows: SweepTable, owners: list[str]) -> str:
     """Return the title, and below it what the picture leaves out."""
     metric = rows.metric(plot.metric, owners[0]).label.partition(" (")[0]
     drawn = [plot.x, *([plot.y] if plot.y else [])]
     names = [rows.values(name, owners[0]).label.partition(" (")[0] for name in drawn]
     notes = []
-    if plot.kind != "scatter":
-        others = rows.others((*drawn, plot.by))
-        notes = [f"each value the mean over {', '.join(map(field_label, others))}"] if others else []
+    if plot.kind != "scatter" and rows.repeats:
+        notes = [f"each value the mean over {', '.join(map(field_label, rows.repeats))}"]
+    if apart := _apart(plot, rows):
+        what, count = ", ".join(map(field_label, apart)), len(rows.groups(apart))
+        some = f", {_MOST_ROWS} of {count} shown" if plot.kind == "contour" and count > _MOST_ROWS else ""
+        notes += [f"one {'row' if plot.kind == 'contour' else 'line'} for each {what}{some}"]
     failed = int(rows.failed.sum())
     notes += [f"{failed} of {len(rows.failed)} runs failed"] if failed else []
     values = [rows.metric(plot.metric, owner).numbers for owner in owners]
@@ -112,22 +125,25 @@ def _title(plot: Plot, rows: SweepTable, owners: list[str]) -> str:
     return "\n".join([title, *([f"({'; '.join(notes)})"] if notes else [])])
 
 
-def _panels(columns: int, *, key: bool) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its panels with common axes; with a key there is room on the right for it."""
-    figure, (panels,) = side_by_side(
-        _HEIGHT, columns, right=_KEY if key else 0.25, top=_TOP, sharex=True, sharey=True
+def _panels(columns: int, rows: int = 1, *, key: bool) -> tuple[Figure, np.ndarray]:
+    """Return a figure and its panels (rows, columns) with common axes; a key has room on the right."""
+    height, space = (_HEIGHT, 0.08) if rows == 1 else (_TOP + _BOTTOM + 2.2 * rows, 0.16)
+    right = _KEY if key else 0.25
+    figure, panels = side_by_side(
+        height, columns, rows, right=right, top=_TOP, space=space, sharex=True, sharey=True
     )
-    for axes in panels:
+    for axes in panels.flat:
         axes.tick_params(labelsize=8)
-    return figure, list(panels)
+    return figure, panels
 
 
 def color_bar(
     figure: Figure, norm: Normalize, cmap: str, values: Values, ticks: Sequence[float] | None = None
 ) -> None:
     """Draw the bar that says which colour means what, in the room on the right."""
-    bottom = _BOTTOM / _HEIGHT
-    place = (1 - (_KEY - 0.12) / _WIDTH, bottom, 0.16 / _WIDTH, 1 - _TOP / _HEIGHT - bottom)
+    height = figure.get_figheight()
+    bottom = _BOTTOM / height
+    place = (1 - (_KEY - 0.12) / _WIDTH, bottom, 0.16 / _WIDTH, 1 - _TOP / height - bottom)
     bar = figure.colorbar(ScalarMappable(norm, cmap), cax=figure.add_axes(place, label="colors"), ticks=ticks)
     bar.set_label(values.label, fontsize=9)
     bar.ax.tick_params(labelsize=8)
@@ -241,30 +257,38 @@ class Points:
 
 
 def _contour(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
-    """Draw one panel a plant, all with the same colours."""
-    figure, panels = _panels(len(owners), key=True)
+    """Draw one panel a plant, all with the same colours, and a row for each value of what varies besides."""
+    apart = _apart(plot, rows)
+    parts = rows.groups(apart)[:_MOST_ROWS]
+    figure, panels = _panels(len(owners), len(parts), key=True)
     x, y = rows.values(plot.x, owners[0]), rows.values(str(plot.y), owners[0])
     values = [rows.metric(plot.metric, owner) for owner in owners]
-    points = [Points.of(x.numbers, y.numbers, each.numbers, rows.failed) for each in values]
-    levels, cmap = _scale([each.z for each in points])
-    for axes, owner, each in zip(panels, owners, points, strict=True):
-        if each.known.any():
-            _fill(axes, each, levels, cmap)
-        else:
-            say(axes, rows.failed)
-        for what, which in (("failed", each.failed), ("no value", ~each.known & ~each.failed)):
-            mark_rows(axes, each.x[which], each.y[which], what)
-        for limits, ends in ((axes.set_xlim, span([x])), (axes.set_ylim, span([y]))):
-            room = 0.03 * (ends[1] - ends[0])
-            limits(ends[0] - room, ends[1] + room)
-        legend_above(axes)
-        axes.set_title(style_of(owner).label, fontsize=9, loc="left")
+    points = [
+        [Points.of(x.numbers[k], y.numbers[k], each.numbers[k], rows.failed[k]) for each in values]
+        for _, k in parts
+    ]
+    levels, cmap = _scale([each.z for row in points for each in row])
+    for (texts, k), row, shown in zip(parts, panels, points, strict=True):
+        where = [f"{field_label(name)}: {text}" for name, text in zip(apart, texts, strict=True)]
+        for axes, owner, each in zip(row, owners, shown, strict=True):
+            if each.known.any():
+                _fill(axes, each, levels, cmap)
+            else:
+                say(axes, rows.failed[k])
+            for what, which in (("failed", each.failed), ("no value", ~each.known & ~each.failed)):
+                mark_rows(axes, each.x[which], each.y[which], what)
+            for limits, ends in ((axes.set_xlim, span([x])), (axes.set_ylim, span([y]))):
+                room = 0.03 * (ends[1] - ends[0])
+                limits(ends[0] - room, ends[1] + room)
+            legend_above(axes)
+            axes.set_title(", ".join((style_of(owner).label, *where)), fontsize=9, loc="left")
+            name_ticks(axes.xaxis, x)
+        finish(row[0], y.label)
+        name_ticks(row[0].yaxis, y)
+    for axes in panels[-1]:
         axes.set_xlabel(x.label, fontsize=9)
-        name_ticks(axes.xaxis, x)
-    if any(each.known.any() for each in points):
+    if any(each.known.any() for row in points for each in row):
         color_bar(figure, BoundaryNorm(levels, 256), cmap, values[0], levels[::2].tolist())
-    finish(panels[0], y.label)
-    name_ticks(panels[0].yaxis, y)
     return figure
 
 
@@ -351,7 +375,7 @@ class _Shades:
 
 def _plane(plot: Plot, rows: SweepTable, owners: list[str], published: Published | None) -> Figure:
     """Draw lines or dots with a colour a value of `by`, and at the lower edge where runs failed."""
-    figure, (axes,) = _panels(1, key=plot.by is not None)
+    figure, ((axes,),) = _panels(1, key=plot.by is not None)
     lines, colored = plot.kind == "line", plot.by is not None
     same = Values("", np.zeros(len(rows.failed)))
     by = [rows.values(plot.by, owner) if plot.by else same for owner in owners]
@@ -360,7 +384,9 @@ def _plane(plot: Plot, rows: SweepTable, owners: list[str], published: Published
     drawn = 0
     for owner, shade in zip(owners, by, strict=True):
         along, height = rows.values(plot.x, owner).numbers, rows.metric(plot.metric, owner).numbers
-        drawn += (_draw_lines if lines else _draw_dots)(axes, owner, along, height, shade, shades, colored)
+        for _, k in rows.groups(_apart(plot, rows)):
+            part = (along[k], height[k], Values("", shade.numbers[k], shade.names))
+            drawn += (_draw_lines if lines else _draw_dots)(axes, owner, *part, shades, colored)
     finish(axes, values.label)
     axes.set_xlabel(x.label, fontsize=9)
     name_ticks(axes.xaxis, x)
@@ -382,7 +408,7 @@ def _plane(plot: Plot, rows: SweepTable, owners: list[str], published: Published
 def _draw_lines(
     axes: Axes, owner: str, x: np.ndarray, y: np.ndarray, by: Values, shades: _Shades, colored: bool
 ) -> int:
-    """Draw a line a value of `by`, through the mean at each x; return how many points there are."""
+    """Draw a line a value of `by`, through the mean over seeds at each x; return the number of points."""
     drawn = 0
     for i, group in enumerate(shades.groups):
         # Smaller and smaller, for lines of names that lie upon each other.
