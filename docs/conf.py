@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "docs/_ext"), str(ROOT)]
 
 from srs_twin import __version__  # noqa: E402
+from srs_twin.comparison.metrics import VALIDATION  # noqa: E402
 
 project, release = "srs_twin", __version__
 copyright = "the srs_twin authors"  # noqa: A001
@@ -45,9 +46,10 @@ napoleon_attr_annotations = False
 html_theme = "furo"
 html_title = "srs_twin"
 html_additional_pages = {"index": "home.html"}
+html_context = {"validated": VALIDATION}  # at the foot of each page
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["formulas.css"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
 html_last_updated_fmt = None

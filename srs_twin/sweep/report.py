@@ -34,6 +34,22 @@ class _Column:
     heading: str
     numbers: np.ndarray
 
+    def text(self, run: int) -> str:
+        """Write a run's number to the fourth digit of the column's largest."""
+        largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
+        places = 3 - int(np.floor(np.log10(largest))) if largest else 0
+        number = self.numbers[run]
+        return f"{number:z.{max(places, 0)}f}" if np.isfinite(number) else _NONE
+
+    def mean(self, runs: np.ndarray) -> str:
+        """Write mean ± standard deviation of runs, and of how many where some have no value."""
+        numbers = self.numbers[runs]
+        known = numbers[np.isfinite(numbers)]
+        if not len(known):
+            return _NONE
+        spread = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
+        return f"{known.mean():.4g}{spread}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
+
 
 def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return a row a run in the order of the fields' values, few metrics a table.
@@ -51,7 +67,7 @@ def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     named = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
     if failed.any():
         named = [(*names, "failed" if failed[i] else "done") for names, i in zip(named, order, strict=True)]
-    return _tables(headings, zip(named, order, strict=True), columns, _text, left_out)
+    return _tables(headings, zip(named, order, strict=True), columns, _Column.text, left_out)
 
 
 def means(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
@@ -71,7 +87,7 @@ def means(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
     done = [(texts, each[~rows.failed[each]]) for texts, each in groups]
     lines = [((*texts, str(len(each))), each) for texts, each in done]
     columns, not_shown = _columns(rows, metrics)
-    return _tables((*map(field_label, rows.settings), "runs"), lines, columns, _mean, not_shown)
+    return _tables((*map(field_label, rows.settings), "runs"), lines, columns, _Column.mean, not_shown)
 
 
 def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
@@ -92,7 +108,7 @@ def _tables(
     headings: tuple[str, ...],
     lines: Iterable[tuple[tuple[str, ...], Any]],
     columns: Sequence[_Column],
-    cell: Callable[[Any], str],
+    cell: Callable[[_Column, Any], str],
     note: str,
 ) -> list[Table]:
     """Return tables of as many columns as a page holds; one without columns where there are none.
@@ -101,29 +117,16 @@ def _tables(
         headings: of what every table begins with.
         lines: what a line begins with, and which of the numbers of each column are its own.
         columns: of all tables.
-        cell: writes these numbers.
+        cell: writes what a column has for these runs.
         note: below each table.
     """
     made, lines = [], list(lines)
     for first in range(0, max(len(columns), 1), _COLUMNS):
         few = columns[first : first + _COLUMNS]
-        rows = tuple((*begin, *(cell(column.numbers[own]) for column in few)) for begin, own in lines)
+        rows = tuple((*begin, *(cell(column, own) for column in few)) for begin, own in lines)
         shown = (*headings, *(column.heading for column in few))
         made.append(Table(shown, rows, range(len(shown)), note))
     return made
-
-
-def _mean(numbers: np.ndarray) -> str:
-    """Return mean ± standard deviation, and of how many runs where some have no value."""
-    known = numbers[np.isfinite(numbers)]
-    if not len(known):
-        return _NONE
-    spread = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
-    return f"{known.mean():.4g}{spread}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
-
-
-def _text(number: float) -> str:
-    return f"{number:.4g}" if np.isfinite(number) else _NONE
 
 
 REPORT = "report.html"

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_checker import check_env, check_space_limit
+from gymnasium.utils.passive_env_checker import check_action_space
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import RescaleAction
 
 from srs_twin import Gait, InputError, TwinSnake, rollout
 from srs_twin.control.camera import Camera
@@ -54,6 +60,20 @@ def test_gymnasiums_checker_has_nothing_to_say(task):
         # Actions have units; gymnasium.wrappers.RescaleAction is for who wants them from -1 to 1.
         warnings.filterwarnings("ignore", ".*normalized space")
         check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_rescaled_actions_are_those_of_the_units_and_nobody_warns(task):
+    plain, env = SnakeEnv(task), RescaleAction(SnakeEnv(task), np.float32(-1), np.float32(1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_action_space(env.action_space)
+        check_space_limit(env.action_space, "action")
+    assert (env.action_space.low == -1).all() and (env.action_space.high == 1).all()
+    plain.reset(seed=1), env.reset(seed=1)
+    box = plain.action_space
+    one, other = plain.step((box.low + 3 * box.high) / 4), env.step(np.full(box.shape, 0.5, dtype=np.float32))
+    assert one[0] == pytest.approx(other[0], abs=1e-5) and one[1] == pytest.approx(other[1], abs=1e-6)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -270,3 +290,13 @@ def test_a_vector_refuses_what_does_not_fit_it():
         ):
             envs.step(actions)
     assert [float(env.episode.state.time) for env in envs.envs] == before
+
+
+@pytest.mark.slow
+def test_the_training_script_writes_a_policy_and_its_learning_curve(tmp_path):
+    script = Path(__file__).parents[2] / "examples/train_goto.py"
+    few = "--generations 1 --candidates 4 --goals 1 --out".split()
+    subprocess.run([sys.executable, script, *few, tmp_path], check=True, capture_output=True, timeout=600)
+    assert np.shape(json.loads((tmp_path / "policy.json").read_text())["weights"]) == (3, 3)
+    assert (tmp_path / "curve.csv").read_text().count("\n") == 2
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
