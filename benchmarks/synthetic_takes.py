@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import simpson
 
 from srs_twin.errors import one_of
 from srs_twin.io.files import atomic_write
@@ -25,7 +26,7 @@ class Take:
     """How a motion is captured and exported.
 
     Attributes:
-        layout: "single", "head" or "pair".
+        layout: one of `LAYOUTS` but "auto".
         apart: distance of a pair's markers, and of the head's second one from its first, m.
         across: a pair lies across the body, not along it.
         height: of the markers over the floor, m.
@@ -77,14 +78,62 @@ def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
     """Return where the markers of a layout are, without noise, shape (samples, markers, 2), m."""
     position, theta = trajectory.position, trajectory.stack("theta")
     along = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
-    if take.layout == "single":
-        return position
-    if take.layout == "head":
+    if "middles" in take.layout:
+        middle = middles(trajectory)
+        both = np.empty((len(position), 2 * position.shape[1] - 1, 2))
+        both[:, ::2], both[:, 1::2] = position, middle
+        position = both
+    if "head" in take.layout:
         return np.concatenate([position[:, :1] + take.apart * along[:, :1], position], axis=1)
+    if take.layout != "pair":
+        return position
     if take.across:
         along = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     pairs = np.stack([position + take.apart / 2 * along, position - take.apart / 2 * along], axis=2)
     return pairs.reshape(len(position), -1, 2)
+
+
+def _arcs(theta: np.ndarray, bend: np.ndarray, length: np.ndarray, upto: float) -> np.ndarray:
+    """Return the way back along arcs from their front ends, by Simpson's rule, complex, m."""
+    s = np.linspace(0.0, upto, 65)
+    tangent = np.exp(1j * (theta[..., None] - bend[..., None] * s))
+    return np.asarray(length * simpson(tangent, x=s, axis=-1))
+
+
+def lengths(trajectory: Trajectory) -> np.ndarray:
+    """Return the lengths of the arcs, shape (samples, segments), m."""
+    if "length_1" in trajectory.columns:
+        return trajectory.stack("length")
+    return np.full(trajectory.stack("bend").shape, float(trajectory.metadata["segment_length_m"]))
+
+
+def middles(trajectory: Trajectory) -> np.ndarray:
+    """Return the middles of the segments, shape (samples, segments, 2), m."""
+    theta, gap = trajectory.stack("theta")[:, :-1], float(trajectory.metadata["rigid_gap_m"]) / 2
+    front = trajectory.position[:, :-1] @ [1, 1j] - gap * np.exp(1j * theta)
+    place = front - _arcs(theta, trajectory.stack("bend"), lengths(trajectory), 0.5)
+    return np.stack([place.real, place.imag], axis=-1)
+
+
+def stretched(trajectory: Trajectory, share: float, power: float = 1.0) -> Trajectory:
+    """Return a motion whose segments are longer the more they bend.
+
+    Args:
+        trajectory: of a plant.
+        share: of a segment's length, by which the most bent one is longer.
+        power: of the bend.
+    """
+    bend, theta = trajectory.stack("bend"), trajectory.stack("theta")
+    gap = float(trajectory.metadata["rigid_gap_m"]) / 2
+    length = lengths(trajectory) * (1 + share * (np.abs(bend) / np.abs(bend).max()) ** power)
+    facing = gap * np.exp(1j * theta)
+    step = facing[:, :-1] + _arcs(theta[:, :-1], bend, length, 1.0) + facing[:, 1:]
+    place = (trajectory.position[:, 0] @ [1, 1j])[:, None] - np.cumsum(step, axis=1)
+    columns = dict(trajectory.columns)
+    for j in range(bend.shape[1]):
+        columns |= {f"x_{j + 2}": place[:, j].real, f"y_{j + 2}": place[:, j].imag}
+        columns[f"length_{j + 1}"] = length[:, j]
+    return replace(trajectory, columns=columns)
 
 
 def motive_csv(trajectory: Trajectory, take: Take) -> str:
@@ -166,9 +215,8 @@ def _columns(
 def _labels(layout: str, count: int) -> list[str]:
     if layout == "pair":
         return [f"snake:{k // 2 + 1}{'ab'[k % 2]}" for k in range(count)]
-    if layout == "head":
-        return ["snake:ahead", *(f"snake:{k}" for k in range(1, count))]
-    return [f"snake:{k}" for k in range(1, count + 1)]
+    ahead = ["snake:ahead"] if "head" in layout else []
+    return ahead + [f"snake:{k}" for k in range(1, count + 1 - len(ahead))]
 
 
 def _fragmented(points: np.ndarray, hidden: np.ndarray) -> np.ndarray:

@@ -328,7 +328,7 @@ def test_metadata_and_units(tmp_path):
     assert units == {
         "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
         "bend": "rad", "com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s",
-        "bend_rate": "rad/s", "filled": "1", "residual": "m",
+        "bend_rate": "rad/s", "bend_error": "rad", "length": "m", "filled": "1", "residual": "m",
     }  # fmt: skip
     path = tmp_path / "x.parquet"
     found.trajectory.to_parquet(path)

@@ -1,8 +1,9 @@
-"""Which markers are the robot's, and which of them is at which connector.
+"""Which markers are the robot's, and which of them is where on it.
 
 Layouts: ``single``, one marker at each connector; ``head``, one more ahead of the head's, so that its heading
 is measured; ``pair``, two at each connector, along or across the body, as the dissertation's first and third
-robots had them (Sections 2.3.1 and 2.3.2).
+robots had them (Sections 2.3.1 and 2.3.2); ``middles``, one at each connector and one at the middle of each
+segment; ``head_middles``, these and one more ahead of the head's.
 
 Neighbours along the body are never farther apart than a straight segment is long, others sometimes are: the
 tree that joins all markers over the least of their largest distances is the body. Markers of one rigid part
@@ -13,6 +14,7 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -21,19 +23,24 @@ from srs_twin.errors import InputError
 from srs_twin.recordings.csv_table import LENGTHS
 from srs_twin.recordings.tracking import distances
 
-LAYOUTS = ("auto", "single", "head", "pair")
+LAYOUTS = ("auto", "single", "head", "pair", "middles", "head_middles")
 
-LONGEST, SHORTEST = 1.15, 0.75
-"""Of a straight segment's length: largest distance of neighbours over time that is one."""
+Places = dict[int, tuple[int, str]]
+"""Marker → its station (0, 2, … the connectors, head first; 1, 3, … the segments' middles) and side."""
 
 _SOLID = 0.2  # of the frames a marker of the robot is seen on, or more
 _APART = 2.0  # times the length of a segment: farther from all others nothing is on the robot
 _TINY = 0.1  # of the body's length: no body curls up so far
+_FAR = 2.5  # times a segment's length: farther apart no two neighbours are
 _SAMPLED = 2000  # frames that distances are taken from
 _NEAR_SAMPLED = 300
+_UNLIKE = 0.25  # of a segment's length: a distance that differs by more is none
+_STEADY = 2.0  # times steadier: the distance of two markers on one rigid part
 
 
-def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str) -> tuple[str, np.ndarray]:
+def robot_markers(
+    points: np.ndarray, connectors: int, pitch: float, layout: str, named: int
+) -> tuple[str, np.ndarray]:
     """Choose the robot's markers.
 
     Args:
@@ -41,35 +48,61 @@ def robot_markers(points: np.ndarray, connectors: int, pitch: float, layout: str
         connectors: N.
         pitch: length of a straight segment, m.
         layout: one of `LAYOUTS`; "auto" takes the one that has as many markers as are there.
+        named: how many columns have a place on the robot by their names; 0: none.
 
     Returns:
-        The layout, and which tracks the robot's markers are.
+        The layout ("named" for those), and which tracks the robot's markers are.
 
     Raises:
-        InputError: too few or too many markers.
+        InputError: too few or too many markers, or several layouts have as many.
     """
     seen = ~np.isnan(points[..., 0])
     share = seen.mean(axis=0)
     solid = np.flatnonzero(share >= _SOLID)
-    if len(solid) > connectors:
+    if len(solid) > connectors and not named:
         # Only those that have another one near on most frames they are seen on.
         near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
         there = seen[:: len(points) // _NEAR_SAMPLED + 1, solid]
         solid = solid[near.sum(axis=0) > 0.5 * there.sum(axis=0)]
-    layouts = {"single": connectors, "head": connectors + 1, "pair": 2 * connectors}
-    if layout == "auto":
+    layouts = {
+        "single": connectors, "head": connectors + 1, "pair": 2 * connectors,
+        "middles": 2 * connectors - 1, "head_middles": 2 * connectors,
+    }  # fmt: skip
+    if named:
+        layout, layouts = "named", {"named": named}
+    elif layout == "auto":
         # At once: a marker that was lost for long may have become two tracks.
         together = int(np.quantile(seen[:, solid].sum(axis=1), 0.95, method="lower")) if solid.size else 0
-        layout = next((each for each, count in layouts.items() if count == together), "")
+        fitting = [each for each, count in layouts.items() if count == together]
+        layout = fitting[0] if len(fitting) == 1 else ""
+        if len(fitting) > 1:
+            layout = _told_by_distances(points[:, _most_seen(solid, share, together)], fitting, pitch)
     wanted = layouts.get(layout, -1)
     if wanted < 0 or len(solid) < wanted:
         listed = ", ".join(f"{count} ({each})" for each, count in layouts.items())
         shares = ", ".join(f"{100 * each:.0f} %" for each in sorted(share, reverse=True)[:12])
         raise InputError(
             f"{len(solid)} markers that could be the robot's; {connectors} connectors carry {listed}. "
-            f"Seen on these shares of the frames: {shares}. Give layout, or export without the others"
+            f"Seen on these shares of the frames: {shares}. Give layout, export without the others, or say in a "
+            "map where each is (--map)"
         )
-    return layout, np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
+    return layout, _most_seen(solid, share, wanted)
+
+
+def _most_seen(solid: np.ndarray, share: np.ndarray, wanted: int) -> np.ndarray:
+    return np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
+
+
+def _told_by_distances(points: np.ndarray, fitting: Sequence[str], pitch: float) -> str:
+    """Return "pair" where every marker has one at a constant distance, else the other layout.
+
+    Along a body with middles every second marker has nobody at a constant distance.
+    """
+    mean, spread = _median_and_spread(points)
+    steady = np.sort(np.where(mean < 0.8 * pitch, spread, np.inf).min(axis=1))
+    # The head's two keep theirs in both layouts.
+    rigid = steady[-1] < _STEADY * max(steady[0], 1e-5)
+    return "pair" if rigid else next(each for each in fitting if each != "pair")
 
 
 def some_frames(points: np.ndarray) -> np.ndarray:
@@ -122,53 +155,45 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     return np.array(pairs)
 
 
-def head_marker(points: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return the order from the marker ahead of the head on: the end of the body that keeps its distance.
+def front_marker(
+    points: np.ndarray, order: Sequence[int], pitch: float, name: Callable[[int], str]
+) -> bool:
+    """Say whether the second marker of the head is the first of the order, not the last.
+
+    It is the end whose two markers are not a segment apart, or whose distance changes less.
+
+    Args:
+        points: shape (frames, markers, 2), m.
+        order: of the markers along the body.
+        pitch: distance of neighbouring places of markers along a straight body, m.
+        name: names a marker.
 
     Raises:
-        InputError: both ends do, or none.
+        InputError: neither tells it.
     """
     mean, spread = _median_and_spread(points)
     ends = [(order[0], order[1]), (order[-1], order[-2])]
-    change = np.array([spread[end] / max(mean[end], 1e-9) for end in ends])
-    first, other = np.sort(change)
-    if other < 2 * first + 1e-4:
-        raise InputError(
-            "which end has the second marker of the head cannot be told, the distances of the last two "
-            f"change by {100 * change[0]:.2g} % and {100 * change[1]:.2g} %; give layout single, or a run "
-            "with motion"
-        )
-    return order if change[0] == first else order[::-1]
+    apart, change = (np.array([each[end] for end in ends]) for each in (mean, spread))
+    other = np.abs(apart / pitch - 1) > _UNLIKE
+    if other.sum() == 1:
+        return bool(other[0])
+    steady = int(np.argmin(change))
+    if change[1 - steady] > _STEADY * change[steady] + 1e-9:
+        return steady == 0
+    said = " or ".join(
+        f"'{name(end[0])}' ({1e3 * d:.1f} mm from the next, ± {1e3 * c:.2g} mm)"
+        for end, d, c in zip(ends, apart, change, strict=True)
+    )
+    raise InputError(f"which end has the second marker of the head cannot be told: {said}; give head, its name")
 
 
 def _median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and spreads of the distances; a few frames that are wrong do not count."""
-    low, middle, high = np.quantile(distances(points, _SAMPLED), [0.25, 0.5, 0.75], axis=0)
-    return middle, 0.74 * (high - low)
-
-
-def check_spacing(points: np.ndarray, pitch: float, robot: str) -> np.ndarray:
-    """Return the largest distance of each two neighbours, head first, shape (segments,), m.
-
-    Args:
-        points: connectors in order, shape (frames, N, 2), m.
-        pitch: length of a straight segment, m.
-        robot: its name.
-
-    Raises:
-        InputError: the robot's segments are not that long.
-    """
-    steps = np.linalg.norm(np.diff(points, axis=1), axis=-1)
-    largest = np.quantile(steps, 0.98, axis=0)
-    ratio = largest / pitch
-    bad = np.flatnonzero((ratio > LONGEST) | (ratio < SHORTEST))
-    if bad.size:
-        k = int(bad[0])
-        raise InputError(
-            f"markers {k + 1} and {k + 2} from the head come as far as {1e3 * largest[k]:.4g} mm apart, the "
-            f"connectors of {robot} {1e3 * pitch:.4g} mm{_unit_hint(float(np.median(ratio)))}"
-        )
-    return np.asarray(largest)
+    apart = distances(points, _SAMPLED)
+    apart[:, np.isnan(apart).all(axis=0)] = np.inf  # of a marker from itself, or two that were never seen at once
+    with np.errstate(invalid="ignore"):
+        low, middle, high = np.nanquantile(apart, [0.25, 0.5, 0.75], axis=0)
+        return middle, np.nan_to_num(0.74 * (high - low), nan=np.inf)
 
 
 def check_scale(points: np.ndarray, pitch: float, segments: int, robot: str) -> None:
@@ -188,14 +213,15 @@ def check_scale(points: np.ndarray, pitch: float, segments: int, robot: str) -> 
     if not len(apart):
         raise InputError(f"never two markers at once; {segments + 1} or more are wanted")
     nearest, farthest = np.median(np.nanmin(apart, axis=1)), np.median(np.nanmax(apart, axis=1))
-    if nearest > 2 * LONGEST * pitch or farthest < _TINY * segments * pitch:
+    if nearest > _FAR * pitch or farthest < _TINY * segments * pitch:
         raise InputError(
             f"markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of {robot} "
-            f"{1e3 * pitch:.4g} mm{_unit_hint(float(farthest / (segments * pitch)))}"
+            f"{1e3 * pitch:.4g} mm{unit_hint(float(farthest / (segments * pitch)))}"
         )
 
 
-def _unit_hint(ratio: float) -> str:
+def unit_hint(ratio: float) -> str:
+    """Return which unit may have been meant where lengths are `ratio` times what they should be."""
     for unit, factor in LENGTHS.items():
         for given, direction in ((factor, "in"), (1 / factor, "not in")):
             if factor != 1 and 0.7 < ratio * given < 1.1:

@@ -250,7 +250,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     pitch = spec.geometry.pitch
     if moved > _MOVED * pitch or turned > _TURNED:
         raise InputError(
-            f"{recording.summary.source}: the head moves by {1e3 * moved:.3g} mm and turns by "
+            f"{recording.summary.source}: the head moves by {1e3 * moved:.0f} mm and turns by "
             f"{np.degrees(turned):.2g}°; on a bench it is held (is the other end held? Give head)"
         )
     mass = spec.mass.array()

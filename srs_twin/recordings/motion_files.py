@@ -178,8 +178,8 @@ def _plain(file: RecordedFile) -> MarkerTable:
     points, implausible = plausible(values.reshape(len(time), len(marks), -1))
     labels = tuple(f"{number}{letter}" for number, letter in marks)
     corrections = (*notes, *table.unused_columns(), *implausible)
-    connectors = tuple(number for number, _ in marks)
-    return MarkerTable(file.name, file.sha256, "plain CSV", time, points, labels, corrections, connectors)
+    places = tuple((2 * (number - 1), "") for number, _ in marks)
+    return MarkerTable(file.name, file.sha256, "plain CSV", time, points, labels, corrections, places)
 
 
 def _marks(table: CsvTable) -> dict[tuple[int, str], list[CsvColumn]]:

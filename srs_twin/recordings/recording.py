@@ -117,7 +117,9 @@ def read_motion(
         gap_frames = max(1, round(longest_gap_s / frames.period))
         check_scale(slots, geometry.pitch, spec.segments, spec.name)
         tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
-        layout, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout)
+        layout, chosen = robot_markers(
+            tracks, geometry.connectors, geometry.pitch, layout, len(table.places)
+        )
         left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
         points = tracks[:, chosen]
         jumps = outliers(points, _JUMP * geometry.pitch)
@@ -156,7 +158,9 @@ def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, bod
         longest_filled_s=float(max(gaps, default=0.0)),
         moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in columns.T),
         spacing_m=tuple(float(each) for each in body.spacing),
-        residual_m=float(np.sqrt((body.residual**2).mean())),
+        residual_m=float(np.sqrt((body.shape.residual**2).mean())),
+        noise_m=body.shape.noise,
+        bend_error_rad=float(np.sqrt((body.shape.bend_error**2).mean())),
     )
     return LogSummary(
         source=table.name,
@@ -183,7 +187,7 @@ def _without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
 
 def _slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in slots; columns with connectors' names stay where they are."""
-    count = len(table.connectors)
+    count = len(table.places)
     if not count:
         return pack_slots(plane)
     if count > MOST:

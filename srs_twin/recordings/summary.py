@@ -22,7 +22,9 @@ class MarkerCounts:
         longest_filled_s: the longest gap that was filled, s; from the sample before it to the one after.
         moves: how often a marker went on in another column.
         spacing_m: largest distance of neighbouring connectors, head first, m.
-        residual_m: root mean square of what segments were longer than their bends allow, m.
+        residual_m: root mean square of the markers' distances from the body that explains them, m.
+        noise_m: standard deviation of a marker's coordinate, m.
+        bend_error_rad: root mean square of the bends' standard errors, rad.
     """
 
     header_frames: int | None
@@ -38,6 +40,8 @@ class MarkerCounts:
     moves: int
     spacing_m: tuple[float, ...]
     residual_m: float
+    noise_m: float
+    bend_error_rad: float
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,8 @@ class LogSummary:
                 "the robot",
                 f"filled: {self.samples_filled} positions, the longest gap {found.longest_filled_s:.3g} s",
                 f"kept: {self.frames_kept} frames, {span}, {cut} left out at the ends",
-                f"neighbouring connectors come as far as {spacing} mm apart; chords fit the bends within "
-                f"{1e3 * found.residual_m:.2g} mm",
+                f"neighbouring connectors come as far as {spacing} mm apart; markers lie within "
+                f"{1e3 * found.residual_m:.2g} mm of the body, their noise is {1e3 * found.noise_m:.2g} mm",
+                f"standard error of a bend: {found.bend_error_rad:.2g} rad",
             ]
         return "\n".join([*lines, *(f"corrected: {each}" for each in self.corrections)])

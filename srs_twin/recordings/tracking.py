@@ -64,7 +64,8 @@ class MarkerTable:
         points: NaN where a marker was not seen, shape (frames, columns, 3), or (…, 2) in a plane, m.
         labels: names of the columns.
         corrections: what was converted, left out or skipped, in words.
-        connectors: which connector a column is on, from 1 at the head, where the file says so; else empty.
+        places: station on the body and side of each column (`layout.Places`), where its name says so; else
+            empty.
         header_frames: how many frames the header announces; None where it does not.
     """
 
@@ -75,7 +76,7 @@ class MarkerTable:
     points: np.ndarray
     labels: tuple[str, ...]
     corrections: tuple[str, ...]
-    connectors: tuple[int, ...] = ()
+    places: tuple[tuple[int, str], ...] = ()
     header_frames: int | None = None
 
 

@@ -69,7 +69,6 @@ def body_trajectory(
     com = np.einsum("i,fij->fj", share, body.position)
     heading = body.theta.mean(axis=1)
     rates = moving_slope(markers.time, np.column_stack([com, heading, body.bend]))
-    filled = np.stack([markers.missing[:, list(group)].any(axis=1) for group in body.members], axis=1)
     columns = {
         "time": markers.time,
         **pose_columns(com @ [1, 1j], heading, body.position @ [1, 1j], body.theta),
@@ -78,8 +77,10 @@ def body_trajectory(
         "com_velocity_y": rates[:, 1],
         "yaw_rate": rates[:, 2],
         **numbered("bend_rate", rates[:, 3:]),
-        **numbered("filled", filled.astype(float)),
-        "residual": np.sqrt((body.residual**2).mean(axis=1)),
+        **numbered("bend_error", body.shape.bend_error),
+        **numbered("length", body.shape.length),
+        **numbered("filled", body.missing.astype(float)),
+        "residual": body.shape.residual,
     }
     return measured(columns, spec, summary, gait_frequency_hz)
 
@@ -116,7 +117,8 @@ def measured(
         gait_frequency_hz: None where it is not known.
     """
     units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
-    units |= {name: "rad/s" for name in columns if name.startswith("bend_rate_")}
+    of_segments = {"bend_rate": "rad/s", "bend_error": "rad", "length": "m"}
+    units |= {each: unit for name, unit in of_segments.items() for each in columns if each.startswith(f"{name}_")}
     source: dict[str, object] = {
         "file": summary.source.replace("\\", "/").rpartition("/")[2],
         "sha256": summary.sha256,

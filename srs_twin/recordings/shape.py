@@ -1,0 +1,559 @@
+r"""The body that explains markers: places, headings, bends and lengths of segments, with their standard errors.
+
+A *station* is a place along the body: 0, 2, 4, … are the connectors, head first, 1, 3, … the middles of the
+segments between them. A marker m at station k lies at
+
+$$ p_m = P_k + a_m\,e^{i\theta_k}, $$
+
+with its arm a_m in the station's frame. Connectors follow each other by arcs of length ℓ_j and bend q_j with
+half of the rigid gap g at both ends,
+
+$$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
+   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j - q_j, $$
+
+points being complex numbers. Each frame's state (x, y, θ_1, q, ℓ) is the least of
+
+$$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_j)^2}{\sigma_\ell^2}
+   + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat q_j)^2}{\sigma_q^2}, $$
+
+by Newton's method (Gauss's matrix); the inverse of that matrix gives the errors. The last sum holds frames on
+which a marker was not seen near the bends of a spline through the others.
+
+**Lengths.** Where markers alone determine the bends, lengths are free (σ_ℓ as they vary in this take, found
+with their means by expectation-maximisation). One marker at each connector leaves one number ε a frame open,
+by which neighbouring headings may turn in opposite senses, q_j = q_j⁰ + 2(−1)^{j−1} ε: only lengths that
+stay the same tell it, and near a straight body little. A body that stretches is refused there.
+
+**Noise** σ is what differences of high order leave of the markers' ways, in which the motion vanishes;
+where markers say things twice, it is what the body leaves of them, in which segments count that bend otherwise
+than in arcs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.geometry import half_turn
+from srs_twin.robot.spec import Geometry
+
+SIDES = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
+"""Where beside its station a marker lies → the direction there, in the station's frame."""
+
+BENDS = 0.15
+"""σ_q, rad."""
+
+HIDDEN = 1e-2
+"""Assumed error of a marker that was interpolated, m."""
+
+_LEAST_NOISE = 1e-7  # m
+_STRETCH = 0.1  # of a segment's length: σ_ℓ before anything is known
+_LOOSE, _OPEN = 0.3, 0.3  # of a length; σ_ε, rad: before anything is known
+_TOLD = 0.15  # rad: standard error of a bend at 0.2 mm of noise, where markers determine it
+_TURNS = 0.3  # largest change in a step, rad
+_STEPS, _CLOSE = 25, 1e-9
+_CHUNK = 4096  # frames at a time
+_SAMPLED, _ROUNDS = 400, 12
+_REDUNDANT = 0.3  # numbers a frame that markers say twice: fewer do not tell their noise
+_STARTS = np.linspace(-0.6, 0.6, 13)
+_HIGHEST = 8  # order of differences
+_ODD, _RARE = 8.0, 0.01  # times the noise, share: farther from the body so few samples are no markers of it
+_MOTION = 0.5  # times the noise by differences: where the body leaves less, they hold motion
+_ASKEW = np.radians(25.0)
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Where markers are on the body.
+
+    Attributes:
+        station: of each, shape (markers,).
+        arm: from its station, in the station's frame, shape (markers,), complex, m.
+        geometry: of the robot.
+    """
+
+    station: np.ndarray
+    arm: np.ndarray
+    geometry: Geometry
+
+    def places(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return markers, how they move with the state, connectors and their headings.
+
+        Args:
+            state: x, y, θ_1, bends, lengths, shape (frames, 3 + 2 segments).
+
+        Returns:
+            Shapes (frames, markers), (frames, markers, 3 + 2 segments), (frames, N), all complex, (frames, N).
+        """
+        count = self.geometry.connectors - 1
+        bend, length, gap = state[:, 3 : 3 + count], state[:, 3 + count :], self.geometry.rigid_gap / 2
+        theta = state[:, 2:3] - np.concatenate([np.zeros((len(state), 1)), np.cumsum(bend, axis=1)], axis=1)
+        facing = np.exp(1j * theta)
+        arc, arc_slope = _mean_direction(bend)
+        half, half_slope = _mean_direction(bend / 2)
+        back = np.exp(-1j * bend)
+        ahead = facing[:, :-1]
+        span = ahead * (gap + length * arc + gap * back)
+        node = np.empty(theta.shape, dtype=complex)
+        node[:, 0] = state[:, 0] + 1j * state[:, 1]
+        node[:, 1:] = node[:, :1] - np.cumsum(span, axis=1)
+        segment, middle = np.divmod(self.station, 2)
+        middle = np.flatnonzero(middle)
+        within = segment[middle]
+        base, aim = node[:, segment], facing[:, segment].copy()
+        base[:, middle] -= ahead[:, within] * (gap + length[:, within] / 2 * half[:, within])
+        aim[:, middle] *= np.exp(-0.5j * bend[:, within])
+        mark = base + self.arm * aim
+        lever = np.zeros((*mark.shape, state.shape[1]), dtype=complex)
+        lever[..., 0], lever[..., 1] = 1, 1j
+        lever[..., 2] = 1j * (mark - node[:, :1])
+        along = ahead * (length * arc_slope - 1j * gap * back)
+        for k in range(count):
+            behind = segment > k
+            lever[:, behind, 3 + k] = -along[:, k : k + 1] - 1j * (mark[:, behind] - node[:, k + 1 : k + 2])
+            lever[:, behind, 3 + count + k] = -(ahead * arc)[:, k : k + 1]
+        lever[:, middle, 3 + within] = (
+            -ahead[:, within] * length[:, within] / 4 * half_slope[:, within]
+            - 0.5j * self.arm[middle] * aim[:, middle]
+        )
+        lever[:, middle, 3 + count + within] = -ahead[:, within] * half[:, within] / 2
+        return mark, lever, node, theta
+
+
+def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return E and dE/dφ of an arc that turns by φ, rad."""
+    cosine, sine, arc, slope, _ = half_turn(turn)
+    back = cosine - 1j * sine
+    return arc * back, (slope - 0.5j * arc) * back
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The body over time.
+
+    Attributes:
+        node: connectors, shape (frames, N), complex, m.
+        theta: their headings, unwrapped, shape (frames, N), rad.
+        bend_error: standard errors of the bends, shape (frames, segments), rad.
+        length: of the segments' arcs, shape (frames, segments), m.
+        length_spread: σ_ℓ, m.
+        noise: σ of a marker's coordinate, m.
+        residual: root mean square of the seen markers' distances from the body, shape (frames,), m.
+        missing: which markers were not seen, or lay too far from the body to be theirs, shape (frames, markers).
+    """
+
+    node: np.ndarray
+    theta: np.ndarray
+    bend_error: np.ndarray
+    length: np.ndarray
+    length_spread: float
+    noise: float
+    residual: np.ndarray
+    missing: np.ndarray
+
+
+@dataclass
+class _Prior:
+    """Noise of the markers (m), means (m) and spread (m) of the lengths, and σ_ε (rad; None: ε is measured)."""
+
+    noise: float
+    mean: np.ndarray
+    spread: float
+    open: float | None
+
+    def information(self, width: int, bends: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the matrix over the state, and the state that it holds on to."""
+        matrix, aim = np.zeros((width, width)), np.zeros(width)
+        lengths = np.arange(3 + bends, width)
+        matrix[lengths, lengths] = self.spread**-2
+        aim[lengths] = self.mean
+        if self.open is not None:
+            swing = (-1.0) ** np.arange(bends) / (2 * bends)
+            matrix[3 : 3 + bends, 3 : 3 + bends] = np.outer(swing, swing) / self.open**2
+        return matrix, aim
+
+
+def determined(station: np.ndarray, arm: np.ndarray, geometry: Geometry) -> str:
+    """Say what markers at these stations determine.
+
+    Args:
+        station: shape (markers,).
+        arm: shape (markers,), complex, m.
+        geometry: of the robot.
+
+    Returns:
+        "free": the bends, whatever the lengths; "fixed": the bends if lengths stay the same; "" neither.
+    """
+    marks, count = Marks(station, arm, geometry), geometry.connectors - 1
+    state = np.zeros((1, 3 + 2 * count))
+    state[0, 3 : 3 + count] = 0.8 * np.cos(np.pi / 2 * np.arange(count) + 0.4)
+    state[0, 3 + count :] = geometry.segment_length
+    _, lever, _, _ = marks.places(state)
+    data = np.einsum("mu,mv->uv", lever[0].conj(), lever[0]).real / 2e-4**2
+    for answer, spread in (("free", _LOOSE), ("fixed", 0.01)):
+        prior = _Prior(2e-4, state[0, 3 + count :], spread * geometry.segment_length, None)
+        matrix, _ = prior.information(len(data), count)
+        if np.linalg.matrix_rank(data + matrix, tol=1e-3, hermitian=True) < len(data):
+            continue
+        error = np.sqrt(np.diag(np.linalg.inv(data + matrix))[3 : 3 + count])
+        # With lengths alone the sign of an open number is found from several segments at once.
+        if error.max() < _TOLD and (answer == "free" or (count > 2 and _one_each(station, count))):
+            return answer
+    return ""
+
+
+def _one_each(station: np.ndarray, segments: int) -> bool:
+    return sorted(station) == list(range(0, 2 * segments + 1, 2))
+
+
+def noise_of(points: np.ndarray) -> float:
+    """Return the standard deviation of a coordinate's noise, m.
+
+    Args:
+        points: NaN where a marker was not seen, shape (frames, markers, 2), m.
+    """
+    found = []
+    for order in range(1, min(_HIGHEST, len(points) - 2) + 1):
+        change = np.diff(points, order, axis=0)
+        known = np.abs(change[np.isfinite(change)])
+        if known.size >= 50:
+            found.append(1.4826 * np.median(known) / np.sqrt(comb(2 * order, order)))
+    return max(float(min(found, default=5e-4)), _LEAST_NOISE)
+
+
+def fit_shape(
+    time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: Marks, way: str
+) -> Shape:
+    """Find the body that explains markers.
+
+    Args:
+        time: shape (frames,), s.
+        points: interpolated where a marker was not seen, shape (frames, markers, 2), m.
+        missing: where that is, shape (frames, markers).
+        marks: where the markers are on the body.
+        way: "free" or "fixed", see `determined`.
+    """
+    seen = points @ [1, 1j]
+    length, alike = marks.geometry.segment_length, np.ones(marks.geometry.connectors - 1)
+    noise = noise_of(np.where(missing[..., None], np.nan, points))
+    prior = _Prior(noise, length * alike, _STRETCH * length, None if way == "free" else _OPEN)
+    whole = np.flatnonzero(~missing.any(axis=1))
+    if len(whole) < 4:
+        whole, missing = np.arange(len(time)), np.zeros_like(missing)
+    start = _start(seen[whole], marks)
+    some = np.arange(0, len(whole), len(whole) // _SAMPLED + 1)
+    _learn(seen[whole[some]], start[some], marks, prior)
+    if prior.open is not None:
+        start = _turned(start, seen[whole], marks, prior)
+    bends = slice(3, 3 + len(alike))
+    state, error = np.empty((len(time), start.shape[1])), np.empty((len(time), len(alike)))
+    away, sums = np.empty(seen.shape), np.zeros(2)
+    for part in _chunks(np.arange(len(whole))):
+        rows = whole[part]
+        fitted = _fit(start[part], seen[rows], np.full(seen[rows].shape, prior.noise**-2), marks, prior)
+        state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
+        sums += fitted.chi
+    scale = float(np.sqrt(sums[0] / sums[1])) if sums[1] > _REDUNDANT * len(whole) else 1.0
+    if prior.open is not None:
+        scale = max(scale, 1.0)
+    missing = missing.copy()
+    odd = away[whole] > _ODD * prior.noise * scale
+    if odd.mean() < _RARE:
+        missing[whole] |= odd
+    good = np.flatnonzero(~missing.any(axis=1))
+    torn = np.flatnonzero(missing.any(axis=1))
+    if torn.size and len(good) >= 4:
+        from scipy.interpolate import CubicSpline
+
+        turned = np.unwrap(state[good, 2])
+        near = CubicSpline(time[good], np.column_stack([state[good, :2], turned, state[good, 3:]]))
+        for rows in _chunks(torn):
+            aim = near(time[rows])
+            fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends])
+            state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
+    state[:, 2] = np.unwrap(state[:, 2])
+    _, _, node, theta = Marks(np.zeros(0, dtype=int), np.zeros(0), marks.geometry).places(state)
+    residual = np.sqrt(np.ma.masked_array(away**2, missing).mean(axis=1).filled(0.0))
+    return Shape(
+        node, theta, error * scale, state[:, bends.stop :], prior.spread, prior.noise * scale, residual, missing
+    )
+
+
+def _chunks(rows: np.ndarray) -> list[np.ndarray]:
+    return np.split(rows, range(_CHUNK, len(rows), _CHUNK)) if rows.size else []
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """States of frames, the inverse of the matrix they were found with, and what is left of the markers."""
+
+    state: np.ndarray
+    inverse: np.ndarray
+    away: np.ndarray
+    cost: np.ndarray
+    chi: np.ndarray
+
+    def error(self, which: slice) -> np.ndarray:
+        return np.asarray(np.sqrt(np.diagonal(self.inverse, axis1=1, axis2=2)[:, which]))
+
+
+def _fit(
+    state: np.ndarray,
+    seen: np.ndarray,
+    weight: np.ndarray,
+    marks: Marks,
+    prior: _Prior,
+    bends: np.ndarray | None = None,
+) -> _Fitted:
+    """Return the states that explain frames.
+
+    Args:
+        state: to start from, shape (frames, 3 + 2 segments).
+        seen: markers, shape (frames, markers), complex, m.
+        weight: of each, 1/m².
+        marks: where they are on the body.
+        prior: of what they do not tell.
+        bends: q̂, shape (frames, segments), rad; None: none.
+    """
+    count = len(prior.mean)
+    matrix, aim = prior.information(state.shape[1], count)
+    if bends is not None:
+        held = np.arange(3, 3 + count)
+        matrix[held, held] += BENDS**-2
+    state, moving = state.copy(), np.arange(len(state))
+    limit = np.concatenate([[np.inf, np.inf], np.full(1 + count, _TURNS), np.full(count, np.inf)])
+
+    def normal(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        mark, lever, _, _ = marks.places(state[rows])
+        away = seen[rows] - mark
+        both = np.concatenate([lever.real, lever.imag], axis=1)
+        weighed = both * np.tile(weight[rows], 2)[..., None]
+        data = weighed.transpose(0, 2, 1) @ both
+        right = (weighed * np.concatenate([away.real, away.imag], axis=1)[..., None]).sum(axis=1)
+        return data, right, away
+
+    for _ in range(_STEPS):
+        data, right, _ = normal(moving)
+        wanted = np.broadcast_to(aim, state[moving].shape).copy()
+        if bends is not None:
+            wanted[:, 3 : 3 + count] = bends[moving]
+        right = right + (wanted - state[moving]) @ matrix
+        step = np.clip(np.linalg.solve(data + matrix, right[..., None])[..., 0], -limit, limit)
+        state[moving] += step
+        moving = moving[np.abs(step).max(axis=1) > _CLOSE]
+        if not moving.size:
+            break
+    data, _, away = normal(np.arange(len(state)))
+    inverse = np.linalg.inv(data + matrix)
+    used = np.einsum("fuv,fvu->", inverse, data)
+    missed = weight * np.abs(away) ** 2
+    off = np.broadcast_to(aim, state.shape) - state
+    if bends is not None:
+        off[:, 3 : 3 + count] = bends - state[:, 3 : 3 + count]
+    cost = missed.sum(axis=1) + np.einsum("fu,uv,fv->f", off, matrix, off)
+    return _Fitted(state, inverse, np.abs(away), cost, np.array([missed.sum(), 2 * missed.size - used]))
+
+
+def _fit_torn(
+    state: np.ndarray,
+    seen: np.ndarray,
+    missing: np.ndarray,
+    marks: Marks,
+    prior: _Prior,
+    bends: np.ndarray,
+) -> _Fitted:
+    """Return the states of frames in which markers were not seen; arguments as `_fit`.
+
+    Which of a pair was seen alone, its followed way may tell wrongly: what costs less is taken.
+    """
+
+    def fit(rows: np.ndarray, seen: np.ndarray, missing: np.ndarray) -> _Fitted:
+        given = np.where(missing, HIDDEN**-2, prior.noise**-2)
+        return _fit(state[rows], seen, given, marks, prior, bends[rows])
+
+    best = fit(np.arange(len(state)), seen, missing)
+    for station in np.unique(marks.station):
+        pair = np.flatnonzero(marks.station == station)
+        if len(pair) != 2 or marks.arm[pair].sum() != 0:
+            continue
+        rows = np.flatnonzero(missing[:, pair].sum(axis=1) == 1)
+        if not rows.size:
+            continue
+        changed, hidden = seen[rows], missing[rows]
+        changed[:, pair], hidden[:, pair] = changed[:, pair[::-1]], hidden[:, pair[::-1]]
+        other = fit(rows, changed, hidden)
+        won = other.cost < best.cost[rows]
+        for one, two in ((best.state, other.state), (best.inverse, other.inverse),
+                         (best.away, other.away), (best.cost, other.cost)):  # fmt: skip
+            one[rows[won]] = two[won]
+    return best
+
+
+def _start(seen: np.ndarray, marks: Marks) -> np.ndarray:
+    """Return states near frames: headings between the directions from station to station."""
+    geometry, count = marks.geometry, marks.geometry.connectors - 1
+    stations = np.unique(marks.station)
+    centre = np.empty((len(seen), len(stations)), dtype=complex)
+    known: list[tuple[float, np.ndarray]] = []
+    for k, station in enumerate(stations):
+        (which,) = np.nonzero(marks.station == station)
+        if len(which) == 1:
+            centre[:, k] = seen[:, which[0]]
+            continue
+        arm = marks.arm[which]
+        line = (seen[:, which[0]] - seen[:, which[1]]) / (arm[0] - arm[1])
+        facing = line / np.maximum(np.abs(line), 1e-12)
+        centre[:, k] = (seen[:, which] - arm * facing[:, None]).mean(axis=1)
+        known.append((float(station), np.angle(facing)))
+    between = (stations[1:] + stations[:-1]) / 2
+    directions = [(float(at), np.angle(each)) for at, each in zip(between, -np.diff(centre).T, strict=True)]
+    told = sorted(known + directions, key=lambda each: each[0])
+    at = np.array([each[0] for each in told])
+    angle = np.unwrap(np.stack([each[1] for each in told], axis=1), axis=1)
+    theta = np.stack([_line(at, angle, 2 * k) for k in range(count + 1)], axis=1)
+    length = np.full((len(seen), count), geometry.segment_length)
+    state = np.concatenate([np.zeros((len(seen), 2)), theta[:, :1], theta[:, :-1] - theta[:, 1:], length], axis=1)
+    mark, _, _, _ = marks.places(state)
+    shift = (seen - mark).mean(axis=1)
+    state[:, 0], state[:, 1] = shift.real, shift.imag
+    return state
+
+
+def _line(at: np.ndarray, values: np.ndarray, where: float) -> np.ndarray:
+    """Return values between two points, or beyond the last two, shape (frames,)."""
+    if len(at) == 1:
+        return values[:, 0]
+    k = int(np.clip(np.searchsorted(at, where) - 1, 0, len(at) - 2))
+    share = (where - at[k]) / max(at[k + 1] - at[k], 1e-9)
+    return np.asarray(values[:, k] + share * (values[:, k + 1] - values[:, k]))
+
+
+def _learn(seen: np.ndarray, start: np.ndarray, marks: Marks, prior: _Prior) -> None:
+    """Find the noise, means and spread of the lengths, and σ_ε, by expectation-maximisation on some frames."""
+    count = len(prior.mean)
+    swing = (-1.0) ** np.arange(count) / (2 * count)
+    for turn in range(_ROUNDS):
+        state = start if prior.open is None else _turned(start, seen, marks, prior)
+        fitted = _fit(state, seen, np.full(seen.shape, prior.noise**-2), marks, prior)
+        length = fitted.state[:, 3 + count :]
+        variance = fitted.error(slice(3 + count, None)) ** 2
+        prior.mean = np.median(length, axis=0) if prior.open is not None else length.mean(axis=0)
+        prior.spread = float(np.sqrt(((length - prior.mean) ** 2 + variance).mean()))
+        if prior.open is None:
+            start = fitted.state
+        else:
+            epsilon = fitted.state[:, 3 : 3 + count] @ swing
+            spread = np.einsum("u,fuv,v->f", swing, fitted.inverse[:, 3 : 3 + count, 3 : 3 + count], swing)
+            prior.open = float(np.sqrt((epsilon**2 + spread).mean()))
+        if fitted.chi[1] > _REDUNDANT * len(seen):
+            scale = float(np.sqrt(fitted.chi[0] / fitted.chi[1]))
+            # Noise and lengths that vary are hardly told apart; but that differences saw the motion is seen.
+            if prior.open is None or (scale < _MOTION and 2 * turn >= _ROUNDS):
+                prior.noise = max(prior.noise * scale, _LEAST_NOISE)
+
+
+def _turned(start: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior) -> np.ndarray:
+    """Return states with the ε that the lengths between connectors fit best, of a coarse grid."""
+    count = len(prior.mean)
+    sign = (-1.0) ** np.arange(count)
+    order = np.argsort(marks.station)
+    apart = np.abs(np.diff(seen[:, order], axis=1))
+    assert apart.shape[1] == count, "one marker at each connector"
+    alpha = np.unwrap(np.angle(-np.diff(seen[:, order], axis=1)), axis=1)
+    theta = np.empty((len(seen), count + 1))
+    theta[:, 0] = alpha[:, 0]
+    for j in range(count):
+        theta[:, j + 1] = 2 * alpha[:, j] - theta[:, j]
+    bend = theta[:, :-1] - theta[:, 1:]
+    swing = (bend * sign).mean(axis=1, keepdims=True)
+    bend = bend - sign * swing
+    heading = theta[:, :1] - swing / 2
+    spread = 2 * prior.noise**2 + prior.spread**2
+    costs = []
+    assert prior.open is not None
+    for epsilon in _STARTS:
+        arc, _ = _mean_direction(bend + 2 * sign * epsilon)
+        cosine = np.cos((bend + 2 * sign * epsilon) / 2)
+        length = prior.mean * np.abs(arc) + marks.geometry.rigid_gap * cosine
+        costs.append(((length - apart) ** 2).sum(axis=1) / spread + (epsilon / prior.open) ** 2)
+    best = _STARTS[np.argmin(costs, axis=0)][:, None]
+    state = start.copy()
+    first = seen[:, order[0]]
+    state[:, 0], state[:, 1] = first.real, first.imag
+    state[:, 2] = (heading + best)[:, 0]
+    state[:, 3 : 3 + count] = bend + 2 * sign * best
+    state[:, 3 + count :] = prior.mean
+    return state
+
+
+def marker_arms(
+    points: np.ndarray, missing: np.ndarray, places: Sequence[tuple[int, str]], names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Return the markers' arms, `points` and `missing` with pairs that had changed names set right, how often.
+
+    A marker alone at its station has no arm. Two without a side lie on both sides of it, along or across the
+    body; two of one name, as of a rigid body with its rotation, in any direction.
+
+    Args:
+        points: interpolated where a marker was not seen, shape (frames, markers, 2), m.
+        missing: where that is, shape (frames, markers).
+        places: station and side of each marker.
+        names: of each.
+
+    Returns:
+        Shape (markers,), complex, m; shape of `points`; of `missing`; frames and pairs.
+
+    Raises:
+        InputError: more than two at a station, one side twice, or a pair askew.
+    """
+    found, turned = np.zeros(len(places), dtype=complex), 0
+    points, missing = points.copy(), missing.copy()
+    stations = sorted({each for each, _ in places})
+    members = {station: [k for k, (at, _) in enumerate(places) if at == station] for station in stations}
+    centre = np.stack([points[:, members[station]].mean(axis=1) for station in stations], axis=1) @ [1, 1j]
+    for place, station in enumerate(stations):
+        which = members[station]
+        if len(which) == 1:
+            continue
+        if len(which) > 2:
+            listed = ", ".join(names[k] for k in which)
+            raise InputError(f"{len(which)} markers at one place of the body ({listed}); at most two are used")
+        a, b = which
+        apart = float(np.median(np.linalg.norm(points[:, a] - points[:, b], axis=-1)))
+        sides = [SIDES[places[k][1]] for k in which]
+        if any(sides):
+            if sides[0] == sides[1]:
+                raise InputError(f"{names[a]} and {names[b]} are on the same side of one connector")
+            both = all(sides)
+            found[a], found[b] = (apart * side / (abs(sides[0] - sides[1]) if both else 1) for side in sides)
+            continue
+        body = centre[:, max(place - 1, 0)] - centre[:, min(place + 1, len(stations) - 1)]
+        line = (points[:, a] - points[:, b]) @ [1, 1j]
+        angle, both = np.angle(line / body), np.flatnonzero(~missing[:, which].any(axis=1))
+        if both.size:
+            # Where one was not seen the names are those of the last frame before on which both were.
+            angle = angle[both[np.maximum(np.searchsorted(both, np.arange(len(angle)), "right") - 1, 0)]]
+        if names[a] == names[b]:
+            mean = float(np.angle(np.exp(1j * angle).mean()))
+        else:
+            # Of doubled angles: a line has no front end.
+            mean = float(np.angle(np.exp(2j * angle).mean()) / 2)
+            quarter = np.pi / 2 * np.rint(mean / (np.pi / 2))
+            if abs(mean - quarter) > _ASKEW:
+                raise InputError(
+                    f"{names[a]} and {names[b]} lie {np.degrees(mean):.0f}° from the body; along it or "
+                    "across it is wanted"
+                )
+            mean = float(quarter)
+            off = np.abs((angle - mean + np.pi) % (2 * np.pi) - np.pi) > np.pi / 2
+            if off.mean() > 0.5:
+                mean, off = mean + np.pi, ~off
+            for each in (points, missing):
+                each[off, a], each[off, b] = each[off, b], each[off, a].copy()
+            turned += int(off.sum())
+        found[a], found[b] = apart / 2 * np.exp(1j * mean), -apart / 2 * np.exp(1j * mean)
+    return found, points, missing, turned
