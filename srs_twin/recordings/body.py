@@ -6,7 +6,9 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -15,18 +17,19 @@ from srs_twin.recordings.layout import (
     Places,
     body_order,
     forward_distance,
-    front_marker,
     rigid_pairs,
     unit_hint,
 )
 from srs_twin.recordings.shape import Marks, Shape, determined, fit_shape, marker_arms
-from srs_twin.recordings.tracking import MarkerTable
+from srs_twin.recordings.tracking import MarkerTable, some_frames
 from srs_twin.robot.spec import RobotSpec
 
 _CRAWLED = 0.1  # of the body's length: less does not tell which end leads
 _ANOTHER_LENGTH = 0.02  # of a straight segment: from here on it is noted
 _STRETCHES = 0.05  # of a segment's length: from here on it is noted
 _MUST_NOT = 0.03  # of a segment's length: more than this no segment may vary where lengths tell the bends
+_SOME = 600  # frames on which explanations are compared
+_CLEARLY = 1.3  # times as much noise must another explanation leave
 _LONGEST, _SHORTEST = 1.15, 0.85  # times the robot's: no segment is always longer or shorter
 
 
@@ -57,10 +60,15 @@ class CapturedMarkers:
         """Where markers were not seen, shape (frames, markers)."""
         return self.columns < 0
 
-    @property
+    @cached_property
     def main_columns(self) -> list[int]:
         """The column that each marker was in on most frames."""
         return [int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T]
+
+    def thinned(self) -> CapturedMarkers:
+        """Return some of the frames, evenly spread."""
+        some = some_frames(len(self.time), _SOME)
+        return replace(self, time=self.time[some], points=self.points[some], columns=self.columns[some])
 
     def name(self, marker: int) -> str:
         """Return the name of the column that a marker was in on most frames."""
@@ -114,13 +122,27 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
             told.
         UnknownNameError: no column has the head's name.
     """
-    geometry, notes = spec.geometry, []
     places, how = _head_first(markers, spec, head)
-    order = list(places)
+    shape, station, notes = _explain(markers, spec, places)
+    spacing = np.quantile(np.abs(np.diff(shape.node, axis=1)), 0.98, axis=0)
+    # A middle that was hidden is a gap of the connectors beside it.
+    hidden = np.zeros(shape.theta.shape, dtype=bool)
+    for k, at in enumerate(station):
+        for connector in {int(at) // 2, (int(at) + 1) // 2}:
+            hidden[:, connector] |= shape.missing[:, k]
+    return TrackedBody(shape, hidden, spacing, how, tuple(notes))
+
+
+def _explain(
+    markers: CapturedMarkers, spec: RobotSpec, places: Places
+) -> tuple[Shape, np.ndarray, list[str]]:
+    """Return the body that explains markers at these places, their stations, and what is to be said of it."""
+    geometry, notes, order = spec.geometry, [], list(places)
     points, missing = markers.points[:, order], markers.missing[:, order]
     station = np.array([places[marker][0] for marker in order])
-    bodies = [markers.table.labels[markers.main_columns[marker]] for marker in order]
-    arm, points, missing, turned = marker_arms(points, missing, [places[marker] for marker in order], bodies)
+    arm, points, missing, turned = marker_arms(
+        points, missing, [places[marker] for marker in order], [markers.name(marker) for marker in order]
+    )
     if turned:
         notes.append(f"the markers of a pair had changed names {turned} times a frame and pair: set right")
     way = determined(station, arm, geometry)
@@ -132,13 +154,7 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
         notes.append(
             "one marker a connector: near a straight body bends that alternate are known to 0.2 rad only"
         )
-    spacing = np.quantile(np.abs(np.diff(shape.node, axis=1)), 0.98, axis=0)
-    # A middle that was hidden is a gap of the connectors beside it.
-    hidden = np.zeros(shape.theta.shape, dtype=bool)
-    for k, at in enumerate(station):
-        for connector in {int(at) // 2, (int(at) + 1) // 2}:
-            hidden[:, connector] |= shape.missing[:, k]
-    return TrackedBody(shape, hidden, spacing, how, tuple(notes))
+    return shape, station, notes
 
 
 def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
@@ -169,8 +185,8 @@ def _length_notes(shape: Shape, spec: RobotSpec, way: str) -> list[str]:
     if bad.size:
         k, ratio = int(bad[0]), float(np.median(straight)) / geometry.pitch
         raise InputError(
-            f"markers {k + 1} and {k + 2} from the head are {1e3 * straight[k]:.4g} mm apart along the body, the "
-            f"connectors of {spec.name} {1e3 * geometry.pitch:.4g} mm{unit_hint(ratio)}"
+            f"markers {k + 1} and {k + 2} from the head are {1e3 * straight[k]:.4g} mm apart along the body, "
+            f"the connectors of {spec.name} {1e3 * geometry.pitch:.4g} mm{unit_hint(ratio)}"
         )
     if way == "fixed" and shape.length_spread > _MUST_NOT * geometry.segment_length:
         raise InputError(
@@ -188,59 +204,95 @@ def _length_notes(shape: Shape, spec: RobotSpec, way: str) -> list[str]:
     return said
 
 
+def _along_body(markers: CapturedMarkers, spec: RobotSpec) -> list[tuple[int, ...]]:
+    """Return groups of markers from one end of the body to the other."""
+    if markers.layout != "pair":
+        return [(int(k),) for k in body_order(markers.points)]
+    pairs = rigid_pairs(markers.points, spec.geometry.connectors)
+    return [tuple(int(k) for k in pairs[j]) for j in body_order(markers.points[:, pairs].mean(axis=2))]
+
+
+def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
+    """Return station and side of each marker of groups, head first."""
+    places: Places = {}
+    if "head" in layout:
+        places[groups[0][0]], groups = (0, "ahead"), groups[1:]
+    step = 1 if "middles" in layout else 2
+    return places | {each: (step * k, "") for k, group in enumerate(groups) for each in group}
+
+
 def _head_first(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> tuple[Places, str]:
     """Return station and side of each marker, and how the head was found."""
-    points, layout, last = markers.points, markers.layout, 2 * spec.segments
     if markers.table.places:
         return _named_places(markers, spec), "connector 1 of the file"
-    if layout == "pair":
-        pairs = rigid_pairs(points, spec.geometry.connectors)
-        groups = [tuple(int(k) for k in pairs[j]) for j in body_order(points[:, pairs].mean(axis=2))]
-        stations = list(range(0, last + 1, 2))
-    else:
-        groups = [(int(k),) for k in body_order(points)]
-        stations = list(range(0, last + 1, 1 if "middles" in layout else 2))
-    forward, how = _leads(markers, spec, groups, head)
-    groups = groups if forward else groups[::-1]
-    if "head" in layout:
-        ahead, *groups = groups
-        places: Places = {ahead[0]: (0, "ahead")}
-    else:
-        places = {}
-    return places | {each: (at, "") for group, at in zip(groups, stations, strict=True) for each in group}, how
-
-
-def _leads(
-    markers: CapturedMarkers, spec: RobotSpec, groups: list[tuple[int, ...]], head: str | None
-) -> tuple[bool, str]:
-    """Say whether the first group is at the head, and how that was found."""
-    second = "head" in markers.layout
+    groups, layout, labels = _along_body(markers, spec), markers.layout, markers.table.labels
+    ways = [_stations(layout, way) for way in (groups, groups[::-1])]
     if head is not None:
-        labels = markers.table.labels
         if head not in labels:
             raise UnknownNameError("marker", head, labels)
-        reach = 2 if second else 1
-        front, rear = (
-            [markers.name(k) for group in end for k in group] for end in (groups[:reach], groups[-reach:])
-        )
-        if head not in front + rear:
+        near = [[markers.name(k) for k, (station, _) in way.items() if not station] for way in ways]
+        if head not in near[0] + near[1]:
             raise InputError(f"marker '{head}' is at neither end of the body")
-        return head in front, f"marker '{head}'"
-    if second:
-        order = [group[0] for group in groups]
-        pitch = spec.geometry.pitch / (2 if "middles" in markers.layout else 1)
-        forward = front_marker(markers.points, order, pitch, markers.name)
-        return forward, "the end with a second marker"
+        return ways[head not in near[0]], f"marker '{head}'"
+    ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
+    if "head" in layout:
+        found, _ = _likeliest([partial(_explained, markers, spec, way) for way in ways])
+        if found is None:
+            raise InputError(
+                f"which end has the second marker of the head cannot be told; give head, its name ({ends})"
+            )
+        return ways[found], "the end with a second marker"
     centres = np.stack([markers.points[:, list(group)].mean(axis=1) for group in groups], axis=1)
     crawled = forward_distance(float(np.median(np.diff(markers.time))), centres)
     least = _CRAWLED * spec.geometry.body_length
     if abs(crawled) < least:
-        ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
         raise InputError(
             f"which end is the head cannot be told, the body crawled {1e3 * abs(crawled):.3g} mm along "
             f"itself, less than {1e3 * least:.3g} mm; give head, the name of a marker there ({ends})"
         )
-    return crawled > 0, f"the end towards which it crawled ({abs(crawled):.3g} m)"
+    return ways[crawled < 0], f"the end towards which it crawled ({abs(crawled):.3g} m)"
+
+
+def likeliest_layout(
+    markers: CapturedMarkers, layouts: Sequence[str], spec: RobotSpec, head: str | None
+) -> CapturedMarkers:
+    """Return markers with the layout of several that explains them best.
+
+    Raises:
+        InputError: none does, or several do about as well.
+    """
+    if len(layouts) == 1:
+        return replace(markers, layout=layouts[0])
+    some = markers.thinned()
+    ways = [replace(some, layout=each) for each in layouts]
+    found, said = _likeliest([lambda way=way: tracked_body(way, spec, head).shape for way in ways])  # type: ignore[misc]
+    if found is None:
+        listed = "; ".join(f"{layout}: {why}" for layout, why in zip(layouts, said, strict=True))
+        raise InputError(f"the layout of the markers cannot be told ({listed}); give layout")
+    return replace(markers, layout=layouts[found])
+
+
+def _likeliest(ways: Sequence[Callable[[], Shape]]) -> tuple[int | None, list[str]]:
+    """Return which explanation leaves least, None where another leaves about as little; and words on each."""
+    noise, said = [], []
+    for way in ways:
+        try:
+            left = way().noise
+            said.append(f"leaves {1e3 * left:.2g} mm")
+        except UnknownNameError:
+            raise
+        except InputError as error:
+            left = np.inf
+            said.append(str(error))
+        noise.append(left)
+    best, second = np.sort(noise)[:2]
+    sure = np.isfinite(best) and second > _CLEARLY * best
+    return (int(np.argmin(noise)) if sure else None), said
+
+
+def _explained(markers: CapturedMarkers, spec: RobotSpec, places: Places) -> Shape:
+    """Return the body that explains some of the frames."""
+    return _explain(markers.thinned(), spec, places)[0]
 
 
 def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:

@@ -14,14 +14,13 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.recordings.csv_table import LENGTHS
-from srs_twin.recordings.tracking import distances
+from srs_twin.recordings.tracking import distances, some_frames
 
 LAYOUTS = ("auto", "single", "head", "pair", "middles", "head_middles")
 
@@ -34,13 +33,11 @@ _TINY = 0.1  # of the body's length: no body curls up so far
 _FAR = 2.5  # times a segment's length: farther apart no two neighbours are
 _SAMPLED = 2000  # frames that distances are taken from
 _NEAR_SAMPLED = 300
-_UNLIKE = 0.25  # of a segment's length: a distance that differs by more is none
-_STEADY = 2.0  # times steadier: the distance of two markers on one rigid part
 
 
 def robot_markers(
     points: np.ndarray, connectors: int, pitch: float, layout: str, named: int
-) -> tuple[str, np.ndarray]:
+) -> tuple[list[str], np.ndarray]:
     """Choose the robot's markers.
 
     Args:
@@ -51,10 +48,10 @@ def robot_markers(
         named: how many columns have a place on the robot by their names; 0: none.
 
     Returns:
-        The layout ("named" for those), and which tracks the robot's markers are.
+        The layouts that it may be ("named" for those), and which tracks the robot's markers are.
 
     Raises:
-        InputError: too few or too many markers, or several layouts have as many.
+        InputError: too few or too many markers.
     """
     seen = ~np.isnan(points[..., 0])
     share = seen.mean(axis=0)
@@ -62,7 +59,7 @@ def robot_markers(
     if len(solid) > connectors and not named:
         # Only those that have another one near on most frames they are seen on.
         near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
-        there = seen[:: len(points) // _NEAR_SAMPLED + 1, solid]
+        there = seen[some_frames(len(points), _NEAR_SAMPLED)][:, solid]
         solid = solid[near.sum(axis=0) > 0.5 * there.sum(axis=0)]
     layouts = {
         "single": connectors, "head": connectors + 1, "pair": 2 * connectors,
@@ -70,44 +67,21 @@ def robot_markers(
     }  # fmt: skip
     if named:
         layout, layouts = "named", {"named": named}
-    elif layout == "auto":
+    fitting = [layout]
+    if layout == "auto":
         # At once: a marker that was lost for long may have become two tracks.
         together = int(np.quantile(seen[:, solid].sum(axis=1), 0.95, method="lower")) if solid.size else 0
         fitting = [each for each, count in layouts.items() if count == together]
-        layout = fitting[0] if len(fitting) == 1 else ""
-        if len(fitting) > 1:
-            layout = _told_by_distances(points[:, _most_seen(solid, share, together)], fitting, pitch)
-    wanted = layouts.get(layout, -1)
+    wanted = layouts[fitting[0]] if fitting else -1
     if wanted < 0 or len(solid) < wanted:
         listed = ", ".join(f"{count} ({each})" for each, count in layouts.items())
         shares = ", ".join(f"{100 * each:.0f} %" for each in sorted(share, reverse=True)[:12])
         raise InputError(
             f"{len(solid)} markers that could be the robot's; {connectors} connectors carry {listed}. "
-            f"Seen on these shares of the frames: {shares}. Give layout, export without the others, or say in a "
-            "map where each is (--map)"
+            f"Seen on these shares of the frames: {shares}. Give layout, export without others, or say in "
+            "a map where each is (--map)"
         )
-    return layout, _most_seen(solid, share, wanted)
-
-
-def _most_seen(solid: np.ndarray, share: np.ndarray, wanted: int) -> np.ndarray:
-    return np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
-
-
-def _told_by_distances(points: np.ndarray, fitting: Sequence[str], pitch: float) -> str:
-    """Return "pair" where every marker has one at a constant distance, else the other layout.
-
-    Along a body with middles every second marker has nobody at a constant distance.
-    """
-    mean, spread = _median_and_spread(points)
-    steady = np.sort(np.where(mean < 0.8 * pitch, spread, np.inf).min(axis=1))
-    # The head's two keep theirs in both layouts.
-    rigid = steady[-1] < _STEADY * max(steady[0], 1e-5)
-    return "pair" if rigid else next(each for each in fitting if each != "pair")
-
-
-def some_frames(points: np.ndarray) -> np.ndarray:
-    """Return at most a few thousand frames, evenly spread."""
-    return points[:: len(points) // _SAMPLED + 1]
+    return fitting, np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
@@ -155,42 +129,11 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     return np.array(pairs)
 
 
-def front_marker(
-    points: np.ndarray, order: Sequence[int], pitch: float, name: Callable[[int], str]
-) -> bool:
-    """Say whether the second marker of the head is the first of the order, not the last.
-
-    It is the end whose two markers are not a segment apart, or whose distance changes less.
-
-    Args:
-        points: shape (frames, markers, 2), m.
-        order: of the markers along the body.
-        pitch: distance of neighbouring places of markers along a straight body, m.
-        name: names a marker.
-
-    Raises:
-        InputError: neither tells it.
-    """
-    mean, spread = _median_and_spread(points)
-    ends = [(order[0], order[1]), (order[-1], order[-2])]
-    apart, change = (np.array([each[end] for end in ends]) for each in (mean, spread))
-    other = np.abs(apart / pitch - 1) > _UNLIKE
-    if other.sum() == 1:
-        return bool(other[0])
-    steady = int(np.argmin(change))
-    if change[1 - steady] > _STEADY * change[steady] + 1e-9:
-        return steady == 0
-    said = " or ".join(
-        f"'{name(end[0])}' ({1e3 * d:.1f} mm from the next, ± {1e3 * c:.2g} mm)"
-        for end, d, c in zip(ends, apart, change, strict=True)
-    )
-    raise InputError(f"which end has the second marker of the head cannot be told: {said}; give head, its name")
-
-
 def _median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and spreads of the distances; a few frames that are wrong do not count."""
     apart = distances(points, _SAMPLED)
-    apart[:, np.isnan(apart).all(axis=0)] = np.inf  # of a marker from itself, or two that were never seen at once
+    # Of a marker from itself, or of two that were never seen at once.
+    apart[:, np.isnan(apart).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, middle, high = np.nanquantile(apart, [0.25, 0.5, 0.75], axis=0)
         return middle, np.nan_to_num(0.74 * (high - low), nan=np.inf)
@@ -208,7 +151,7 @@ def check_scale(points: np.ndarray, pitch: float, segments: int, robot: str) -> 
     Raises:
         InputError: the nearest two are farther apart than neighbours can be, or all of them hardly apart.
     """
-    apart = distances(points, _SAMPLED).reshape(len(some_frames(points)), -1)
+    apart = distances(points, _SAMPLED).reshape(min(len(points), _SAMPLED), -1)
     apart = apart[np.isfinite(apart).sum(axis=1) >= 2]
     if not len(apart):
         raise InputError(f"never two markers at once; {segments + 1} or more are wanted")

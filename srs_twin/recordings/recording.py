@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, one_of
-from srs_twin.recordings.body import CapturedMarkers, TrackedBody, tracked_body
+from srs_twin.recordings.body import CapturedMarkers, TrackedBody, likeliest_layout, tracked_body
 from srs_twin.recordings.floor import UPS, FloorPlane, on_floor
 from srs_twin.recordings.gaps import (
     LEAST_FRAMES,
@@ -117,7 +117,7 @@ def read_motion(
         gap_frames = max(1, round(longest_gap_s / frames.period))
         check_scale(slots, geometry.pitch, spec.segments, spec.name)
         tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
-        layout, chosen = robot_markers(
+        layouts, chosen = robot_markers(
             tracks, geometry.connectors, geometry.pitch, layout, len(table.places)
         )
         left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
@@ -135,7 +135,8 @@ def read_motion(
         time = frames.time[kept]
         origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
         whole, other = filled(time, points[kept], fill), high + left_out + dropped
-        markers = CapturedMarkers(table, layout, time, whole, origin, int(jumps.sum()), other)
+        markers = CapturedMarkers(table, layouts[0], time, whole, origin, int(jumps.sum()), other)
+        markers = likeliest_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
         summary = _summary(frames, floor, markers, body)
         return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)

@@ -1,4 +1,4 @@
-r"""The body that explains markers: places, headings, bends and lengths of segments, with their standard errors.
+r"""The body that explains markers: places, headings, bends, lengths of segments, and standard errors.
 
 A *station* is a place along the body: 0, 2, 4, … are the connectors, head first, 1, 3, … the middles of the
 segments between them. A marker m at station k lies at
@@ -25,7 +25,7 @@ by which neighbouring headings may turn in opposite senses, q_j = q_j⁰ + 2(−
 stay the same tell it, and near a straight body little. A body that stretches is refused there.
 
 **Noise** σ is what differences of high order leave of the markers' ways, in which the motion vanishes;
-where markers say things twice, it is what the body leaves of them, in which segments count that bend otherwise
+where markers say things twice, it is what the body leaves of them, which counts segments that bend otherwise
 than in arcs.
 """
 
@@ -39,6 +39,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.geometry import half_turn
+from srs_twin.recordings.tracking import some_frames
 from srs_twin.robot.spec import Geometry
 
 SIDES = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
@@ -55,13 +56,14 @@ _STRETCH = 0.1  # of a segment's length: σ_ℓ before anything is known
 _LOOSE, _OPEN = 0.3, 0.3  # of a length; σ_ε, rad: before anything is known
 _TOLD = 0.15  # rad: standard error of a bend at 0.2 mm of noise, where markers determine it
 _TURNS = 0.3  # largest change in a step, rad
-_STEPS, _CLOSE = 25, 1e-9
+_STEPS, _CLOSE = 15, 1e-7  # rad, m
 _CHUNK = 4096  # frames at a time
 _SAMPLED, _ROUNDS = 400, 12
 _REDUNDANT = 0.3  # numbers a frame that markers say twice: fewer do not tell their noise
 _STARTS = np.linspace(-0.6, 0.6, 13)
 _HIGHEST = 8  # order of differences
 _ODD, _RARE = 8.0, 0.01  # times the noise, share: farther from the body so few samples are no markers of it
+_STRANGE = 4.0  # times the noise: from here on another explanation is looked for
 _MOTION = 0.5  # times the noise by differences: where the body leaves less, they hold motion
 _ASKEW = np.radians(25.0)
 
@@ -87,7 +89,7 @@ class Marks:
             state: x, y, θ_1, bends, lengths, shape (frames, 3 + 2 segments).
 
         Returns:
-            Shapes (frames, markers), (frames, markers, 3 + 2 segments), (frames, N), all complex, (frames, N).
+            (frames, markers), (frames, markers, 3 + 2 segments), (frames, N), all complex, (frames, N).
         """
         count = self.geometry.connectors - 1
         bend, length, gap = state[:, 3 : 3 + count], state[:, 3 + count :], self.geometry.rigid_gap / 2
@@ -143,7 +145,7 @@ class Shape:
         length_spread: σ_ℓ, m.
         noise: σ of a marker's coordinate, m.
         residual: root mean square of the seen markers' distances from the body, shape (frames,), m.
-        missing: which markers were not seen, or lay too far from the body to be theirs, shape (frames, markers).
+        missing: which markers were not seen, or lay too far from the body, shape (frames, markers).
     """
 
     node: np.ndarray
@@ -158,7 +160,7 @@ class Shape:
 
 @dataclass
 class _Prior:
-    """Noise of the markers (m), means (m) and spread (m) of the lengths, and σ_ε (rad; None: ε is measured)."""
+    """Noise of the markers, means and spread of the lengths (m), and σ_ε (rad; None: ε is measured)."""
 
     noise: float
     mean: np.ndarray
@@ -225,9 +227,7 @@ def noise_of(points: np.ndarray) -> float:
     return max(float(min(found, default=5e-4)), _LEAST_NOISE)
 
 
-def fit_shape(
-    time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: Marks, way: str
-) -> Shape:
+def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: Marks, way: str) -> Shape:
     """Find the body that explains markers.
 
     Args:
@@ -245,7 +245,7 @@ def fit_shape(
     if len(whole) < 4:
         whole, missing = np.arange(len(time)), np.zeros_like(missing)
     start = _start(seen[whole], marks)
-    some = np.arange(0, len(whole), len(whole) // _SAMPLED + 1)
+    some = some_frames(len(whole), _SAMPLED)
     _learn(seen[whole[some]], start[some], marks, prior)
     if prior.open is not None:
         start = _turned(start, seen[whole], marks, prior)
@@ -279,7 +279,14 @@ def fit_shape(
     _, _, node, theta = Marks(np.zeros(0, dtype=int), np.zeros(0), marks.geometry).places(state)
     residual = np.sqrt(np.ma.masked_array(away**2, missing).mean(axis=1).filled(0.0))
     return Shape(
-        node, theta, error * scale, state[:, bends.stop :], prior.spread, prior.noise * scale, residual, missing
+        node,
+        theta,
+        error * scale,
+        state[:, bends.stop :],
+        prior.spread,
+        prior.noise * scale,
+        residual,
+        missing,
     )
 
 
@@ -326,28 +333,25 @@ def _fit(
         matrix[held, held] += BENDS**-2
     state, moving = state.copy(), np.arange(len(state))
     limit = np.concatenate([[np.inf, np.inf], np.full(1 + count, _TURNS), np.full(count, np.inf)])
-
-    def normal(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        mark, lever, _, _ = marks.places(state[rows])
-        away = seen[rows] - mark
-        both = np.concatenate([lever.real, lever.imag], axis=1)
-        weighed = both * np.tile(weight[rows], 2)[..., None]
-        data = weighed.transpose(0, 2, 1) @ both
-        right = (weighed * np.concatenate([away.real, away.imag], axis=1)[..., None]).sum(axis=1)
-        return data, right, away
-
+    width = state.shape[1]
+    data, away = np.empty((len(state), width, width)), np.empty(seen.shape, dtype=complex)
     for _ in range(_STEPS):
-        data, right, _ = normal(moving)
+        mark, lever, _, _ = marks.places(state[moving])
+        away[moving] = left = seen[moving] - mark
+        # Real and imaginary part of every marker.
+        parts = lever.view(float).reshape(len(moving), -1, width, 2)
+        rows = parts.transpose(0, 1, 3, 2).reshape(len(moving), -1, width)
+        weighed = (rows * np.repeat(weight[moving], 2, axis=1)[..., None]).transpose(0, 2, 1)
+        data[moving] = inner = weighed @ rows
         wanted = np.broadcast_to(aim, state[moving].shape).copy()
         if bends is not None:
             wanted[:, 3 : 3 + count] = bends[moving]
-        right = right + (wanted - state[moving]) @ matrix
-        step = np.clip(np.linalg.solve(data + matrix, right[..., None])[..., 0], -limit, limit)
+        right = (weighed @ left.view(float)[..., None])[..., 0] + (wanted - state[moving]) @ matrix
+        step = np.clip(np.linalg.solve(inner + matrix, right[..., None])[..., 0], -limit, limit)
         state[moving] += step
         moving = moving[np.abs(step).max(axis=1) > _CLOSE]
         if not moving.size:
             break
-    data, _, away = normal(np.arange(len(state)))
     inverse = np.linalg.inv(data + matrix)
     used = np.einsum("fuv,fvu->", inverse, data)
     missed = weight * np.abs(away) ** 2
@@ -380,7 +384,8 @@ def _fit_torn(
         pair = np.flatnonzero(marks.station == station)
         if len(pair) != 2 or marks.arm[pair].sum() != 0:
             continue
-        rows = np.flatnonzero(missing[:, pair].sum(axis=1) == 1)
+        odd = (np.where(missing, 0.0, best.away) > _STRANGE * prior.noise).any(axis=1)
+        rows = np.flatnonzero(odd & (missing[:, pair].sum(axis=1) == 1))
         if not rows.size:
             continue
         changed, hidden = seen[rows], missing[rows]
@@ -416,7 +421,9 @@ def _start(seen: np.ndarray, marks: Marks) -> np.ndarray:
     angle = np.unwrap(np.stack([each[1] for each in told], axis=1), axis=1)
     theta = np.stack([_line(at, angle, 2 * k) for k in range(count + 1)], axis=1)
     length = np.full((len(seen), count), geometry.segment_length)
-    state = np.concatenate([np.zeros((len(seen), 2)), theta[:, :1], theta[:, :-1] - theta[:, 1:], length], axis=1)
+    state = np.concatenate(
+        [np.zeros((len(seen), 2)), theta[:, :1], theta[:, :-1] - theta[:, 1:], length], axis=1
+    )
     mark, _, _, _ = marks.places(state)
     shift = (seen - mark).mean(axis=1)
     state[:, 0], state[:, 1] = shift.real, shift.imag
@@ -433,7 +440,7 @@ def _line(at: np.ndarray, values: np.ndarray, where: float) -> np.ndarray:
 
 
 def _learn(seen: np.ndarray, start: np.ndarray, marks: Marks, prior: _Prior) -> None:
-    """Find the noise, means and spread of the lengths, and σ_ε, by expectation-maximisation on some frames."""
+    """Find noise, means and spread of the lengths, and σ_ε, by expectation-maximisation on some frames."""
     count = len(prior.mean)
     swing = (-1.0) ** np.arange(count) / (2 * count)
     for turn in range(_ROUNDS):
@@ -493,7 +500,7 @@ def _turned(start: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior) ->
 def marker_arms(
     points: np.ndarray, missing: np.ndarray, places: Sequence[tuple[int, str]], names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Return the markers' arms, `points` and `missing` with pairs that had changed names set right, how often.
+    """Return the markers' arms, and `points` and `missing` with pairs that had changed names set right.
 
     A marker alone at its station has no arm. Two without a side lie on both sides of it, along or across the
     body; two of one name, as of a rigid body with its rotation, in any direction.
@@ -505,7 +512,7 @@ def marker_arms(
         names: of each.
 
     Returns:
-        Shape (markers,), complex, m; shape of `points`; of `missing`; frames and pairs.
+        Shape (markers,), complex, m; shape of `points`; of `missing`; how many frames and pairs.
 
     Raises:
         InputError: more than two at a station, one side twice, or a pair askew.
@@ -521,19 +528,21 @@ def marker_arms(
             continue
         if len(which) > 2:
             listed = ", ".join(names[k] for k in which)
-            raise InputError(f"{len(which)} markers at one place of the body ({listed}); at most two are used")
+            raise InputError(
+                f"{len(which)} markers at one place of the body ({listed}); at most two are used"
+            )
         a, b = which
         apart = float(np.median(np.linalg.norm(points[:, a] - points[:, b], axis=-1)))
         sides = [SIDES[places[k][1]] for k in which]
         if any(sides):
             if sides[0] == sides[1]:
                 raise InputError(f"{names[a]} and {names[b]} are on the same side of one connector")
-            both = all(sides)
-            found[a], found[b] = (apart * side / (abs(sides[0] - sides[1]) if both else 1) for side in sides)
+            wide = abs(sides[0] - sides[1]) if all(sides) else 1
+            found[a], found[b] = (apart * side / wide for side in sides)
             continue
         body = centre[:, max(place - 1, 0)] - centre[:, min(place + 1, len(stations) - 1)]
         line = (points[:, a] - points[:, b]) @ [1, 1j]
-        angle, both = np.angle(line / body), np.flatnonzero(~missing[:, which].any(axis=1))
+        angle, both = np.angle(line / body), np.nonzero(~missing[:, which].any(axis=1))[0]
         if both.size:
             # Where one was not seen the names are those of the last frame before on which both were.
             angle = angle[both[np.maximum(np.searchsorted(both, np.arange(len(angle)), "right") - 1, 0)]]

@@ -59,7 +59,7 @@ class MarkerTable:
     Attributes:
         name: of the file, as messages show it.
         sha256: of the file.
-        kind: of the file: "Motive CSV 1.21" or "plain CSV".
+        kind: of the file, as `formats.identify` names it, with its version where it has one.
         time: shape (frames,), s, as the file counts it.
         points: NaN where a marker was not seen, shape (frames, columns, 3), or (…, 2) in a plane, m.
         labels: names of the columns.
@@ -67,6 +67,8 @@ class MarkerTable:
         places: station on the body and side of each column (`layout.Places`), where its name says so; else
             empty.
         header_frames: how many frames the header announces; None where it does not.
+        rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
+            shape (frames, columns, 4); None for markers alone.
     """
 
     name: str
@@ -78,6 +80,7 @@ class MarkerTable:
     corrections: tuple[str, ...]
     places: tuple[tuple[int, str], ...] = ()
     header_frames: int | None = None
+    rotations: np.ndarray | None = None
 
 
 def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -186,12 +189,20 @@ class Tracklet:
     frames: np.ndarray
 
 
+def some_frames(count: int, most: int) -> np.ndarray:
+    """Return at most so many frames, evenly spread but not evenly spaced: a gait has a period too."""
+    if count <= most:
+        return np.arange(count)
+    edges = np.linspace(0, count, most + 1)
+    return np.unique((edges[:-1] + np.random.default_rng(0).random(most) * np.diff(edges)).astype(int))
+
+
 def distances(points: np.ndarray, frames: int) -> np.ndarray:
-    """Return the distances of each two points on some frames evenly spread, (frames, points, points), m.
+    """Return the distances of each two points on `some_frames`, (frames, points, points), m.
 
     NaN between a point and itself, and where one was not seen.
     """
-    some = points[:: len(points) // frames + 1]
+    some = points[some_frames(len(points), frames)]
     apart = np.asarray(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
     apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
     return apart

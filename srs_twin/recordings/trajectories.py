@@ -118,7 +118,9 @@ def measured(
     """
     units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
     of_segments = {"bend_rate": "rad/s", "bend_error": "rad", "length": "m"}
-    units |= {each: unit for name, unit in of_segments.items() for each in columns if each.startswith(f"{name}_")}
+    units |= {
+        each: unit for name, unit in of_segments.items() for each in columns if each.startswith(f"{name}_")
+    }
     source: dict[str, object] = {
         "file": summary.source.replace("\\", "/").rpartition("/")[2],
         "sha256": summary.sha256,
