@@ -44,6 +44,7 @@ BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 
 _BLOCK = 8 << 20  # bytes that Arrow takes at a time; no line is longer
 _LISTED = 5  # columns that a message lists
+_EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -53,10 +54,12 @@ class RecordedFile:
     Attributes:
         name: as messages show it.
         data: its bytes.
+        separator: of the cells of a line.
     """
 
     name: str
     data: bytes
+    separator: str = ","
 
     @cached_property
     def raw(self) -> bytes:
@@ -73,24 +76,36 @@ class RecordedFile:
         place = "".join(f":{number}" for number in (line, column) if number is not None)
         return InputError(f"{self.name}{place}: {what}")
 
-    def head(self, lines: int) -> list[list[str]]:
-        """Return the cells of up to that many first lines.
+    def head(self, lines: int, after: int = 0) -> list[list[str]]:
+        """Return the cells of up to that many lines, those after the first `after`.
 
         Raises:
             InputError: the lines are longer than any header, or are no CSV.
         """
-        found = self.raw[:MAX_HEADER_BYTES].split(b"\n", lines)
-        if len(found) <= lines and len(self.raw) > MAX_HEADER_BYTES:
-            raise self.error(f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB", len(found))
+        start = self._start_of(after)
+        found = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
+        if len(found) <= lines and len(self.raw) > start + MAX_HEADER_BYTES:
+            what = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
+            raise self.error(what, after + len(found))
         rows = []
-        for number, line in enumerate(found[:lines], start=1):
+        for number, line in enumerate(found[:lines], start=after + 1):
+            text = line.decode("utf-8", "replace").rstrip("\r")
             try:
-                rows.append(next(csv.reader([line.decode("utf-8", "replace").rstrip("\r")], strict=True), []))
+                rows.append(next(csv.reader([text], delimiter=self.separator, strict=True), []))
             except csv.Error as error:
                 raise self.error(f"no line of a CSV file ({error})", number) from error
         return rows
 
-    def rows(self, header_lines: int, columns: Sequence[int], width: int) -> tuple[np.ndarray, list[str]]:
+    def _start_of(self, line: int) -> int:
+        """Return where a line begins, counted from 0; the end of the file where there are fewer."""
+        start = 0
+        for _ in range(line):
+            start = self.raw.find(b"\n", start) + 1 or len(self.raw)
+        return start
+
+    def rows(
+        self, header_lines: int, columns: Sequence[int], width: int, *, section: bool = False
+    ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
         A last line without a line end may be cut anywhere, also inside a number: it is left out, and said so.
@@ -99,6 +114,7 @@ class RecordedFile:
             header_lines: how many lines the header has.
             columns: which columns to read, counted from 0.
             width: how many cells a row has.
+            section: whether the rows end at an empty line; else at the end of the file.
 
         Returns:
             Shape (rows, columns), NaN where a cell is blank or not finite; what was left out, in words.
@@ -106,16 +122,15 @@ class RecordedFile:
         Raises:
             InputError: no rows, too many values, a row with more or fewer cells, a cell that is no number.
         """
-        raw, start, notes = self.raw, 0, []
-        for _ in range(header_lines):
-            start = raw.find(b"\n", start) + 1 or len(raw)
-        stop = max(start, raw.rfind(b"\n") + 1)
-        if stop < len(raw):
+        raw, start, notes = self.raw, self._start_of(header_lines), []
+        end = _EMPTY_LINE.search(raw, start) if section else None
+        stop = max(start, end.start() if end else raw.rfind(b"\n") + 1)
+        if stop < len(raw) and not end:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(f"line {line}, the last, has no line end and may be cut: left out")
         # The first row alone, before all others are looked at.
         first = raw[start : max(raw.find(b"\n", start, stop), start)]
-        cells = first.count(b",") + 1
+        cells = first.count(self.separator.encode()) + 1
         if first.strip() and b'"' not in first and cells != width:
             raise self.error(f"{cells} cells where the header has {width}", header_lines + 1)
         count = raw.count(b"\n", start, stop)
@@ -147,7 +162,7 @@ class RecordedFile:
 
         # One thread: only then does Arrow know on which row a fault lies.
         reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
-        parsing = ParseOptions(invalid_row_handler=refuse, newlines_in_values=False)
+        parsing = ParseOptions(delimiter=self.separator, invalid_row_handler=refuse, newlines_in_values=False)
         types = dict.fromkeys(chosen, pa.float64())
         converting = ConvertOptions(
             column_types=types, include_columns=chosen, null_values=BLANK, quoted_strings_can_be_null=True
@@ -167,7 +182,7 @@ class RecordedFile:
     ) -> InputError:
         """Return an error at the first cell that is no number; Arrow does not tell its line."""
         for number, line in enumerate(lines, start=first):
-            cells = line.decode("utf-8", "replace").rstrip("\r").split(",")
+            cells = line.decode("utf-8", "replace").rstrip("\r").split(self.separator)
             for column in columns:
                 text = cells[column].strip('"') if column < len(cells) else ""
                 try:
@@ -178,11 +193,11 @@ class RecordedFile:
         return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
 
 
-def read_file(path: str | os.PathLike[str]) -> RecordedFile:
-    """Read a recorded file.
+def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
+    """Read a recorded file of any kind.
 
     Raises:
-        InputError: missing, no regular file, not readable, empty, too large, or not UTF-8 text.
+        InputError: missing, no regular file, not readable, empty, or too large.
     """
     place = existing(Path(path), suffix=".csv")
     name = shown(place)
@@ -195,12 +210,22 @@ def read_file(path: str | os.PathLike[str]) -> RecordedFile:
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
     if not file.raw.strip():
         raise file.error("empty; a recording has a header and rows of numbers")
+    return file
+
+
+def read_file(path: str | os.PathLike[str]) -> RecordedFile:
+    """Read a recorded file of text.
+
+    Raises:
+        InputError: as `read_bytes`, or not UTF-8 text.
+    """
+    file = read_bytes(path)
     # A byte order mark of UTF-16, or a zero byte anywhere: neither stands in a CSV file.
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(f"not text (byte {zero + 1} is 0x00); a CSV file is wanted")
     if not file.data.isascii():
-        decoded(file.data, name)
+        decoded(file.data, file.name)
     return file
 
 

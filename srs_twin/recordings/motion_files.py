@@ -1,9 +1,9 @@
-"""Files with positions of markers: OptiTrack Motive's CSV export, and plain CSV.
+"""Files with positions of markers: one call for all formats; OptiTrack Motive's CSV export, and plain CSV.
 
-Motive's format 1.2x: the first line holds pairs of key and value, then comes an empty one, then rows that say
-what a column is (Type, Name, ID, from 1.24 on Parent, and Position or Rotation), then
+Motive's formats 1.0 to 1.2x: the first line holds pairs of key and value, then comes an empty one, then rows
+that say what a column is (Type, Name, ID, from 1.24 on Parent, and Position or Rotation), then
 ``Frame,Time (Seconds),X,Y,Z,…`` and the frames. An unlabeled marker that vanishes comes back in a column of
-its own.
+its own. Other formats are read in `formats`.
 
 Plain CSV: ``time`` and ``x_1,y_1…`` (head first) in the first line. A unit stands in the name: ``time_ms``,
 ``x_1_mm`` or ``x_1 (mm)``; without one it is s and m. ``z_1`` may be there as well. Two markers on a
@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import did_you_mean
+from srs_twin.errors import InputError, did_you_mean
+from srs_twin.recordings import formats
 from srs_twin.recordings.csv_table import (
     CLOCK,
     LENGTHS,
@@ -38,23 +39,52 @@ MOTIVE_LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inch
 KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
 """Types of columns with positions of something on the robot; the first that a file has counts."""
 
-_FIRST = b"Format Version"
 _HEADER_LINES = 12
 _KEYS = ("Length Units", "Export Frame Rate", "Capture Frame Rate", "Total Exported Frames")
 
 
-def read_markers(path: str | os.PathLike[str]) -> MarkerTable:
-    """Read a Motive export or a plain CSV file as it is.
+def read_markers(
+    path: str | os.PathLike[str],
+    *,
+    rate_hz: float | None = None,
+    unit: str | None = None,
+    scale_m: float | None = None,
+) -> MarkerTable:
+    """Read a recording as it is, in any of `formats.FORMATS`.
+
+    Args:
+        path: of the file.
+        rate_hz: frames a second, where the file does not say (DeepLabCut, Qualisys with an external clock).
+        unit: of lengths, where the file does not say (DeepLabCut).
+        scale_m: size of a pixel, m (DeepLabCut).
 
     Raises:
         InputError: with file, line and column, and what is allowed.
     """
+    kind = formats.identify(path)
+    if kind == formats.C3D:
+        return formats.read_c3d(path)
+    if kind == formats.MCAP:
+        markers = (topics := formats.read_mcap(path)).markers
+        if markers is None:
+            wanted = "geometry_msgs/PoseStamped, PoseArray or PointStamped are wanted"
+            raise InputError(f"{topics.name}: no topic with positions; {wanted}{_noted(topics.notes)}")
+        return markers
     file = read_file(path)
-    return _motive(file) if file.raw.startswith(_FIRST) else _plain(file)
+    if kind == formats.DEEPLABCUT:
+        return formats.read_deeplabcut(file, rate_hz, unit, scale_m)
+    if kind == formats.QUALISYS:
+        return formats.read_qualisys(file, rate_hz)
+    readers = {formats.MOTIVE: _motive, formats.VICON: formats.read_vicon, formats.PLAIN: _plain}
+    return readers[kind](file)
+
+
+def _noted(notes: tuple[str, ...]) -> str:
+    return f" ({'; '.join(notes[:3])})" if notes else ""
 
 
 class _Position(NamedTuple):
-    """First column, name and type of a group of columns X, Y, Z."""
+    """First column, name and type of a group of columns X, Y, Z, or X, Y, Z, W."""
 
     column: int
     name: str
@@ -63,20 +93,21 @@ class _Position(NamedTuple):
 
 @dataclass(frozen=True)
 class _Header:
-    """Version, values by key, number of lines, cells a row, and the groups of positions."""
+    """Version, values by key, number of lines, cells a row, groups of positions and of quaternions."""
 
     version: str
     about: dict[str, str]
     lines: int
     width: int
     positions: list[_Position]
+    quaternions: list[_Position]
 
 
 def _motive(file: RecordedFile) -> MarkerTable:
     """Read the markers of a take.
 
-    Columns of other types, and rotations, are skipped and counted; where a take has no column of type Marker,
-    the markers of its rigid bodies count, or else the rigid bodies themselves.
+    Columns of other types are skipped and counted; where a take has no column of type Marker, the markers of
+    its rigid bodies count, or else the rigid bodies themselves, with their quaternions.
     """
     header = _header(file)
     kinds = Counter(each.kind or "no type" for each in header.positions)
@@ -91,7 +122,11 @@ def _motive(file: RecordedFile) -> MarkerTable:
         hint, allowed = did_you_mean(given, MOTIVE_LENGTHS), ", ".join(MOTIVE_LENGTHS)
         raise file.error(f"Length Units '{given[:20]}' is not known{hint}; allowed: {allowed}", 1)
     markers = [each for each in header.positions if each.kind == kind]
+    # Where a body has no quaternion, or nobody asks for it, its place says so.
+    turns = {each.name: each.column for each in header.quaternions if each.kind == kind == KINDS[-1]}
+    turned = [k for k, each in enumerate(markers) if each.name in turns]
     columns = [0, 1] + [each.column + axis for each in markers for axis in range(3)]
+    columns += [turns[markers[k].name] + axis for k in turned for axis in range(4)]
     values, notes = file.rows(header.lines, columns, header.width)
     if unit != "m":
         notes.append(f"lengths converted from {unit} to m")
@@ -99,21 +134,28 @@ def _motive(file: RecordedFile) -> MarkerTable:
     notes += [f"{count} columns of positions of type {other} skipped" for other, count in skipped]
     if kind != KINDS[0]:
         notes.append(f"no columns of type {KINDS[0]}: positions of type {kind} taken")
-    points, implausible = plausible(values[:, 2:].reshape(len(values), -1, 3) * LENGTHS[unit])
+    end = 2 + 3 * len(markers)
+    points, implausible = plausible(values[:, 2:end].reshape(len(values), -1, 3) * LENGTHS[unit])
+    rotations = np.full((len(values), len(markers), 4), np.nan) if turned else None
+    if rotations is not None:
+        rotations[:, turned] = values[:, end:].reshape(len(values), -1, 4)
+        rotations[np.isnan(rotations).any(axis=-1) | np.isnan(points[..., 0])] = np.nan
     time = _times(file, header, values[:, 0], values[:, 1])
     labels, corrections = tuple(each.name for each in markers), (*notes, *implausible)
     announced = header.about.get("Total Exported Frames", "")
     frames = int(announced) if announced.isdecimal() and len(announced) < 10 else None
-    version = f"Motive CSV {header.version}"
-    return MarkerTable(file.name, file.sha256, version, time, points, labels, corrections, (), frames)
+    version = f"{formats.MOTIVE} {header.version}"
+    return MarkerTable(
+        file.name, file.sha256, version, time, points, labels, corrections, (), frames, rotations
+    )
 
 
 def _header(file: RecordedFile) -> _Header:
     lines = file.head(_HEADER_LINES)
     first = lines[0]
     version = first[1].strip() if len(first) > 1 else ""
-    if not re.fullmatch(r"1\.2\d?", version):
-        allowed = "allowed: 1.2 to 1.29 (export anew from Motive 2 or 3)"
+    if not re.fullmatch(r"1\.(0|1|2)\d?", version):
+        allowed = "allowed: 1.0 to 1.29 (export anew from Motive 2 or 3)"
         raise file.error(f"Format Version '{version[:20]}' is not read; {allowed}", 1, 2)
     last = next((k for k, cells in enumerate(lines) if cells and cells[0].strip() == "Frame"), None)
     if last is None:
@@ -130,13 +172,16 @@ def _header(file: RecordedFile) -> _Header:
     kinds, names = (
         next((row for row in rows if name in row[:2]), rows[k]) for k, name in enumerate(("Type", "Name"))
     )
-    positions = [
-        _Position(k, names[k] or f"column {k + 1}", kinds[k])
-        for k in range(2, width - 2)
-        if axes[k : k + 3] == ["X", "Y", "Z"] and rows[-1][k] == "Position"
-    ]
+    positions, quaternions = (
+        [
+            _Position(k, names[k] or f"column {k + 1}", kinds[k])
+            for k in range(2, width + 1 - len(group))
+            if axes[k : k + len(group)] == list(group) and rows[-1][k] == what
+        ]
+        for group, what in (("XYZ", "Position"), ("XYZW", "Rotation"))
+    )
     about = {key: first[first.index(key) + 1] for key in _KEYS if key in first[:-1]}
-    return _Header(version, about, last + 1, width, positions)
+    return _Header(version, about, last + 1, width, positions, quaternions)
 
 
 def _times(file: RecordedFile, header: _Header, frame: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -152,10 +197,8 @@ def _times(file: RecordedFile, header: _Header, frame: np.ndarray, time: np.ndar
             rate = float(header.about.get(key, ""))
         except ValueError:
             continue
-        if 0 < rate < 1e6 and np.isfinite(frame).all():
-            counted = time[0] + (frame - frame[0]) / rate
-            # A take exported from its middle counts frames or time from elsewhere; half a frame is rounding.
-            return np.asarray(counted) if np.abs(counted - time).max() < 0.5 / rate else time
+        if 0 < rate < 1e6:
+            return formats.counted_times(frame, time, rate)
     return time
 
 
@@ -163,8 +206,7 @@ def _plain(file: RecordedFile) -> MarkerTable:
     """Read the markers of a plain CSV file."""
     table = read_table(file, CLOCK | dict.fromkeys("xyz", LENGTHS))
     clock = table.clock(
-        "neither a Motive export (its first line begins 'Format Version,1.2') nor a plain CSV file "
-        "(its first line names the columns: time,x_1,y_1,x_2,y_2,…)"
+        "no column 'time' (the first line of a plain CSV file names the columns: time,x_1,y_1,x_2,y_2,…)"
     )
     marks = _marks(table)
     chosen = [column for mark in marks.values() for column in mark]
@@ -179,7 +221,7 @@ def _plain(file: RecordedFile) -> MarkerTable:
     labels = tuple(f"{number}{letter}" for number, letter in marks)
     corrections = (*notes, *table.unused_columns(), *implausible)
     places = tuple((2 * (number - 1), "") for number, _ in marks)
-    return MarkerTable(file.name, file.sha256, "plain CSV", time, points, labels, corrections, places)
+    return MarkerTable(file.name, file.sha256, formats.PLAIN, time, points, labels, corrections, places)
 
 
 def _marks(table: CsvTable) -> dict[tuple[int, str], list[CsvColumn]]:

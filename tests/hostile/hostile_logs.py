@@ -109,7 +109,7 @@ _HEADER = b"\r\n".join(_LINES[:7]) + b"\r\n"
 _ROW = _LINES[7] + b"\r\n"
 
 MOTIVE_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("an older format", _edited(MOTIVE, "1.21", "1.1"), ":1:2: Format Version '1.1' is not read; allowed: 1.2"),
+    Malformed("an older format", _edited(MOTIVE, "1.21", "0.9"), ":1:2: Format Version '0.9' is not read; allowed: 1.0"),
     Malformed("no version", _edited(MOTIVE, "1.21", ""), ":1:2: Format Version '' is not read"),
     Malformed("an unknown unit", _edited(MOTIVE, "Millimeters", "Milimeters"), ":1: Length Units 'Milimeters' is not known; did you mean Millimeters?"),
     Malformed("no unit", _edited(MOTIVE, "Length Units,", "Length,"), ":1: Length Units '' is not known"),
@@ -141,8 +141,8 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
 )  # fmt: skip
 
 PLAIN_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("words", b"just text\n", ":1: neither a Motive export"),
-    Malformed("no names", PLAIN.split(b"\n", 1)[1], ":1: neither a Motive export"),
+    Malformed("words", b"just text\n", ":1: no motion recording that is read: its first line is"),
+    Malformed("no names", PLAIN.split(b"\n", 1)[1], ":1: no motion recording that is read: its first line is"),
     Malformed("semicolons", PLAIN.replace(b",", b";"), ":1: cells are separated by semicolons; save it with commas"),
     Malformed("tabs", PLAIN.replace(b",", b"\t"), ":1: cells are separated by tabs"),
     Malformed("a y too few", _edited(PLAIN, "y_3_mm", "q_3_mm"), ":1:6: x_3_mm: y_3 is missing"),
@@ -152,7 +152,7 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed("no number", _edited(PLAIN, "x_2_mm", "x"), ":1:4: x: a number is wanted: x_1 at the head"),
     Malformed("only time", b"time\n" + b"".join(b"%d\n" % k for k in range(40)), ":1: no positions"),
     Malformed("a word", _edited(PLAIN, "\n0.05,", "\nhalf,"), ":7:1: 'half' is no number"),
-    Malformed("200 MB of junk", _large(b"", b"junk,junk\n"), ":1: neither a Motive export"),
+    Malformed("200 MB of junk", _large(b"", b"junk,junk\n"), ":1: no motion recording that is read: its first line is"),
     Malformed("300 MB", _large(PLAIN, b"1,2\n", 300), " MB; at most 256 MB are read"),
 )  # fmt: skip
 
