@@ -193,7 +193,7 @@ def test_a_bench_has_a_head_that_is_held(bench):
         ({"start": {"x_m": 1.0}}, "start: what hangs on a bench starts where it is held"),
         ({"plants": {"analytical": {"friction": "wheel"}}}, "on a bench there is no floor"),
         ({"motion": "none.csv"}, r"recording.motion: .*none.csv: no such file"),
-        ({"valves": "sensor.csv"}, r"recording.valves: .*valve_plus_1,… or pressure_plus_1,… are wanted"),
+        ({"valves": "sensor.csv"}, r"recording.valves: .*one of valve_plus_1,…"),
         ({"recording": {"offset_s": 90.0}}, r"recording.offset_s: .*0 frames in common"),
         (
             {"motion": "markers.csv", "recording": {"head": "tip"}},

@@ -126,7 +126,7 @@ def test_open_and_closed_are_filling_and_venting(tmp_path):
         ("time", "clock", "valves.csv:1: no column 'time'"),
         ("valve_plus_2", "valve_plus_1", "valves.csv:1:4: valve_plus_1: the same as column"),
         ("valve_plus_1", "valve_plus_1_kpa", "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known"),
-        ("valve_plus_1", "pressure_plus_1", "valve_plus_1,… or pressure_plus_1,… are wanted; both given"),
+        ("valve_plus_1", "pressure_plus_1", "is wanted (other names: --map); pressure, valve given"),
         ("1.0,", "1.0,2,", "valves.csv:3: 10 cells where the header has 9"),
         ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; -1 (vent), 0 (hold) or 1 (fill)"),
         ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: nothing is not allowed"),

@@ -83,7 +83,6 @@ def friction(
     """
     place = FitDestination.of(context, "friction", robot, fit)
     from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
-    from srs_twin.identification.takes import RecordingReader
     from srs_twin.robot.spec import load_robot
 
     spec, kept = load_robot(robot), validate or []
@@ -94,7 +93,7 @@ def friction(
         found = fit_pulls(pulls, validation=others)
         place.finish(found, "pulls", f"Friction of {spec.name} from pulls", [pulls], others)
         return
-    how = RecordingReader(**markers.given())
+    how = markers.reader()
 
     def throw(path: str) -> Coasting:
         recording = how.motion(path, spec)
@@ -131,7 +130,6 @@ def actuator(
     """
     place = FitDestination.of(context, "actuator", robot, fit)
     from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
-    from srs_twin.identification.takes import RecordingReader
     from srs_twin.robot.spec import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find)
@@ -142,7 +140,7 @@ def actuator(
             found = fit_static(tables, spec, names=names, validation=others, watch=watch)
         place.finish(found, "static", f"Actuators of {spec.name} from held pressures", tables, others)
         return
-    how = RecordingReader(**markers.given(), offset_s=offset)
+    how = markers.reader(offset_s=offset)
     supply = _supply(spec, pressure)
     takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
     responses = [Response.of_recording(take, path, supply) for path, take in takes]
@@ -182,12 +180,12 @@ def locomotion(
     """
     place = FitDestination.of(context, "locomotion", robot, fit)
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
-    from srs_twin.identification.takes import RecordingReader, gait_run, starts_at_rest
+    from srs_twin.identification.takes import gait_run, starts_at_rest
     from srs_twin.robot.spec import load_robot
 
     spec, kept = load_robot(robot), validate or []
     stands = PlantModel(plant, _plant_settings(plant, model, law))
-    how = RecordingReader(**markers.given(), offset_s=offset, gait_frequency_hz=frequency)
+    how = markers.reader(offset_s=offset, gait_frequency_hz=frequency)
     supply = _supply(spec, pressure)
     takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
     for path, take in takes:

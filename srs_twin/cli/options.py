@@ -14,6 +14,7 @@ import typer
 from srs_twin.errors import one_of
 
 if TYPE_CHECKING:
+    from srs_twin.identification.takes import RecordingReader
     from srs_twin.io.documents import Change
 
 FITS = "calibration/fits"
@@ -139,20 +140,46 @@ class ReadingOptions:
 
     Options:
         up: Axis of the files that points up.
-        layout: Markers: auto, single, head or pair.
+        layout: Markers: auto, single, head, pair, middles or head_middles.
         head: At the head. [default: where it crawls to]
         longest_gap: Longest gap that is filled. [default: 0.2]
+        map: What is what in the files (docs/logs.md).
+        units: Of lengths, where the file does not say: m, cm, mm, in, ft.
+        rate: Frames a second, where the file has no time.
+        marker: Where one is, as "tip=connector 3", "m1=middle 1", "h2=connector 1 ahead"; repeatable.
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"
     layout: Annotated[str, option("--layout NAME")] = "auto"
     head: Annotated[str | None, option("--head MARKER")] = None
     longest_gap: Annotated[float | None, option("--longest-gap S")] = None
+    map: Annotated[str | None, option("--map FILE.yaml")] = None
+    units: Annotated[str | None, option("--units UNIT")] = None
+    rate: Annotated[float | None, option("--rate HZ")] = None
+    marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return what was given, by the names of `RecordingReader`."""
-        values = {"up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap}
+        """Return what was given, by the names of `RecordingReader`; a map as plain data."""
+        from srs_twin.recordings.recording_map import given_map
+
+        options = {"units": self.units, "rate_hz": self.rate}
+        values = {
+            "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
+            "map": given_map(self.map, options, self.marker or ()),
+        }  # fmt: skip
         return {name: value for name, value in values.items() if value is not None}
+
+    def reader(self, **more: Any) -> RecordingReader:
+        """Return a reader with what was given.
+
+        Raises:
+            InputFileError: what is wrong with a map.
+        """
+        from srs_twin.identification.takes import RecordingReader
+        from srs_twin.recordings.recording_map import read_map
+
+        given = self.given()
+        return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)
 
 
 @dataclass(frozen=True)

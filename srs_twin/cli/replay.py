@@ -120,11 +120,13 @@ def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
 def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float:
     """Return how many whole ticks the recording lasts, s, and say what was read."""
     from srs_twin.identification.takes import RecordingReader, logs_of
+    from srs_twin.recordings.recording_map import read_map
     from srs_twin.scenario.plants import TICK_S
 
     known = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
     motion, valves = recording["motion"], recording.get("valves")
     (log,) = logs_of([motion], [valves] if valves else [])
+    known["map"] = read_map(known.get("map", {}))
     take = RecordingReader(**known).take(motion, log, robot.spec())
     say(take.summary.text(), "", quiet=quiet)
     time = take.trajectory.time

@@ -16,13 +16,14 @@ import numpy as np
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
 from srs_twin.identification.locomotion import GaitRun
-from srs_twin.io.files import existing
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.recordings.clock import join
+from srs_twin.recordings.formats import identify
 from srs_twin.recordings.logs import ValveLog, is_bend_log, read_bends, read_valves
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -41,6 +42,7 @@ class RecordingReader:
         up: axis of the file that points up, one of `floor.UPS`.
         layout: of the markers, one of `layout.LAYOUTS`.
         head: name of the column of the marker at the head; None: the end towards which the robot crawls.
+        map: which marker or column is what.
         longest_gap_s: longest gap that is filled, s.
         offset_s: what to add to the log's times, s; None: estimated.
         gait_frequency_hz: Hz; None: as the valves repeat themselves.
@@ -49,6 +51,7 @@ class RecordingReader:
     up: str = "auto"
     layout: str = "auto"
     head: str | None = None
+    map: RecordingMap = NO_MAP
     longest_gap_s: float = LONGEST_GAP
     offset_s: float | None = None
     gait_frequency_hz: float | None = None
@@ -61,7 +64,7 @@ class RecordingReader:
             spec: the robot on it.
             frequency: of the gait where none was given, Hz.
         """
-        given: dict[str, Any] = {"up": self.up, "layout": self.layout, "head": self.head}
+        given: dict[str, Any] = {"up": self.up, "layout": self.layout, "head": self.head, "map": self.map}
         return read_motion(path, spec, **given, **self._stretch(frequency))
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
@@ -90,8 +93,9 @@ class RecordingReader:
         Raises:
             InputError: as `body`, `read_valves` and `joined`.
         """
-        existing(Path(path), suffix=".csv")  # missed first: the log's name was made of its name
-        log = read_valves(valves, spec)
+        if not is_bend_log(path):
+            identify(path)  # judged first: the log's name was made of its name
+        log = read_valves(valves, spec, self.map)
         return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
 
 
@@ -106,12 +110,18 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
         InputError: more or fewer logs than takes.
     """
     if not given:
-        return [str(Path(take).with_name(Path(take).stem + _LOG)) for take in takes]
+        return [_log_of(Path(take)) for take in takes]
     if len(given) != len(takes):
         wanted = f"give one for each, in their order ({', '.join(takes)})"
         otherwise = f"or none where each lies beside its recording as NAME{_LOG}"
         raise InputError(f"{len(given)} logs of valves for {len(takes)} recordings; {wanted}, {otherwise}")
     return list(given)
+
+
+def _log_of(take: Path) -> str:
+    """Return the log beside a take, or the take where it may hold its own."""
+    beside = take.with_name(take.stem + _LOG)
+    return str(take if take.suffix.lower() == ".mcap" and not beside.exists() else beside)
 
 
 def repeats(log: ValveLog) -> float | None:

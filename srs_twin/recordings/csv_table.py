@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import decoded, existing, shown
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -345,14 +345,18 @@ class CsvTable:
         return [f"{len(self.unused)} columns not used: {listed}"]
 
 
-def read_table(file: RecordedFile, known: Mapping[str, Mapping[str, float]]) -> CsvTable:
+def read_table(
+    file: RecordedFile, known: Mapping[str, Mapping[str, float]], names: Mapping[str, str] | None = None
+) -> CsvTable:
     """Read the header of a plain table.
 
     Args:
         file: the table.
         known: base name → its units (name → factor to SI); empty for what has no unit.
+        names: column → what it holds, for names of somebody else.
 
     Raises:
+        UnknownNameError: one of these columns is not there.
         InputError: no header, another separator, a name twice, or a unit that is not known.
     """
     (cells,) = file.head(1)
@@ -360,6 +364,12 @@ def read_table(file: RecordedFile, known: Mapping[str, Mapping[str, float]]) -> 
         if len(cells) == 1 and separator in cells[0]:
             remedy = "save it with commas, and points in numbers"
             raise file.error(f"cells are separated by {called}; {remedy}", 1)
+    if names:
+        there = [cell.strip() for cell in cells]
+        for name in names:
+            if name not in there:
+                raise UnknownNameError("column", name, there)
+        cells = [names.get(cell, "" if cell in names.values() else cell) for cell in there]
     columns = [_column(file, place, text, known) for place, text in enumerate(cells)]
     seen: dict[tuple[str, int, str], CsvColumn] = {}
     for each in filter(None, columns):

@@ -14,7 +14,7 @@ import warnings
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from io import BytesIO
@@ -52,6 +52,9 @@ _MAGIC = b"\x89MCAP0\r\n"
 _SECTIONS = ("Trajectories", "Devices", "Joints", "Segments", "Model Outputs", "Events", "Forces")
 _SECTION = re.compile(rb'^"?(%s)"?[ \t,]*\r?$' % "|".join(_SECTIONS).encode(), re.MULTILINE)
 _PLAIN_NAME = re.compile(r"\s*(?:t|time|[xyz]_\d+)(?![A-Za-z0-9])", re.IGNORECASE)
+_UNIT = r"(?:[ _]*[\[(]?(?P<unit>mm|cm|m|in|ft)[\])]?)?"
+_AXIS_LAST = re.compile(r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?" + _UNIT, re.IGNORECASE)
+_AXIS_FIRST = re.compile(r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)" + _UNIT, re.IGNORECASE)
 _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")
 _MOST_EVENTS = 1000  # lines of a Qualisys header; each event has one
 _EXPORT = "export CSV or C3D instead"
@@ -76,17 +79,9 @@ def identify(path: str | os.PathLike[str]) -> str:
     Raises:
         InputError: missing, a folder, empty, or of another format; says what it looks like.
     """
-    place = existing(Path(path), suffix=".csv")
-    name = shown(place)
-    try:
-        with place.open("rb") as stream:
-            raw = stream.read(_PEEK)
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
-    if raw.startswith(_MAGIC):
-        return MCAP
-    if raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r":
-        return C3D
+    place, name, raw = _begin(path)
+    if kind := _binary(raw):
+        return kind
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     if not raw.strip():
         raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
@@ -102,7 +97,8 @@ def identify(path: str | os.PathLike[str]) -> str:
         return QUALISYS
     if title.lower() == "scorer":
         return DEEPLABCUT
-    if any(_PLAIN_NAME.match(cell) for cell in re.split(r"[,;\t]", first)):
+    cells = re.split(r"[,;\t]", first)
+    if any(_PLAIN_NAME.match(cell) for cell in cells) or axis_columns(cells):
         return PLAIN
     for sign, what, remedy in _OTHERS:
         if raw.startswith(sign) if isinstance(sign, bytes) else place.suffix.lower() == sign:
@@ -112,6 +108,46 @@ def identify(path: str | os.PathLike[str]) -> str:
     )
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
     raise InputError(printable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
+
+
+def binary_format(path: str | os.PathLike[str]) -> str:
+    """Return "C3D" or "MCAP" by a file's first bytes, empty for anything else.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    return _binary(_begin(path)[2])
+
+
+def _begin(path: str | os.PathLike[str]) -> tuple[Path, str, bytes]:
+    place = existing(Path(path), suffix=".csv")
+    name = shown(place)
+    try:
+        with place.open("rb") as stream:
+            return place, name, stream.read(_PEEK)
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+
+
+def _binary(raw: bytes) -> str:
+    if raw.startswith(_MAGIC):
+        return MCAP
+    return C3D if raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r" else ""
+
+
+def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
+    """Return marker → axis → column and unit of a header whose names end or begin with x, y or z.
+
+    As ``base_x,base_y``, ``Tip X (mm)``, ``x_LED1``. Markers without x and y are left out.
+    """
+    found: dict[str, dict[str, tuple[int, str]]] = {}
+    for place, cell in enumerate(cells):
+        match = _AXIS_LAST.fullmatch(cell.strip(' "')) or _AXIS_FIRST.fullmatch(cell.strip(' "'))
+        if match:
+            found.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
+                match["axis"].lower(), (place, (match["unit"] or "").lower())
+            )
+    return {name: axes for name, axes in found.items() if {"x", "y"} <= axes.keys()}
 
 
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.csv_table import (
@@ -32,8 +32,10 @@ from srs_twin.recordings.csv_table import (
     read_file,
     read_table,
 )
+from srs_twin.recordings.formats import MCAP, binary_format, read_mcap
 from srs_twin.recordings.gaps import LEAST_FRAMES, at_frames, filled, frame_grid, longest_complete, time_order
 from srs_twin.recordings.recording import Recording, named_in_errors
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.summary import LogSummary
 from srs_twin.recordings.trajectories import measured, moving_slope, numbered, pose_columns
 from srs_twin.robot.spec import RobotSpec
@@ -54,7 +56,7 @@ def is_bend_log(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    return any(name.startswith("bend_1") for name in first_line_names(path))
+    return not binary_format(path) and any(name.startswith("bend_1") for name in first_line_names(path))
 
 
 def read_bends(
@@ -183,23 +185,44 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
 
-def read_valves(path: str | os.PathLike[str], spec: RobotSpec) -> ValveLog:
-    """Read a log of valves or pressures.
+def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
+    """Read a log of valves, duties or pressures.
+
+    Args:
+        path: of a plain CSV or an MCAP file.
+        spec: the robot that it is of.
+        map: which columns, or signals of topics, hold what; frequency of the duties' carrier.
 
     Raises:
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
-    valves: dict[str, dict[str, float]] = {f"valve_{side}": {} for side in SIDES}
-    table = read_table(read_file(path), CLOCK | valves | {f"pressure_{side}": PRESSURES for side in SIDES})
+    if binary_format(path) == MCAP:
+        return _mcap_log(path, spec, map)
+    valves: dict[str, dict[str, float]] = {
+        f"{kind}_{side}": {} for kind in ("valve", "duty") for side in SIDES
+    }
+    air = {f"{kind}_{side}": PRESSURES for kind in ("pressure", "setpoint") for side in SIDES}
+    file = read_file(path)
+    with named_in_errors(file.name):
+        table = read_table(file, CLOCK | valves | air, map.columns)
     clock = table.clock("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures")
     kinds = sorted({each.name.partition("_")[0] for each in table.columns if "_" in each.name})
     if len(kinds) != 1:
-        given = "both" if kinds else "neither"
-        raise table.file.error(f"valve_plus_1,… or pressure_plus_1,… are wanted; {given} given", 1)
+        given = ", ".join(kinds) or "neither"
+        wanted = "one of valve_plus_1,…, duty_plus_1,…, pressure_plus_1,…, setpoint_plus_1,…"
+        raise table.file.error(f"{wanted} is wanted (other names: --map); {given} given", 1)
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
     time, values, notes = table.read_timed(clock, chosen)
-    _check_values(table, kind, chosen, values)
+    if kind == "setpoint":
+        kind = "pressure"
+        notes.append("set-points taken as the chambers' pressures")
+    if kind == "duty":
+        with named_in_errors(table.file.name):
+            time, values = _switched(time, values, map.carrier_hz, notes)
+        kind = "valve"
+    else:
+        _check_values(table, kind, chosen, values)
     if np.abs(time).max() > _LATEST:
         raise table.file.error(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
     if kind == "valve" and not (values == -1).any() and (values == 0).any():
@@ -219,6 +242,77 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec) -> ValveLog:
         raise table.file.error("a log has 2 rows or more")
     shaped = values[kept].reshape(-1, spec.segments, 2)
     return ValveLog(kind, time[kept], shaped, table.file.name, table.file.sha256, tuple(notes))
+
+
+def _switched(
+    time: np.ndarray, duty: np.ndarray, carrier_hz: float | None, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (rows,), s, and valves (rows, chambers) that fill for their share of each carrier period.
+
+    Duties hold until the next row, are from 0 to 1, or to 100 per cent.
+    """
+    if carrier_hz is None:
+        raise InputError("duties need the frequency of their carrier: log: {carrier_hz: 30} in a map")
+    if not ((duty >= 0) & (duty <= 100)).all():
+        raise InputError("duties from 0 to 1, or 0 to 100 per cent, are wanted")
+    if duty.max() > 1:
+        duty = duty / 100
+        notes.append("duties taken as per cent")
+    order = np.argsort(time, kind="stable")
+    time, duty = time[order], duty[order]
+    begins = np.arange(time[0], time[-1], 1 / carrier_hz)
+    share = duty[np.searchsorted(time, begins + 1e-9, side="right") - 1]
+    edges = np.unique(np.concatenate([begins, (begins[:, None] + share / carrier_hz).ravel()]))
+    edges = edges[edges <= time[-1]]
+    period = np.searchsorted(begins, edges + 1e-9, side="right") - 1
+    filling = edges[:, None] < begins[period, None] + share[period] / carrier_hz - 1e-9
+    notes.append(f"duties switched at {carrier_hz:g} Hz, filling first")
+    return edges, np.where(filling, 1.0, -1.0)
+
+
+def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) -> ValveLog:
+    """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
+    topics = read_mcap(path)
+    with named_in_errors(topics.name):
+        names = {what: signal for signal, what in map.columns.items()}
+        kinds = {what.partition("_")[0] for what in names}
+        unit = {unit for what in names if (unit := what.rpartition("_")[2].lower()) in PRESSURES}
+        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
+        wanted = [f"{each}_{u}" for each in wanted for u in unit] if unit else wanted
+        if len(kinds) != 1 or len(unit) > 1 or sorted(wanted) != sorted(names):
+            found = ", ".join(list(topics.signals)[:12]) or "none"
+            raise InputError(
+                f"which signals are the air of {spec.segments} segments is not known; a map has log: "
+                f"{{valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …}}; signals: {found}"
+            )
+        for each in names.values():
+            if each not in topics.signals:
+                raise UnknownNameError("signal", each, topics.signals)
+        (kind,), factor = kinds, PRESSURES[unit.pop()] if unit else 1.0
+        series = [topics.signals[names[each]] for each in wanted]
+        time = np.unique(np.concatenate([each for each, _ in series]))
+        time = time[
+            (time >= max(each[0] for each, _ in series)) & (time <= max(each[-1] for each, _ in series))
+        ]
+        notes = list(topics.notes)
+        if kind in ("pressure", "setpoint"):
+            values = factor * np.stack([np.interp(time, *each) for each in series], axis=1)
+            notes += ["set-points taken as the chambers' pressures"] * (kind == "setpoint")
+            kind = "pressure"
+        else:
+            values = np.stack([v[np.searchsorted(t, time, side="right") - 1] for t, v in series], axis=1)
+            if kind == "duty":
+                time, values = _switched(time, values, map.carrier_hz, notes)
+            kind = "valve"
+            if not np.isin(values, (-1, 0, 1)).all():
+                raise InputError("valves are -1 (vent), 0 (hold) or 1 (fill)")
+            if not (values == -1).any() and (values == 0).any():
+                values = np.where(values == 0, -1.0, values)
+                notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
+        if len(time) < 2:
+            raise InputError("a log has 2 rows or more")
+    shaped = values.reshape(-1, spec.segments, 2)
+    return ValveLog(kind, time, shaped, topics.name, topics.sha256, tuple(notes))
 
 
 def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: np.ndarray) -> None:

@@ -25,6 +25,7 @@ from srs_twin.recordings import formats
 from srs_twin.recordings.csv_table import (
     CLOCK,
     LENGTHS,
+    TIMES,
     CsvColumn,
     CsvTable,
     RecordedFile,
@@ -40,6 +41,9 @@ KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
 """Types of columns with positions of something on the robot; the first that a file has counts."""
 
 _HEADER_LINES = 12
+_TIME = re.compile(
+    r"\W*(?:t|time|timestamp|seconds|secs?)(?:[ _]*[\[(]?(?P<unit>s|ms|us)[\])]?)?\W*", re.IGNORECASE
+)
 _KEYS = ("Length Units", "Export Frame Rate", "Capture Frame Rate", "Total Exported Frames")
 
 
@@ -54,8 +58,9 @@ def read_markers(
 
     Args:
         path: of the file.
-        rate_hz: frames a second, where the file does not say (DeepLabCut, Qualisys with an external clock).
-        unit: of lengths, where the file does not say (DeepLabCut).
+        rate_hz: frames a second, where the file does not say (DeepLabCut, plain CSV without a time, Qualisys
+            with an external clock).
+        unit: of lengths, where the file does not say (DeepLabCut, plain CSV).
         scale_m: size of a pixel, m (DeepLabCut).
 
     Raises:
@@ -75,8 +80,9 @@ def read_markers(
         return formats.read_deeplabcut(file, rate_hz, unit, scale_m)
     if kind == formats.QUALISYS:
         return formats.read_qualisys(file, rate_hz)
-    readers = {formats.MOTIVE: _motive, formats.VICON: formats.read_vicon, formats.PLAIN: _plain}
-    return readers[kind](file)
+    if kind == formats.PLAIN:
+        return _plain(file, rate_hz, unit)
+    return _motive(file) if kind == formats.MOTIVE else formats.read_vicon(file)
 
 
 def _noted(notes: tuple[str, ...]) -> str:
@@ -202,26 +208,64 @@ def _times(file: RecordedFile, header: _Header, frame: np.ndarray, time: np.ndar
     return time
 
 
-def _plain(file: RecordedFile) -> MarkerTable:
+def _plain(file: RecordedFile, rate_hz: float | None, unit: str | None) -> MarkerTable:
     """Read the markers of a plain CSV file."""
     table = read_table(file, CLOCK | dict.fromkeys("xyz", LENGTHS))
+    if all(each.name in CLOCK or not each.number for each in table.columns):
+        return _foreign(file, rate_hz, unit)
     clock = table.clock(
         "no column 'time' (the first line of a plain CSV file names the columns: time,x_1,y_1,x_2,y_2,…)"
     )
     marks = _marks(table)
     chosen = [column for mark in marks.values() for column in mark]
     time, values, notes = table.read_timed(clock, chosen)
-    units = sorted({each.unit for each in [clock, *chosen] if each.unit not in ("", "m", "s")})
+    if unit:
+        values = values * np.array([1.0 if each.unit else LENGTHS[unit] for each in chosen])
+    units = sorted({each.unit or unit or "" for each in [clock, *chosen]} - {"", "m", "s"})
     if units:
         notes.append(f"converted from {', '.join(units)} to SI")
     unstated = [each.text for each in [clock, *chosen] if not each.unit]
-    if unstated:
+    if unstated and not unit:
         notes.append(f"{len(unstated)} columns without a unit taken as s and m ({unstated[0]}, …)")
     points, implausible = plausible(values.reshape(len(time), len(marks), -1))
     labels = tuple(f"{number}{letter}" for number, letter in marks)
     corrections = (*notes, *table.unused_columns(), *implausible)
     places = tuple((2 * (number - 1), "") for number, _ in marks)
     return MarkerTable(file.name, file.sha256, formats.PLAIN, time, points, labels, corrections, places)
+
+
+def _foreign(file: RecordedFile, rate_hz: float | None, unit: str | None) -> MarkerTable:
+    """Read a plain CSV file whose columns are named by anybody: NAME_x, NAME_y, and z where it is there."""
+    (cells,) = file.head(1)
+    marks = formats.axis_columns(cells)
+    if not marks:
+        raise file.error(
+            "no positions: columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y are wanted", 1
+        )
+    clock = next(((k, match) for k, cell in enumerate(cells) if (match := _TIME.fullmatch(cell))), None)
+    if clock is None and not rate_hz:
+        raise file.error("no column 'time', and no rate_hz (frames a second) in a map or by --rate", 1)
+    axes = "xyz" if any("z" in each for each in marks.values()) else "xy"
+    flat = [(name, axis, *each.get(axis, (-1, ""))) for name, each in marks.items() for axis in axes]
+    if (short := next((each for each in flat if each[2] < 0), None)) is not None:
+        raise file.error(f"{short[0]}_z is missing, other markers have one", 1)
+    columns = ([] if clock is None or rate_hz else [clock[0]]) + [place for _, _, place, _ in flat]
+    values, notes = file.rows(1, columns, len(cells))
+    if clock is None or rate_hz:
+        time = np.arange(len(values)) / float(rate_hz or 1.0)
+        notes.append(f"frames counted, {rate_hz:g} a second")
+    else:
+        time, values = values[:, 0] * TIMES[(clock[1]["unit"] or "s").lower()], values[:, 1:]
+        if (missing := np.isnan(time)).any():
+            raise file.error("a row without a time", 2 + int(missing.argmax()), clock[0] + 1)
+    given = [each or unit or "m" for *_, each in flat]
+    if not unit and not all(each for *_, each in flat):
+        notes.append("columns without a unit taken as m")
+    notes += [f"converted from {each} to m" for each in sorted({*given} - {"m"})]
+    scaled = values * np.array([LENGTHS[each] for each in given])
+    points, implausible = plausible(scaled.reshape(len(time), len(marks), -1))
+    corrections = (*notes, *implausible)
+    return MarkerTable(file.name, file.sha256, formats.PLAIN, time, points, tuple(marks), corrections)
 
 
 def _marks(table: CsvTable) -> dict[tuple[int, str], list[CsvColumn]]:

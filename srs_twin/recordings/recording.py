@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,7 @@ from srs_twin.recordings.gaps import (
 )
 from srs_twin.recordings.layout import LAYOUTS, check_scale, robot_markers
 from srs_twin.recordings.motion_files import read_markers
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.summary import LogSummary, MarkerCounts
 from srs_twin.recordings.tracking import MOST, MarkerTable, follow, pack_slots
 from srs_twin.recordings.trajectories import body_trajectory
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 LONGEST_GAP = 0.2
 """s. What lies in longer gaps nobody knows: the trajectory is cut there."""
 
+_ARM = 0.01  # m: from a rigid body to the markers that stand for it
 _HIGHEST = 0.05  # m over or under most markers: farther nothing is on the robot
 _JUMP = 0.06  # of a segment's length: no smaller jump is an outlier
 _REACH = 0.8  # of a segment's length: no marker appears farther from where it is expected
@@ -79,6 +81,7 @@ def read_motion(
     up: str = "auto",
     layout: str = "auto",
     head: str | None = None,
+    map: RecordingMap = NO_MAP,
     longest_gap_s: float = LONGEST_GAP,
     fill: str = "spline",
     gait_frequency_hz: float | None = None,
@@ -86,11 +89,12 @@ def read_motion(
     """Read a captured motion.
 
     Args:
-        path: a Motive CSV export (1.2x) or a plain CSV file.
+        path: a file in one of `formats.FORMATS`.
         spec: the robot on it.
         up: the axis of the file that points up, one of `floor.UPS`.
         layout: one of `layout.LAYOUTS`.
         head: name of the column of the marker at the head; None: the end towards which the robot crawls.
+        map: which marker or rigid body is what, and what the file does not say.
         longest_gap_s: longest gap that is filled, from the last sample before it to the first after, s.
         fill: "spline" or "linear".
         gait_frequency_hz: of the gait, for the metrics; None: not periodic.
@@ -107,8 +111,10 @@ def read_motion(
     one_of("fill", fill, WAYS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
-    table = read_markers(path)
+    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
+    up = map.up if map.up and up == "auto" else up
     with named_in_errors(table.name):
+        table = _bodies_as_pairs(map.applied(table))
         geometry = spec.geometry
         frames = frame_grid(table.time)
         floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
@@ -140,6 +146,35 @@ def read_motion(
         body = tracked_body(markers, spec, head)
         summary = _summary(frames, floor, markers, body)
         return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
+
+
+def _bodies_as_pairs(table: MarkerTable) -> MarkerTable:
+    """Return a table in which two markers stand for each rigid body with a rotation, on one of its axes.
+
+    The axis is the one that turns most: an upright one would tell no heading.
+    """
+    if table.rotations is None:
+        return table
+    from scipy.spatial.transform import Rotation
+
+    points: list[np.ndarray] = []
+    labels: list[str] = []
+    places: list[tuple[int, str]] = []
+    for k, label in enumerate(table.labels):
+        turns, place = table.rotations[:, k], table.points[:, k]
+        known = np.isfinite(turns).all(axis=1)
+        arms = np.zeros((1, 3))
+        if known.any():
+            axes = np.full((len(turns), 3, 3), np.nan)
+            axes[known] = Rotation.from_quat(turns[known]).as_matrix()
+            arms = axes[..., int(np.nanvar(axes, axis=0).sum(axis=0).argmax())] * _ARM
+        ends = [place + arms, place - arms] if known.any() else [place]
+        points += ends
+        labels += [label] * len(ends)
+        places += [table.places[k]] * len(ends) if table.places else []
+    return replace(
+        table, points=np.stack(points, axis=1), labels=tuple(labels), places=tuple(places), rotations=None
+    )
 
 
 def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody) -> LogSummary:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, WithJsonSchema
 
 from srs_twin.identification.takes import RecordingReader
+from srs_twin.recordings.recording_map import RecordingMap
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.air import PneumaticsFile, SupplyFile, ValvesFile
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
@@ -35,17 +36,19 @@ class RecordingFile(Section):
     constructors = (RecordingReader,)
 
     motion: FilePath
-    """What cameras saw, a Motive or plain CSV file; on a bench also a CSV file of time,bend_1,…."""
+    """What cameras saw (docs/logs.md#file-formats); on a bench also a CSV file of time,bend_1,…."""
     valves: FilePath | None = None
-    """Log of valves or pressures; a plain CSV file (default: NAME.valves.csv beside the motion)."""
+    """Log of valves or pressures; a plain CSV or MCAP file (default: NAME.valves.csv beside the motion)."""
     offset_s: float | None = quantity(-1e9, 1e9)
     """What to add to the log's times (default: estimated)."""
     gait_frequency_hz: float | None = quantity(0.01, 50.0)
     """Gait frequency (default: as the valves repeat themselves)."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = constructor_default()
     """Axis of the file that points up."""
-    layout: Literal["auto", "single", "head", "pair"] = constructor_default()
+    layout: Literal["auto", "single", "head", "pair", "middles", "head_middles"] = constructor_default()
     """Where the markers are."""
+    map: RecordingMap = constructor_default()
+    """Which marker, rigid body or column is what (docs/logs.md#a-map)."""
     head: Line | None = constructor_default()
     """Column of the marker at the head; the end towards which it crawls where there is none."""
     longest_gap_s: float = quantity(0.0, 10.0)

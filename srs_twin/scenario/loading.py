@@ -181,7 +181,7 @@ def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Reco
         return None
     reading, spec = given.build(), robot.spec(file.seed)
     (path,) = logs_of([given.motion], [given.valves] if given.valves else [])
-    log = _read(document, "valves", lambda: read_valves(path, spec))
+    log = _read(document, "valves", lambda: read_valves(path, spec, given.map))
     frequency = repeats(log) if log else None
     body = _read(document, "motion", lambda: reading.body(given.motion, spec, frequency))
     if body is None or log is None:
@@ -201,8 +201,8 @@ def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | No
     try:
         return read()
     except UnknownNameError as error:
-        # The file itself was read: it is the marker that is not in it.
-        document.report(("recording", "head"), str(error))
+        # The file itself was read: it is the marker, or the column, that is not in it.
+        document.report(("recording", "head" if document.get("recording", "head") else "map"), str(error))
     except InputError as error:
         document.report(("recording", key), str(error))
     return None
