@@ -40,7 +40,7 @@ class RecordingReader:
 
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
-        layout: of the markers, one of `layout.LAYOUTS`.
+        layout: of the markers, one of `body.LAYOUTS`.
         head: name of the column of the marker at the head; None: the end towards which the robot crawls.
         map: which marker or column is what.
         longest_gap_s: longest gap that is filled, s.

@@ -36,8 +36,7 @@ from srs_twin.recordings.formats import MCAP, binary_format, read_mcap
 from srs_twin.recordings.gaps import LEAST_FRAMES, at_frames, filled, frame_grid, longest_complete, time_order
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
-from srs_twin.recordings.summary import LogSummary
-from srs_twin.recordings.trajectories import measured, moving_slope, numbered, pose_columns
+from srs_twin.recordings.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, one_of
-from srs_twin.recordings.body import CapturedMarkers, TrackedBody, likeliest_layout, tracked_body
+from srs_twin.recordings.body import (
+    LAYOUTS,
+    CapturedMarkers,
+    TrackedBody,
+    check_scale,
+    likeliest_layout,
+    robot_markers,
+    tracked_body,
+)
 from srs_twin.recordings.floor import UPS, FloorPlane, on_floor
 from srs_twin.recordings.gaps import (
     LEAST_FRAMES,
@@ -24,12 +32,10 @@ from srs_twin.recordings.gaps import (
     outliers,
     runs,
 )
-from srs_twin.recordings.layout import LAYOUTS, check_scale, robot_markers
 from srs_twin.recordings.motion_files import read_markers
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
-from srs_twin.recordings.summary import LogSummary, MarkerCounts
 from srs_twin.recordings.tracking import MOST, MarkerTable, follow, pack_slots
-from srs_twin.recordings.trajectories import body_trajectory
+from srs_twin.recordings.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -92,7 +98,7 @@ def read_motion(
         path: a file in one of `formats.FORMATS`.
         spec: the robot on it.
         up: the axis of the file that points up, one of `floor.UPS`.
-        layout: one of `layout.LAYOUTS`.
+        layout: one of `body.LAYOUTS`.
         head: name of the column of the marker at the head; None: the end towards which the robot crawls.
         map: which marker or rigid body is what, and what the file does not say.
         longest_gap_s: longest gap that is filled, from the last sample before it to the first after, s.

@@ -36,7 +36,7 @@ class MarkerPlace(Strict):
 
     @property
     def station(self) -> tuple[int, str]:
-        """Station and side; see `layout.Places`."""
+        """Station and side; see `body.Places`."""
         at = 2 * (self.connector - 1) if self.connector is not None else 2 * (self.middle or 0) - 1
         return at, self.side or ""
 

@@ -64,7 +64,7 @@ class MarkerTable:
         points: NaN where a marker was not seen, shape (frames, columns, 3), or (…, 2) in a plane, m.
         labels: names of the columns.
         corrections: what was converted, left out or skipped, in words.
-        places: station on the body and side of each column (`layout.Places`), where its name says so; else
+        places: station on the body and side of each column (`body.Places`), where its name says so; else
             empty.
         header_frames: how many frames the header announces; None where it does not.
         rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
