@@ -351,8 +351,10 @@ def _decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         how = "`uv sync --extra recordings`, or `pip install 'srs-twin[recordings]'`"
         raise file.error(f"{kind} needs the package {error.name}, which is an extra: {how}") from error
     except Exception as error:  # libraries raise whatever their first wrong byte leads to
-        reason = printable(" ".join(str(error).split()))[:120] or type(error).__name__
-        raise file.error(f"a damaged {kind} file ({reason})") from error
+        reason = (
+            f" ({printable(' '.join(str(error).split()))[:120]})" if isinstance(error, ValueError) else ""
+        )
+        raise file.error(f"a damaged {kind} file{reason}; record or export it anew") from error
 
 
 def read_c3d(path: str | os.PathLike[str]) -> MarkerTable:
