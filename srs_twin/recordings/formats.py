@@ -14,10 +14,10 @@ import warnings
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass, field, replace
-from io import BytesIO
+from io import BytesIO, StringIO
 from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
@@ -380,8 +380,8 @@ def read_c3d(path: str | os.PathLike[str]) -> MarkerTable:
         # Tells how many bytes a frame has, too: it is checked before frames are read.
         rate = _rate(file, str(reader.point_rate))
         text = reader.get("POINT:UNITS")
-        unit = text.string_value.strip("\0 ").lower() if text else "mm"
-        factor = length_unit(file, unit)
+        unit = text.string_value.strip("\0 ").lower() if text else ""
+        factor = length_unit(file, unit or "mm")
         frames = [(number, points[:, :4]) for number, points, _ in reader.read_frames()]
         keys = ["LABELS", *(f"LABELS{k}" for k in range(2, 2 + count // 255))]
         texts = [reader.get(f"POINT:{key}") for key in keys]
@@ -392,9 +392,9 @@ def read_c3d(path: str | os.PathLike[str]) -> MarkerTable:
     points = np.where(samples[..., 3:] < 0, np.nan, samples[..., :3] * factor)
     points, implausible = plausible(points)
     time = (np.array([number for number, _ in frames]) - 1.0) / rate
-    notes = [] if unit == "m" else [f"lengths converted from {unit} to m"]
-    if not text:
-        notes.append("no POINT:UNITS: mm taken")
+    notes = [f"lengths converted from {unit} to m" if unit else "POINT:UNITS is not given: mm taken"] * (
+        unit != "m"
+    )
     if len(frames) < announced:
         notes.append(f"the file ends after {len(frames)} of {announced} frames")
     labels = tuple(
@@ -564,7 +564,8 @@ class _Topics:
             elif kind in _BODIES or kind in _SIGNALS or _STD.fullmatch(kind):
                 from mcap_ros2.decoder import DecoderFactory
 
-                found = DecoderFactory().decoder_for(channel.message_encoding, schema)
+                with redirect_stderr(StringIO()):  # prints lines of schemas that it cannot read
+                    found = DecoderFactory().decoder_for(channel.message_encoding, schema)
             self.decoders[channel.id] = found
         return self.decoders[channel.id]
 
