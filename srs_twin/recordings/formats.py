@@ -47,6 +47,7 @@ LEAST_LIKELIHOOD = 0.6
 
 _PEEK = 1 << 16  # bytes that tell a format
 _MOST_UNPACKED = 4 * MAX_BYTES  # of all chunks together
+_MOST_MESSAGES = 1 << 23
 _APART = 1.0  # s from the log's clock: stamps farther away may be another clock's
 _MAGIC = b"\x89MCAP0\r\n"
 _SECTIONS = ("Trajectories", "Devices", "Joints", "Segments", "Model Outputs", "Events", "Forces")
@@ -466,8 +467,11 @@ def _messages(file: RecordedFile) -> Iterator[tuple[Any, Any, Any]]:
             if not isinstance(record, Chunk):
                 yield record
                 continue
-            data = _unpacked(record, min(left, MAX_BYTES))
-            left -= len(data)
+            left -= record.uncompressed_size
+            if left < 0 or record.uncompressed_size > MAX_BYTES:
+                most = f"at most {_MOST_UNPACKED >> 20} MB are read (record fewer topics, or a shorter take)"
+                raise file.error(f"its chunks are larger when they are unpacked; {most}")
+            data = _unpacked(record)
             try:
                 yield from StreamReader(BytesIO(data), skip_magic=True).records
             except EndOfFile:
@@ -486,10 +490,12 @@ def _messages(file: RecordedFile) -> Iterator[tuple[Any, Any, Any]]:
             yield schemas.get(channel.schema_id), channel, record
 
 
-def _unpacked(chunk: Any, most: int) -> bytes:
-    """Return the records of a chunk; its header's size is not trusted beyond `most` bytes."""
-    if chunk.uncompressed_size > most:
-        raise ValueError(f"it unpacks to more than {_MOST_UNPACKED >> 20} MB")
+def _unpacked(chunk: Any) -> bytes:
+    """Return the records of a chunk, of no more bytes than it says.
+
+    Raises:
+        ValueError: there are fewer, or they are damaged.
+    """
     data: bytes = chunk.data
     if chunk.compression == "zstd":
         import zstandard
@@ -520,15 +526,18 @@ class _Topics:
     origin: int = 0
     signals: dict[str, _Series] = field(default_factory=dict)
     bodies: dict[str, dict[str, _Series]] = field(default_factory=dict)  # topic → label → poses
-    stamps: dict[str, array[int]] = field(default_factory=dict)  # topic of bodies → ns
     skipped: Counter[str] = field(default_factory=Counter)
     decoders: dict[int, Callable[[bytes], Any] | None] = field(default_factory=dict)
+    messages: int = 0
     numbers: int = 0
     apart: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def add(self, schema: Any, channel: Any, message: Any) -> None:
         """Take in one message."""
+        self.messages += 1
+        if self.messages > _MOST_MESSAGES:
+            raise self.file.error(f"over {_MOST_MESSAGES} messages; record fewer topics, or a shorter take")
         self.origin = min(self.origin or message.log_time, message.log_time)
         kind = schema.name.replace("/msg/", "/") if schema else channel.message_encoding
         topic, decode = printable(channel.topic), self._decoder(kind, schema, channel)
@@ -547,11 +556,9 @@ class _Topics:
             self.apart.setdefault(topic, abs(time - message.log_time) / 1e9)
         if kind in _BODIES:
             poses = _BODIES[kind](said)
-            self.stamps.setdefault(topic, array("q")).append(time)
-            series = self.bodies.setdefault(topic, {})
             for k, pose in enumerate(poses, start=1):
                 label = topic if kind != "geometry_msgs/PoseArray" else f"{topic}_{k}"
-                self._append(series, label, time, _pose_numbers(pose))
+                self._append(self.bodies.setdefault(topic, {}), label, time, _pose_numbers(pose))
         else:
             for name, value in _numbers(kind, said):
                 self._append(self.signals, f"{topic}{printable(name)}", time, (float(value),))
@@ -599,22 +606,25 @@ class _Topics:
         return whole[order] / 1e9, order
 
     def _markers(self) -> MarkerTable:
-        main = max(self.stamps, key=lambda topic: len(self.stamps[topic]))
-        time, _ = self._clock(self.stamps[main])
+        stamps = {
+            topic: np.unique(np.concatenate([self._clock(each)[0] for each, _ in series.values()]))
+            for topic, series in self.bodies.items()
+        }
+        main = max(stamps, key=lambda topic: len(stamps[topic]))
+        time = stamps[main]
         half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         labels = [(topic, label) for topic, series in self.bodies.items() for label in series]
-        if not labels or len(time) * len(labels) * 7 > MAX_VALUES:
+        if len(time) * len(labels) * 7 > MAX_VALUES:
             raise self.file.error(f"{len(time)} frames of {len(labels)} bodies; at most {MAX_VALUES} numbers")
         poses = np.full((len(time), len(labels), 7), np.nan)
         for k, (topic, label) in enumerate(labels):
-            stamps, numbers = self.bodies[topic][label]
-            own, order = self._clock(stamps)
+            own, order = self._clock(self.bodies[topic][label][0])
             after = np.searchsorted(own, time).clip(1, max(1, len(own) - 1))
             nearest = np.where(
                 time - own[after - 1] <= own[after % len(own)] - time, after - 1, after % len(own)
             )
             near = np.abs(own[nearest] - time) <= (0.0 if topic == main else half)
-            poses[near, k] = np.array(numbers).reshape(-1, 7)[order][nearest[near]]
+            poses[near, k] = np.array(self.bodies[topic][label][1]).reshape(-1, 7)[order][nearest[near]]
         points, implausible = plausible(poses[..., :3])
         turned = np.linalg.norm(poses[..., 3:], axis=-1)
         valid = (turned > 0.5) & (turned < 2.0) & ~np.isnan(points[..., 0])

@@ -70,11 +70,12 @@ def read_markers(
     if kind == formats.C3D:
         return formats.read_c3d(path)
     if kind == formats.MCAP:
-        markers = (topics := formats.read_mcap(path)).markers
-        if markers is None:
+        topics = formats.read_mcap(path)
+        if topics.markers is None:
             wanted = "geometry_msgs/PoseStamped, PoseArray or PointStamped are wanted"
-            raise InputError(f"{topics.name}: no topic with positions; {wanted}{_noted(topics.notes)}")
-        return markers
+            there = "".join(f"; {note}" for note in topics.notes[:3])
+            raise InputError(f"{topics.name}: no topic with positions; {wanted}{there}")
+        return topics.markers
     file = read_file(path)
     if kind == formats.DEEPLABCUT:
         return formats.read_deeplabcut(file, rate_hz, unit, scale_m)
@@ -83,10 +84,6 @@ def read_markers(
     if kind == formats.PLAIN:
         return _plain(file, rate_hz, unit)
     return _motive(file) if kind == formats.MOTIVE else formats.read_vicon(file)
-
-
-def _noted(notes: tuple[str, ...]) -> str:
-    return f" ({'; '.join(notes[:3])})" if notes else ""
 
 
 class _Position(NamedTuple):

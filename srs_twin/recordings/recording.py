@@ -95,7 +95,7 @@ def read_motion(
     """Read a captured motion.
 
     Args:
-        path: a file in one of `formats.FORMATS`.
+        path: a recording in one of `formats.FORMATS`.
         spec: the robot on it.
         up: the axis of the file that points up, one of `floor.UPS`.
         layout: one of `body.LAYOUTS`.
