@@ -14,6 +14,7 @@ import c3d
 import numpy as np
 import pytest
 from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from mcap_ros2.writer import Writer as RosWriter
 from recorded import SPEC, motion
 from synthetic_takes import Take, write_motive
@@ -480,12 +481,12 @@ def damaged(content, seed):
     yield content[: len(content) // 3] + content
 
 
-@pytest.mark.parametrize("kind", [*FORMATS, "MCAP unchecked"])
-def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
+def refusals(folder, kind, seed):
+    """Read 50 damaged copies; return how many were refused, each in one line that names the file."""
     refused = 0
     made = FILES[kind]() if kind in FILES else mcap_file(CompressionType.NONE, checked=False)
-    for number, content in enumerate(damaged(made, len(kind))):
-        path, began = written(tmp_path, content), time.perf_counter()
+    for number, content in enumerate(damaged(made, seed)):
+        path, began = written(folder, content), time.perf_counter()
         try:
             found = read_markers(path, **TABLE)
         except InputError as error:
@@ -495,7 +496,37 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
             shape = found.points.shape
             assert shape[:2] == (len(found.time), len(found.labels)) and len(found.time), number
         assert time.perf_counter() - began < 10, number
-    assert number == 49 and refused >= 10
+    assert number == 49
+    return refused
+
+
+KINDS = [*FORMATS, "MCAP unchecked"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind, capfd):
+    assert refusals(tmp_path, kind, len(kind)) >= 10
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
+    assert sum(refusals(tmp_path, kind, seed) for seed in range(100, 160)) >= 600
+
+
+@pytest.mark.slow
+def test_what_unpacks_to_gigabytes_is_refused(tmp_path):
+    stream = io.BytesIO()
+    writer = McapWriter(stream, compression=CompressionType.ZSTD)
+    writer.start()
+    channel = writer.register_channel("/x", "json", 0)
+    for k in range(20):
+        writer.add_message(channel, k, b'"' + b" " * (60 << 20) + b'"', k)
+    writer.finish()
+    assert len(stream.getvalue()) < 1 << 18
+    with pytest.raises(InputError, match="larger when they are unpacked"):
+        read_markers(written(tmp_path, stream.getvalue()))
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,8 @@ LEAST_LIKELIHOOD = 0.6
 
 _PEEK = 1 << 16  # bytes that tell a format
 _MOST_UNPACKED = 4 * MAX_BYTES  # of all chunks together
-_MOST_MESSAGES = 1 << 23
+_MOST_MESSAGES = 1 << 23  # of an MCAP file: an hour of twenty topics at 100 Hz
+_MOST_FRAMES = 1 << 22  # of a C3D file: an hour at 1 kHz
 _APART = 1.0  # s from the log's clock: stamps farther away may be another clock's
 _MAGIC = b"\x89MCAP0\r\n"
 _SECTIONS = ("Trajectories", "Devices", "Joints", "Segments", "Model Outputs", "Events", "Forces")
@@ -88,7 +89,7 @@ def identify(path: str | os.PathLike[str]) -> str:
         raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
     wide = raw.startswith((b"\xff\xfe", b"\xfe\xff"))  # the reader says how to save it
     text = raw.decode("utf-16" if wide else "utf-8", "replace")
-    first = next(line for line in text.splitlines() if line.strip())
+    first = next((line for line in text.splitlines() if line.strip()), "")
     title = re.split(r"[,\t]", first)[0].strip(' "')
     if title == "Format Version":
         return MOTIVE
@@ -265,16 +266,11 @@ def read_qualisys(file: RecordedFile, rate_hz: float | None = None) -> MarkerTab
     given = "".join(about.get("FREQUENCY", [])[:1])
     if given in ("EXT", "") and rate_hz:
         given = str(rate_hz)
-    if given != "EXT" or not first:
-        rate = _rate(file, given)
-        frame = (
-            _numbered(file, values[:, 0], header, "frame number") if first else np.arange(len(values)) + 1.0
-        )
-        time = (frame - 1) / rate
-        if first:
-            time = counted_times(frame, _numbered(file, values[:, 1], header, "time"), rate)
-    else:
-        time = _numbered(file, values[:, 1], header, "time")
+    time = _numbered(file, values[:, 1], header, "time") if first else np.arange(len(values)) + 0.0
+    if not first:
+        time /= _rate(file, given)
+    elif given != "EXT":
+        time = counted_times(values[:, 0], time, _rate(file, given))
     points = values[:, first:].reshape(len(values), -1, 3) * LENGTHS["mm"]
     points[(points == 0).all(axis=-1)] = np.nan
     points, implausible = plausible(points)
@@ -378,26 +374,27 @@ def read_c3d(path: str | os.PathLike[str]) -> MarkerTable:
         count, announced = reader.point_used, reader.frame_count
         if not count or announced < 1:
             raise file.error("no points in this C3D file; export marker trajectories")
-        # Tells how many bytes a frame has, too: it is checked before frames are read.
+        if announced > _MOST_FRAMES:
+            raise file.error(f"{announced} frames; at most {_MOST_FRAMES} are read (export a shorter take)")
         rate = _rate(file, str(reader.point_rate))
         text = reader.get("POINT:UNITS")
         unit = text.string_value.strip("\0 ").lower() if text else ""
         factor = length_unit(file, unit or "mm")
-        frames = [(number, points[:, :4]) for number, points, _ in reader.read_frames()]
+        frames = (points[:, :4] for _, points, _ in reader.read_frames(copy=False))
+        samples = np.fromiter(frames, np.dtype((np.float32, (count, 4)))).astype(float)
+        time = (np.arange(len(samples)) + reader.first_frame - 1) / rate
         keys = ["LABELS", *(f"LABELS{k}" for k in range(2, 2 + count // 255))]
         texts = [reader.get(f"POINT:{key}") for key in keys]
         names = [str(name).strip("\0 ") for each in texts if each is not None for name in each.string_array]
-    if not frames:
+    if not len(samples):
         raise file.error("a damaged C3D file (it ends before its first frame)")
-    samples = np.array([points for _, points in frames], dtype=float)
     points = np.where(samples[..., 3:] < 0, np.nan, samples[..., :3] * factor)
     points, implausible = plausible(points)
-    time = (np.array([number for number, _ in frames]) - 1.0) / rate
     notes = [f"lengths converted from {unit} to m" if unit else "POINT:UNITS is not given: mm taken"] * (
         unit != "m"
     )
-    if len(frames) < announced:
-        notes.append(f"the file ends after {len(frames)} of {announced} frames")
+    if len(samples) < announced:
+        notes.append(f"the file ends after {len(samples)} of {announced} frames")
     labels = tuple(
         printable(each) or f"point {k + 1}" for k, each in enumerate((names + [""] * count)[:count])
     )
@@ -446,7 +443,7 @@ def read_mcap(path: str | os.PathLike[str]) -> McapTopics:
         except (InputError, ModuleNotFoundError):
             raise
         except Exception:  # a file without its end holds half a record somewhere
-            if not (cut and topics.origin):
+            if not (cut and topics.messages):
                 raise
             topics.notes.append("the file is cut: read up to there")
         return topics.result()
@@ -538,7 +535,7 @@ class _Topics:
         self.messages += 1
         if self.messages > _MOST_MESSAGES:
             raise self.file.error(f"over {_MOST_MESSAGES} messages; record fewer topics, or a shorter take")
-        self.origin = min(self.origin or message.log_time, message.log_time)
+        self.origin = message.log_time if self.messages == 1 else min(self.origin, message.log_time)
         kind = schema.name.replace("/msg/", "/") if schema else channel.message_encoding
         topic, decode = printable(channel.topic), self._decoder(kind, schema, channel)
         if decode is None:
@@ -546,13 +543,9 @@ class _Topics:
             return
         said = decode(message.data)
         stamp = getattr(getattr(said, "header", None), "stamp", None)
-        time = message.log_time
-        if (
-            stamp is not None
-            and isinstance(getattr(stamp, "sec", None), int)
-            and (stamp.sec or stamp.nanosec)
-        ):
-            time = stamp.sec * 10**9 + stamp.nanosec
+        time, whole, part = message.log_time, getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
+        if isinstance(whole, int) and isinstance(part, int) and (whole or part):
+            time = whole * 10**9 + part
             self.apart.setdefault(topic, abs(time - message.log_time) / 1e9)
         if kind in _BODIES:
             poses = _BODIES[kind](said)
