@@ -348,9 +348,8 @@ def _decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         how = "`uv sync --extra recordings`, or `pip install 'srs-twin[recordings]'`"
         raise file.error(f"{kind} needs the package {error.name}, which is an extra: {how}") from error
     except Exception as error:  # libraries raise whatever their first wrong byte leads to
-        reason = (
-            f" ({printable(' '.join(str(error).split()))[:120]})" if isinstance(error, ValueError) else ""
-        )
+        said = printable(" ".join(str(error).split()))[:120]
+        reason = f" ({said})" if isinstance(error, ValueError) else ""
         raise file.error(f"a damaged {kind} file{reason}; record or export it anew") from error
 
 
@@ -390,14 +389,13 @@ def read_c3d(path: str | os.PathLike[str]) -> MarkerTable:
         raise file.error("a damaged C3D file (it ends before its first frame)")
     points = np.where(samples[..., 3:] < 0, np.nan, samples[..., :3] * factor)
     points, implausible = plausible(points)
-    notes = [f"lengths converted from {unit} to m" if unit else "POINT:UNITS is not given: mm taken"] * (
-        unit != "m"
-    )
+    notes = []
+    if unit != "m":
+        notes.append(f"lengths converted from {unit} to m" if unit else "POINT:UNITS is not given: mm taken")
     if len(samples) < announced:
         notes.append(f"the file ends after {len(samples)} of {announced} frames")
-    labels = tuple(
-        printable(each) or f"point {k + 1}" for k, each in enumerate((names + [""] * count)[:count])
-    )
+    names += [""] * count
+    labels = tuple(printable(names[k]) or f"point {k + 1}" for k in range(count))
     corrections = (*notes, *implausible)
     return MarkerTable(file.name, file.sha256, C3D, time, points, labels, corrections, (), announced)
 
@@ -537,9 +535,9 @@ class _Topics:
             raise self.file.error(f"over {_MOST_MESSAGES} messages; record fewer topics, or a shorter take")
         self.origin = message.log_time if self.messages == 1 else min(self.origin, message.log_time)
         kind = schema.name.replace("/msg/", "/") if schema else channel.message_encoding
-        topic, decode = printable(channel.topic), self._decoder(kind, schema, channel)
+        topic, decode = printable(channel.topic[:200]), self._decoder(kind, schema, channel)
         if decode is None:
-            self.skipped[f"{topic} ({printable(kind)})"] += 1
+            self.skipped[f"{topic} ({printable(kind[:80])})"] += 1
             return
         said = decode(message.data)
         stamp = getattr(getattr(said, "header", None), "stamp", None)
@@ -548,8 +546,7 @@ class _Topics:
             time = whole * 10**9 + part
             self.apart.setdefault(topic, abs(time - message.log_time) / 1e9)
         if kind in _BODIES:
-            poses = _BODIES[kind](said)
-            for k, pose in enumerate(poses, start=1):
+            for k, pose in enumerate(_BODIES[kind](said), start=1):
                 label = topic if kind != "geometry_msgs/PoseArray" else f"{topic}_{k}"
                 self._append(self.bodies.setdefault(topic, {}), label, time, _pose_numbers(pose))
         else:
@@ -612,10 +609,9 @@ class _Topics:
         poses = np.full((len(time), len(labels), 7), np.nan)
         for k, (topic, label) in enumerate(labels):
             own, order = self._clock(self.bodies[topic][label][0])
-            after = np.searchsorted(own, time).clip(1, max(1, len(own) - 1))
-            nearest = np.where(
-                time - own[after - 1] <= own[after % len(own)] - time, after - 1, after % len(own)
-            )
+            after = np.searchsorted(own, time).clip(max=len(own) - 1)
+            before = np.maximum(after - 1, 0)
+            nearest = np.where(time - own[before] <= own[after] - time, before, after)
             near = np.abs(own[nearest] - time) <= (0.0 if topic == main else half)
             poses[near, k] = np.array(self.bodies[topic][label][1]).reshape(-1, 7)[order][nearest[near]]
         points, implausible = plausible(poses[..., :3])
