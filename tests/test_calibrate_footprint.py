@@ -10,8 +10,16 @@ import pytest
 from srs_twin import DivergedError, InputError, load_robot, rollout
 from srs_twin.cli import main
 from srs_twin.identification import footprint as study_module
-from srs_twin.identification.footprint import RECORD_HZ, Drive, Study, steady_path, study
-from srs_twin.identification.footprint_file import footprint_file, header, robot_hash
+from srs_twin.identification.footprint import (
+    RECORD_HZ,
+    Drive,
+    Study,
+    footprint_file,
+    header,
+    robot_hash,
+    steady_path,
+    study,
+)
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
 from srs_twin.planning import Problem, load_footprint, plan

@@ -319,9 +319,8 @@ def footprint(
         name: Of the footprint and its file. [default: ROBOT_CONTROLLER]
     """
     wanted = None if offsets is None else _numbers(offsets)
-    from srs_twin.identification.footprint import Drive
+    from srs_twin.identification.footprint import Drive, footprint_file, header, refuse_other
     from srs_twin.identification.footprint import study as study_of
-    from srs_twin.identification.footprint_file import footprint_file, header, refuse_other
     from srs_twin.io.files import open_folder
     from srs_twin.planning.footprint import save_footprint
     from srs_twin.provenance import versions
@@ -364,7 +363,7 @@ def _numbers(text: str) -> list[float]:
 
 def _show(measured: Measured) -> None:
     """Print the table, and what changes of offset cost."""
-    from srs_twin.identification.footprint_file import rows
+    from srs_twin.identification.footprint import rows
 
     print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows(measured))
     if measured.transients:
