@@ -187,3 +187,10 @@ def test_a_rigid_body_gives_a_heading(tmp_path):
     assert np.abs(lines[..., 2]).max() < 1e-12
     turned = np.angle(np.exp(1j * (np.arctan2(lines[..., 1], lines[..., 0]) - angle)))
     assert np.abs(turned - turned[0]).max() < 1e-9
+
+
+@pytest.mark.parametrize("apart", [0.0268, 0.0275, 0.029])
+def test_pairs_as_far_from_each_other_as_their_markers_are(tmp_path, apart):
+    found = recorded(tmp_path, Take(layout="pair", apart=apart, labeled=True))
+    assert found.summary.markers.layout == "pair"
+    assert np.abs(found.trajectory.stack("bend") - motion().stack("bend")).max() < 0.06

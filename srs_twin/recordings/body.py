@@ -126,6 +126,12 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
+    # Pairs along the body may be as far from each other as their markers are: then the order tells them.
+    try:
+        chain = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
+    except InputError:
+        chain = pairs
+    pairs = min(pairs, chain, key=lambda some: sum(score[a, b] for a, b in some))
     worst = max(spread[a, b] / max(mean[a, b], 1e-9) for a, b in pairs)
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(

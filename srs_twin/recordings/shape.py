@@ -52,6 +52,7 @@ HIDDEN = 1e-2
 """Assumed error of a marker that was interpolated, m."""
 
 _LEAST_NOISE = 1e-7  # m
+_VAGUE = 1e3  # rad, of headings and bends: no knowledge, but no singular matrix
 _STRETCH = 0.1  # of a segment's length: σ_ℓ before anything is known
 _LOOSE, _OPEN = 0.3, 0.3  # of a length; σ_ε, rad: before anything is known
 _TOLD = 0.15  # rad: standard error of a bend at 0.2 mm of noise, where markers determine it
@@ -63,6 +64,7 @@ _REDUNDANT = 0.3  # numbers a frame that markers say twice: fewer do not tell th
 _STARTS = np.linspace(-0.6, 0.6, 13)
 _HIGHEST = 8  # order of differences
 _ODD, _RARE = 8.0, 0.01  # times the noise, share: farther from the body so few samples are no markers of it
+_LONGEST = 1e3  # m: farther no marker is read
 _STRANGE = 4.0  # times the noise: from here on another explanation is looked for
 _MOTION = 0.5  # times the noise by differences: where the body leaves less, they hold motion
 _ASKEW = np.radians(25.0)
@@ -172,10 +174,11 @@ class _Prior:
         matrix, aim = np.zeros((width, width)), np.zeros(width)
         lengths = np.arange(3 + bends, width)
         matrix[lengths, lengths] = self.spread**-2
+        matrix[np.arange(2, 3 + bends), np.arange(2, 3 + bends)] = _VAGUE**-2
         aim[lengths] = self.mean
         if self.open is not None:
             swing = (-1.0) ** np.arange(bends) / (2 * bends)
-            matrix[3 : 3 + bends, 3 : 3 + bends] = np.outer(swing, swing) / self.open**2
+            matrix[3 : 3 + bends, 3 : 3 + bends] += np.outer(swing, swing) / self.open**2
         return matrix, aim
 
 
@@ -273,6 +276,7 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
         near = CubicSpline(time[good], np.column_stack([state[good, :2], turned, state[good, 3:]]))
         for rows in _chunks(torn):
             aim = near(time[rows])
+            aim[:, bends] = np.clip(aim[:, bends], -np.pi, np.pi)
             fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends])
             state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
     state[:, 2] = np.unwrap(state[:, 2])
@@ -334,6 +338,7 @@ def _fit(
     state, moving = state.copy(), np.arange(len(state))
     limit = np.concatenate([[np.inf, np.inf], np.full(1 + count, _TURNS), np.full(count, np.inf)])
     width = state.shape[1]
+    bound = np.concatenate([np.full(3, np.inf), np.full(count, 2 * np.pi), np.full(count, _LONGEST)])
     data, away = np.empty((len(state), width, width)), np.empty(seen.shape, dtype=complex)
     for _ in range(_STEPS):
         mark, lever, _, _ = marks.places(state[moving])
@@ -348,7 +353,8 @@ def _fit(
             wanted[:, 3 : 3 + count] = bends[moving]
         right = (weighed @ left.view(float)[..., None])[..., 0] + (wanted - state[moving]) @ matrix
         step = np.clip(np.linalg.solve(inner + matrix, right[..., None])[..., 0], -limit, limit)
-        state[moving] += step
+        # Explanations that are wrong lead anywhere.
+        state[moving] = np.clip(state[moving] + step, -bound, bound)
         moving = moving[np.abs(step).max(axis=1) > _CLOSE]
         if not moving.size:
             break
