@@ -31,7 +31,8 @@ than in arcs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import comb
 
@@ -39,6 +40,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.geometry import half_turn
+from srs_twin.parallel import processors
 from srs_twin.recordings.tracking import some_frames
 from srs_twin.robot.spec import Geometry
 
@@ -57,14 +59,16 @@ _STRETCH = 0.1  # of a segment's length: σ_ℓ before anything is known
 _LOOSE, _OPEN = 0.3, 0.3  # of a length; σ_ε, rad: before anything is known
 _TOLD = 0.15  # rad: standard error of a bend at 0.2 mm of noise, where markers determine it
 _TURNS = 0.3  # largest change in a step, rad
-_STEPS, _CLOSE = 15, 1e-7  # rad, m
-_CHUNK = 4096  # frames at a time
+_STEPS, _CLOSE = 15, 1e-6  # rad, m
+_NOISE_FROM = 20_000  # frames that tell the noise
+_CHUNK = 2048  # frames at a time
 _SAMPLED, _ROUNDS = 400, 12
 _REDUNDANT = 0.3  # numbers a frame that markers say twice: fewer do not tell their noise
 _STARTS = np.linspace(-0.6, 0.6, 13)
 _HIGHEST = 8  # order of differences
 _ODD, _RARE = 8.0, 0.01  # times the noise, share: farther from the body so few samples are no markers of it
 _LONGEST = 1e3  # m: farther no marker is read
+_NEAR = 1e-4  # m: nearer to the body than this no marker is odd
 _STRANGE = 4.0  # times the noise: from here on another explanation is looked for
 _MOTION = 0.5  # times the noise by differences: where the body leaves less, they hold motion
 _ASKEW = np.radians(25.0)
@@ -242,43 +246,55 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
     """
     seen = points @ [1, 1j]
     length, alike = marks.geometry.segment_length, np.ones(marks.geometry.connectors - 1)
-    noise = noise_of(np.where(missing[..., None], np.nan, points))
+    known = slice(0, _NOISE_FROM)
+    noise = noise_of(np.where(missing[known, :, None], np.nan, points[known]))
     prior = _Prior(noise, length * alike, _STRETCH * length, None if way == "free" else _OPEN)
     whole = np.flatnonzero(~missing.any(axis=1))
     if len(whole) < 4:
         whole, missing = np.arange(len(time)), np.zeros_like(missing)
+    some = whole[some_frames(len(whole), _SAMPLED)]
+    _learn(seen[some], _start(seen[some], marks), marks, prior)
+    width, bends = 3 + 2 * len(alike), slice(3, 3 + len(alike))
+    state, error = np.empty((len(time), width)), np.empty((len(time), len(alike)))
+    away, sums = np.empty(seen.shape), np.zeros(2)
+
+    def take(rows: np.ndarray, fitted: _Fitted) -> np.ndarray:
+        state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
+        return fitted.chi
+
+    def lay(rows: np.ndarray, start: np.ndarray) -> None:
+        def fit(part: np.ndarray) -> np.ndarray:
+            each = rows[part]
+            weight = np.full(seen[each].shape, prior.noise**-2)
+            return take(each, _fit(start[part], seen[each], weight, marks, prior))
+
+        for chi in pool.map(fit, _chunks(np.arange(len(rows)))):
+            sums[:] += chi
+
+    # NumPy's loops hold no lock.
+    pool = ThreadPoolExecutor(processors())
     start = _start(seen[whole], marks)
-    some = some_frames(len(whole), _SAMPLED)
-    _learn(seen[whole[some]], start[some], marks, prior)
     if prior.open is not None:
         start = _turned(start, seen[whole], marks, prior)
-    bends = slice(3, 3 + len(alike))
-    state, error = np.empty((len(time), start.shape[1])), np.empty((len(time), len(alike)))
-    away, sums = np.empty(seen.shape), np.zeros(2)
-    for part in _chunks(np.arange(len(whole))):
-        rows = whole[part]
-        fitted = _fit(start[part], seen[rows], np.full(seen[rows].shape, prior.noise**-2), marks, prior)
-        state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
-        sums += fitted.chi
+    lay(whole, start)
     scale = float(np.sqrt(sums[0] / sums[1])) if sums[1] > _REDUNDANT * len(whole) else 1.0
     if prior.open is not None:
         scale = max(scale, 1.0)
     missing = missing.copy()
-    odd = away[whole] > _ODD * prior.noise * scale
+    odd = away[whole] > max(_ODD * prior.noise * scale, _NEAR)
     if odd.mean() < _RARE:
         missing[whole] |= odd
     good = np.flatnonzero(~missing.any(axis=1))
     torn = np.flatnonzero(missing.any(axis=1))
     if torn.size and len(good) >= 4:
-        from scipy.interpolate import CubicSpline
+        near = _between(time, state, good)
 
-        turned = np.unwrap(state[good, 2])
-        near = CubicSpline(time[good], np.column_stack([state[good, :2], turned, state[good, 3:]]))
-        for rows in _chunks(torn):
+        def mend(rows: np.ndarray) -> None:
             aim = near(time[rows])
             aim[:, bends] = np.clip(aim[:, bends], -np.pi, np.pi)
-            fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends])
-            state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
+            take(rows, _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends]))
+
+        list(pool.map(mend, _chunks(torn)))
     state[:, 2] = np.unwrap(state[:, 2])
     _, _, node, theta = Marks(np.zeros(0, dtype=int), np.zeros(0), marks.geometry).places(state)
     residual = np.sqrt(np.ma.masked_array(away**2, missing).mean(axis=1).filled(0.0))
@@ -292,6 +308,15 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
         residual,
         missing,
     )
+
+
+def _between(time: np.ndarray, state: np.ndarray, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the spline through the states of some frames."""
+    from scipy.interpolate import CubicSpline
+
+    turned = np.unwrap(state[rows, 2])
+    spline = CubicSpline(time[rows], np.column_stack([state[rows, :2], turned, state[rows, 3:]]))
+    return lambda at: np.asarray(spline(at))
 
 
 def _chunks(rows: np.ndarray) -> list[np.ndarray]:

@@ -41,7 +41,7 @@ GATE = 0.4
 MOST_PIECES = 10_000
 _AT_ONCE = 2000  # frames that are untangled at once
 _SAMPLED = 500  # frames that tell how close markers come
-_TANGLED = 2000  # pieces: so many come of a file whose columns mean nothing
+_TANGLED, _OFTEN = 2000, 0.02  # pieces, and a frame: so many come of a file whose columns mean nothing
 _JUMPING = "markers jump from frame to frame, none can be followed"
 _SHORT = 3  # frames: fewer samples than these are joined last, where they fit between others
 _RARE = 0.03  # of all samples: as many in short tracklets are no outliers
@@ -273,7 +273,7 @@ def follow(
     # How near two markers come, but for a few frames.
     gate = min(GATE * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
     pieces = tracklets(points, gate, longest)
-    if len(pieces) > _TANGLED:
+    if len(pieces) > max(_TANGLED, _OFTEN * len(points)):
         points, columns = untangle(points, columns, gate)
         pieces = tracklets(points, gate, longest)
     if len(pieces) > MOST_PIECES:
