@@ -16,6 +16,7 @@ from srs_twin.control.replay import Replay
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics import Schedule
+from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -35,6 +36,8 @@ HIDDEN = {
 """What the robot of the recordings has and `gen2` has not."""
 
 _SPRING, _MASS = 30.0, 0.15  # N/m, kg
+_SENSOR_NOISE = 0.003  # rad
+_RISE = 0.5  # s in which a regulator reaches a pressure
 _REST = 0.5  # s before the valves begin
 _BEND_NOISE = 0.004  # rad, of a protractor
 _OTHER_CLOCK = 12.3  # s: what the logs' clock shows more than the cameras'
@@ -52,6 +55,8 @@ def main(folder: Path) -> None:
         write(folder / f"{name}.csv", pulls(seed))
     for name, seed, levels in (("held", 3, (12, 24, 36, 48)), ("held_check", 4, (18, 42))):
         write(folder / f"{name}.csv", held(robot, levels, seed))
+    for name, seed, pressures in (("levels", 12, (12, 24, 36, 48)), ("levels_check", 13, (18, 42))):
+        write(folder / f"{name}.csv", levels(robot, pressures, seed))
     for name, seed, fills in (("steps", 5, (0.6, 0.35, 0.9)), ("steps_check", 6, (0.5, 0.8))):
         record(
             folder / name, robot, steps(robot, fills), "clamped", Take(layout="pair", labeled=True, seed=seed)
@@ -92,6 +97,32 @@ def held(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
     head = [f"pressure_{side}_{j}_kpa" for j in numbers for side in ("plus", "minus")]
     head += [f"bend_{j}_rad" for j in numbers]
     return "\n".join([",".join(head), *(",".join(map(str, row)) for row in rows), ""])
+
+
+def levels(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
+    """Return a log of bends and pressures (kPa) while a regulator holds one side of free segments at each."""
+    draw = np.random.default_rng(seed)
+    held = np.repeat([0, *levels, 0, *(-each for each in levels), 0], 2)
+    times = np.ravel([(2.5 * k - 2.5 + _RISE, 2.5 * k) for k in range(1, len(held) // 2 + 1)])
+    time = np.arange(0.0, times[-1], 0.05)
+    level = np.interp(time, times, held)
+    sides = 1e3 * np.stack([np.maximum(level, 0), np.maximum(-level, 0)], axis=-1)
+    pressure = np.repeat(sides[:, None], robot.segments, axis=1)
+    chambers = RecordedPressures(robot, time, pressure, supply_pa=SUPPLY)
+    rest = Schedule(times[-1], np.zeros(1), _vented(robot)[None])
+    bend = chambers.advance(rest, time).bend + _SENSOR_NOISE * draw.standard_normal(
+        (len(time), robot.segments)
+    )
+    numbers = range(1, robot.segments + 1)
+    head = ["time", *(f"bend_{j}_rad" for j in numbers)]
+    head += [f"pressure_{side}_{j}_kpa" for j in numbers for side in ("plus", "minus")]
+    read = np.hstack(
+        [bend, pressure.reshape(len(time), -1) / 1e3 + 0.1 * draw.standard_normal((len(time), 1))]
+    )
+    rows = [
+        ",".join([f"{t:.2f}", *(f"{each:.4g}" for each in row)]) for t, row in zip(time, read, strict=True)
+    ]
+    return "\n".join([",".join(head), *rows, ""])
 
 
 def steps(robot: RobotSpec, fills: tuple[float, ...]) -> Schedule:

@@ -47,7 +47,7 @@ def walked_through(tmp_path_factory):
 @pytest.mark.slow
 def test_what_was_hidden_lies_in_the_intervals(walked_through):
     seen = set()
-    for name in ("my_friction", "my_gains", "my_lags", "my_body"):
+    for name in ("my_friction", "my_gains", "my_levels", "my_lags", "my_body"):
         fit = load_fit(walked_through / f"calibration/fits/{name}.yaml")
         for each in fit.parameters:
             if each.value is not None:
@@ -90,6 +90,7 @@ def test_the_script_makes_these_recordings():
     robot = MADE["hidden_robot"]()
     log = MADE["log"](MADE["walk"](robot, 1.6, 0.25))
     assert log == (folder / "walk_left.valves.csv").read_text("utf-8")
+    assert MADE["levels"](robot, (12, 24, 36, 48), 12) == (folder / "levels.csv").read_text("utf-8")
     rows = np.genfromtxt(folder / "held.csv", delimiter=",", skip_header=1)
     gains = np.array([HIDDEN[f"modules.gain_plus_{j}"] for j in range(1, 5)])
     biases = np.array([HIDDEN[f"modules.bias_rad_{j}"] for j in range(1, 5)])

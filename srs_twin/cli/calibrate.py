@@ -117,36 +117,50 @@ def actuator(
     pressure: PressureOption = None,
     find: FindOption = None,
     offset: OffsetOption = None,
+    static: Annotated[bool, option("--static")] = False,
     starts: Annotated[int, option("--starts N", min=1, max=100)] = 1,
     markers: ReadingOptions = _AS_FOUND,
     fit: FitOptions = _BESIDE,
 ) -> None:
     """Find time constants, gains and biases of free segments.
 
-    From recordings of step responses, or gains alone from tables of held pressures.
+    From recordings of step responses, or gains alone from tables or recordings of held pressures.
 
     Options:
+        static: Recordings hold pressures: fit plateaus, and write them as NAME.table.csv.
         starts: Searches.
     """
     place = FitDestination.of(context, "actuator", robot, fit)
-    from srs_twin.identification.actuator import Response, fit_actuator, fit_static, is_static, read_static
+    from srs_twin.identification import actuator as fits
     from srs_twin.robot.spec import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find)
-    if _alike([*files, *kept], is_static, "tables of held pressures", "recordings"):
-        _needless(valves, "--valves", "tables of held pressures have no log")
-        tables, others = ([read_static(each, spec) for each in given] for given in (files, kept))
+
+    def finish_static(tables: list[fits.StaticTable], others: list[fits.StaticTable]) -> None:
         with place.searching() as watch:
-            found = fit_static(tables, spec, names=names, validation=others, watch=watch)
+            one = [fits.merged(tables)] if static else tables
+            found = fits.fit_static(one, spec, names=names, validation=others, watch=watch)
         place.finish(found, "static", f"Actuators of {spec.name} from held pressures", tables, others)
+        if static:
+            fits.write_static(one[0], path := place.path.with_suffix(".table.csv"))
+            say(f"{len(one[0].bend)} plateaus in {shown(path)}", quiet=fit.quiet)
+
+    if _alike([*files, *kept], fits.is_static, "tables of held pressures", "recordings"):
+        _needless(valves, "--valves", "tables of held pressures have no log")
+        _needless(static, "--static", "tables of held pressures hold plateaus already")
+        finish_static(*([fits.read_static(each, spec) for each in given] for given in (files, kept)))
         return
     how = markers.reader(offset_s=offset)
     supply = _supply(spec, pressure)
-    takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
-    responses = [Response.of_recording(take, path, supply) for path, take in takes]
-    fitted, held = responses[: len(files)], responses[len(files) :]
+    takes, at = _takes([*files, *kept], valves, how, spec, fit.quiet), len(files)
+    if static:
+        others = [fits.StaticTable.of_recording(take, path, spec, supply) for path, take in takes[at:]]
+        finish_static(fits.static_tables(takes[:at], spec, supply), others)
+        return
+    responses = [fits.Response.of_recording(take, path, supply) for path, take in takes]
+    fitted, held = responses[:at], responses[at:]
     with place.searching() as watch:
-        found = fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
+        found = fits.fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
     place.finish(found, "actuator", f"Actuators of {spec.name} from responses", fitted, held)
 
 

@@ -1,4 +1,4 @@
-"""Actuators of free segments: time constants, gains and biases from responses and from held pressures.
+r"""Actuators of free segments: time constants, gains and biases from responses and from held pressures.
 
 **Responses.** What valves or pressures did, and how far the segments bent. Predictions are those of
 `pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode of all modules, gain and
@@ -11,32 +11,52 @@ from it.
 **Static tables.** Pressures that were held, and the bends at which free segments came to rest, in a plain CSV
 file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad
 without a unit). A pressure that is not there is 0, an empty bend was not measured. Gain, bias and bend limit
-can be told from it; nothing that takes time, and no mass.
+can be told from it; nothing that takes time, and no mass. ``bend_error_1`` is a bend's standard error; it may
+be left out.
+
+**Plateaus** of a recording make such a table. A plateau begins where all pressures stay within ±1 kPa (or ±5
+standard deviations of their noise); its first 5 τ, τ the robot's slowest time constant, its last 50 ms and
+outliers of pressure are left out. Of what follows the first quarter is left out again and again, for each
+segment, until a line through the bends drifts by less than twice its standard error, or by less than 0.1 mrad
+over the frames. Bends and pressures are averaged over the rest. The standard error of a mean bend is
+
+$$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
+
+s the scatter of n frames about the line, τ_c its `correlation_time`, and e the standard error of one frame
+where the recording has it (``bend_error_1``). That is nearly white from frame to frame, but a tenth of it is
+taken to come from what is the same in all frames, such as offsets of markers, and does not average out.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import Estimate, Residual, Role
+from srs_twin.identification.estimate import Estimate, Residual, Role, correlation_time
 from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
+from srs_twin.io.files import write_text
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.csv_table import ANGLES, PRESSURES, first_line_names, read_file, read_table
+from srs_twin.recordings.csv_table import ANGLES, CLOCK, PRESSURES, first_line_names, read_file, read_table
+from srs_twin.recordings.gaps import LEAST_FRAMES
 from srs_twin.recordings.logs import SIDES, ValveLog
 from srs_twin.recordings.recording import Recording
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
 
 _BEND_NOISE = 0.01  # rad
 _PRESSURE_NOISE = 500.0  # Pa
+_HELD = 1e3  # Pa: held pressures stay this near to their mean
+_NEAR, _ALIKE = 7.5, 100.0  # of held pressures: medians of their distances, and Pa more
+_DRIFT = 1e-4  # rad over a plateau: bends that change by less are settled, and none is better known
 _CLOCK = 0.05  # s: how far an estimated offset may be wrong
 _MOST_PRESSURE = 2e6  # Pa
 _MOST_BEND = 2 * math.pi
@@ -75,15 +95,10 @@ class Response:
         Raises:
             InputError: there is no log.
         """
-        trajectory, log = recording.trajectory, recording.valves
-        if log is None:
-            raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
+        trajectory, log = recording.trajectory, _log(recording, name)
         about = trajectory.metadata.get("valve_log")
         known = not (isinstance(about, Mapping) and about.get("offset_estimated"))
-        bend = trajectory.stack("bend").copy()
-        if trajectory.has("filled"):
-            filled = trajectory.stack("filled") > 0
-            bend[filled[:, :-1] | filled[:, 1:]] = np.nan
+        bend = _seen_bends(trajectory)
         drive = log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
         hashed = fingerprint(bend, log.time, log.values)
         time = trajectory.time - log.time[0]
@@ -92,6 +107,21 @@ class Response:
     def data_set(self, role: Role) -> DataSet:
         """Return what a fit says of these data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
+
+
+def _log(recording: Recording, name: str) -> ValveLog:
+    if recording.valves is None:
+        raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
+    return recording.valves
+
+
+def _seen_bends(trajectory: Trajectory) -> np.ndarray:
+    """Return bends (samples, segments), rad; NaN where a marker of the segment was filled in."""
+    bend = trajectory.stack("bend").copy()
+    if trajectory.has("filled"):
+        filled = trajectory.stack("filled") > 0
+        bend[filled[:, :-1] | filled[:, 1:]] = np.nan
+    return bend
 
 
 def actuator_unknowns(spec: RobotSpec) -> tuple[str, ...]:
@@ -174,7 +204,7 @@ def predicted(
 
 def _compared(response: Response, spec: RobotSpec, clock: float, role: Role) -> list[Residual]:
     bend, pressure = predicted(response, spec, clock)
-    found = _bend_residuals(response.name, response.bend - bend, role)
+    found = _bend_residuals(response.name, response.bend - bend, role, math.nan)
     if response.pressure is not None and pressure is not None:
         off = response.pressure - pressure
         for j, (plus, minus) in enumerate(off.transpose(1, 2, 0), start=1):
@@ -184,12 +214,18 @@ def _compared(response: Response, spec: RobotSpec, clock: float, role: Role) -> 
     return found
 
 
-def _bend_residuals(name: str, off: np.ndarray, role: Role) -> list[Residual]:
-    """Return residuals of bends by segment, without those that were not measured."""
-    return [
-        Residual(f"{name} bend_{j + 1}", "rad", column[np.isfinite(column)], _BEND_NOISE, role)
-        for j, column in enumerate(off.T)
-    ]
+def _bend_residuals(name: str, off: np.ndarray, role: Role, error: np.ndarray | float) -> list[Residual]:
+    """Return residuals of bends by segment, without those that were not measured.
+
+    Those of a segment share one scale: the root mean square of its errors, `_BEND_NOISE` where one is NaN.
+    """
+    found = []
+    for j, (column, errors) in enumerate(zip(off.T, np.broadcast_to(error, off.shape).T, strict=True)):
+        seen = np.isfinite(column)
+        noise = float(np.sqrt((errors[seen] ** 2).sum() / max(seen.sum(), 1)))
+        noise = _BEND_NOISE if math.isnan(noise) else max(noise, _DRIFT)
+        found.append(Residual(f"{name} bend_{j + 1}", "rad", column[seen], noise, role))
+    return found
 
 
 @dataclass(frozen=True)
@@ -201,25 +237,146 @@ class StaticTable:
         sha256: of it.
         pressure: gauge, shape (points, segments, 2), Pa.
         bend: shape (points, segments), rad; NaN where it was not measured.
+        bend_error: standard errors of the bends, same shape, rad; NaN where they are not known.
     """
 
     name: str
     sha256: str
     pressure: np.ndarray
     bend: np.ndarray
+    bend_error: np.ndarray | float = math.nan
+
+    @classmethod
+    def of_recording(cls, recording: Recording, name: str, spec: RobotSpec, supply_pa: float) -> StaticTable:
+        """Return the plateaus of a recording that was joined with its log (module docstring).
+
+        Of a log of valves, chambers that fill are at supply pressure after 5 τ and those that vent at 0; of
+        one that is held closed the pressure is not known, and no plateau is made.
+
+        Raises:
+            InputError: there is no log, or no plateau.
+        """
+        trajectory, log = recording.trajectory, _log(recording, name)
+        time, bend = trajectory.time, _seen_bends(trajectory)
+        pressure = np.stack([trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1)
+        # Medians of second differences of white noise are 1.65 standard deviations; of valves' states, small.
+        noise = np.median(np.abs(np.diff(log.values, 2, axis=0, prepend=log.values[:1])), axis=0)
+        band = np.maximum(_HELD, 3 * noise)
+        if log.kind == "valve":
+            pressure = np.select([pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan)
+        of_frame = trajectory.stack("bend_error") if trajectory.has("bend_error") else np.zeros_like(bend)
+        wait = 5 * max(spec.actuator.tau_fill, spec.actuator.tau_vent, spec.actuator.tau_mode)
+        points, longest = [], 0.0
+        for begin, end in _constant(pressure, band):
+            longest = max(longest, span := float(time[end - 1] - time[begin]))
+            # Where the next step begins, pressures are in the band still, and clocks may differ a little.
+            off = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
+            near = (off <= _NEAR * np.median(off, axis=0) + _ALIKE).all(axis=(1, 2))
+            since = time[begin:end] - time[begin]
+            part = begin + np.flatnonzero(near & (since >= wait) & (since <= span - _CLOCK))
+            if len(part) < LEAST_FRAMES:
+                continue
+            # A slow ramp stays in any band for some time, and rises there by its whole width.
+            slope = np.polyfit(since[part - begin], pressure[part].reshape(len(part), -1), 1)[0]
+            if (np.abs(slope) * span > band.ravel()).any():
+                continue
+            signals = (pressure[part].swapaxes(0, 1), bend[part].T, of_frame[part].T)
+            point = np.array([_at_rest(time[part], *each) for each in zip(*signals, strict=True)])
+            if np.isfinite(point[:, 2]).any():
+                points.append(point)
+        if not points:
+            wanted = f"{wait:.2g} s (5 times the slowest time constant) and {LEAST_FRAMES} frames more"
+            said = (
+                f"all pressures stay constant for {longest:.2g} s at most; {wanted} are wanted, bends at rest"
+            )
+            if log.kind == "valve" and np.isnan(pressure).any():
+                said += "; of a valve that is held (0) nobody knows the pressure: log pressures"
+            raise InputError(f"{name}: no plateau: {said}")
+        found = np.array(points)
+        return cls(name, fingerprint(found), found[..., :2], found[..., 2], found[..., 3])
 
     def data_set(self, role: Role) -> DataSet:
         """Return what a fit says of these data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
 
 
+def _constant(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Yield from which frame to before which all pressures stay within ±band; none where one is NaN."""
+    begin, low, high = 0, pressure[0], pressure[0]
+    for k, row in enumerate(pressure[1:], start=1):
+        low, high = np.minimum(low, row), np.maximum(high, row)
+        if not (high - low <= 2 * band).all():
+            yield begin, k
+            begin, low, high = k, row, row
+    yield begin, len(pressure)
+
+
+def _at_rest(time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, of_frame: np.ndarray) -> list[float]:
+    """Return a segment's mean pressures, its mean bend and its error once settled; NaN where it never is."""
+    kept = np.flatnonzero(np.isfinite(bend))
+    while len(kept) >= LEAST_FRAMES:
+        since = time[kept] - time[kept].mean()
+        slope, mean = np.polyfit(since, bend[kept], 1)
+        left = bend[kept] - mean - slope * since
+        scatter = math.sqrt(left @ left / (len(kept) - 2) * correlation_time([left], 2))
+        if abs(slope) <= max(2 * scatter / math.sqrt(since @ since), _DRIFT / np.ptp(since)):
+            lasting = math.sqrt(np.mean(of_frame[kept] ** 2)) / 10
+            return [*pressure[kept].mean(axis=0), mean, max(scatter / math.sqrt(len(kept)), lasting)]
+        kept = kept[len(kept) // 4 :]
+    return [*pressure.mean(axis=0), math.nan, math.nan]
+
+
+Takes = Sequence[tuple[str, Recording]]
+"""Names, and recordings joined with their logs."""
+
+
+def static_tables(takes: Takes, spec: RobotSpec, supply_pa: float) -> list[StaticTable]:
+    """Return the plateaus of takes that a fit is made from.
+
+    Raises:
+        InputError: as `StaticTable.of_recording`, or a chamber whose pressure was logged and changed has
+            fewer than 3 different pressures in all takes.
+    """
+    tables = [StaticTable.of_recording(take, name, spec, supply_pa) for name, take in takes]
+    if any(_log(take, name).kind == "valve" for name, take in takes):
+        return tables  # two pressures are all there can be
+    whole = merged(tables)
+    for j, k in np.ndindex(spec.segments, len(SIDES)):
+        levels = np.sort(whole.pressure[np.isfinite(whole.bend[:, j]), j, k])
+        levels = levels[np.diff(levels, prepend=-np.inf) > _HELD]
+        if len(levels) == 2:
+            wanted = "3 or more are wanted, to tell a line from a curve"
+            raise InputError(f"pressure_{SIDES[k]}_{j + 1}: held at 2 different pressures only; {wanted}")
+    return tables
+
+
+def merged(tables: Sequence[StaticTable]) -> StaticTable:
+    """Return the points of tables of recordings as one."""
+    names = ("pressure", "bend", "bend_error")
+    arrays = [np.concatenate([getattr(each, name) for each in tables]) for name in names]
+    return StaticTable(", ".join(each.name for each in tables), fingerprint(*arrays), *arrays)
+
+
+def write_static(table: StaticTable, path: str | os.PathLike[str]) -> None:
+    """Write a table as a file that `read_static` reads, all digits of it."""
+    points, segments = table.bend.shape
+    head = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
+    head += [f"{name}_{j + 1}_rad" for name in ("bend", "bend_error") for j in range(segments)]
+    error = np.broadcast_to(table.bend_error, table.bend.shape)
+    rows = np.hstack([table.pressure.reshape(points, -1), table.bend, error]).tolist()
+    lines = (",".join("" if math.isnan(each) else repr(each) for each in row) for row in rows)
+    write_text(path, "\n".join([",".join(head), *lines, ""]))
+
+
 def is_static(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file's first line names bends as its columns: a table, no recording.
+    """Say whether a file's first line names bends and no time: a table, no recording.
 
     Raises:
         InputError: the file cannot be read.
     """
-    return any(name.startswith("bend_") for name in first_line_names(path))
+    names = first_line_names(path)
+    timed = any(re.split(r"[^a-z]", name)[0] in CLOCK for name in names)
+    return not timed and any(name.startswith("bend_") for name in names)
 
 
 def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
@@ -228,8 +385,9 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     Raises:
         InputError: no such file, no bends, columns of other segments, or values that no robot has.
     """
-    names = [*(f"pressure_{side}" for side in SIDES), "bend"]
-    table = read_table(read_file(path), dict.fromkeys(names[:2], PRESSURES) | {"bend": ANGLES})
+    names = [*(f"pressure_{side}" for side in SIDES), "bend", "bend_error"]
+    units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
+    table = read_table(read_file(path), units)
     for each in table.columns:
         if not 1 <= each.number <= spec.segments or each.letter:
             raise table.error(each, f"{each.text}: {spec.name} has segments 1 to {spec.segments}")
@@ -237,18 +395,18 @@ def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
         example = "pressure_plus_1,pressure_minus_1,bend_1,…"
         raise table.file.error(f"no column 'bend_1'; a static table has {example}", 1)
     given, _ = table.read(table.columns)
-    values = np.zeros((len(given), spec.segments, 3))
-    values[..., 2] = np.nan
+    values = np.zeros((len(given), spec.segments, 4))
+    values[..., 2:] = np.nan
     for each, column in zip(table.columns, given.T, strict=True):
         values[:, each.number - 1, names.index(each.name)] = column
-    pressure, bend = values[..., :2], values[..., 2]
+    pressure, bend, error = values[..., :2], values[..., 2], values[..., 3]
     if not (np.abs(pressure) <= _MOST_PRESSURE).all():
         allowed = f"from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa"
         raise table.file.error(f"pressures {allowed} are wanted, in every row")
     if not np.isfinite(bend).any() or (np.abs(bend) > _MOST_BEND).any():
         wanted = f"bends up to {_MOST_BEND:.3g} rad are wanted"
         raise table.file.error(f"{wanted}; is the unit right (bend_1_deg)?")
-    return StaticTable(table.file.name, table.file.sha256, pressure, bend)
+    return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
 
 
 def fit_static(
@@ -277,11 +435,17 @@ def fit_static(
         robot, found = with_values(spec, values), []
         for table, role in everything:
             off = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
-            found += _bend_residuals(table.name, off, role)
+            found += _bend_residuals(table.name, off, role, table.bend_error)
         return found
 
     wanted = [*per_segment(spec, *_OWN), _LIMIT] if names is None else list(names)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
     starts = {_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if math.isinf(spec.actuator.bend_limit) else {}
     looked_for = unknowns(spec, wanted, starts=starts)
-    return least_squares(residuals, looked_for, held=_held(spec, looked_for), watch=watch)
+    found = least_squares(residuals, looked_for, held=_held(spec, looked_for), watch=watch)
+    if names is not None or not starts or found[_LIMIT].value is not None:
+        return found
+    # A limit that was never felt has no say in the gains: at its bound it would still flatten bends a little.
+    linear = fit_static(tables, spec, names=wanted[:-1], validation=validation, watch=watch)
+    correlation = np.pad(linear.correlation, (0, 1), constant_values=np.nan)
+    return replace(linear, parameters=(*linear.parameters, found[_LIMIT]), correlation=correlation)

@@ -1,0 +1,289 @@
+"""Recordings of held pressures: plateaus become a table, and known modules come back from it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import SPEC
+from scipy import stats
+from synthetic_takes import Take, write_motive
+
+from srs_twin import AnalyticalSnake, Trajectory, load_robot, rollout
+from srs_twin.control.replay import Replay
+from srs_twin.errors import InputError
+from srs_twin.identification.actuator import (
+    StaticTable,
+    fit_static,
+    is_static,
+    merged,
+    read_static,
+    static_tables,
+    write_static,
+)
+from srs_twin.identification.estimate import Estimate
+from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.takes import RecordingReader
+from srs_twin.identification.unknowns import with_values
+from srs_twin.pneumatics import LagPneumatics, Schedule
+from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.recordings.recording import Recording
+from srs_twin.robot.spec import RobotSpec
+
+MODULE = load_robot("gen4_module")
+OF_MODULE = {"modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05}
+OF_CHAIN = {
+    f"modules.{name}_{j + 1}": value
+    for name, values in {
+        "gain_plus": (1.06, 0.93, 1.04, 0.96), "gain_minus": (0.97, 1.02, 1.08, 0.91),
+        "bias_rad": (0.03, -0.02, 0.0, 0.025),
+    }.items()
+    for j, value in enumerate(values)
+}  # fmt: skip
+TRUE_MODULE, TRUE_CHAIN = with_values(MODULE, OF_MODULE), with_values(SPEC, OF_CHAIN)
+HOLD, RISE, RATE = 2.5, 0.5, 100.0
+LEVELS = (6e3, 12e3, 18e3, 24e3)
+
+
+def levels(segments: int, seed: int = 0, points: int = 12) -> np.ndarray:
+    """Return pressures to hold, one side of each segment at a time, shape (points, segments, 2), Pa."""
+    random = np.random.default_rng(seed)
+    held = np.zeros((points, segments, 2))
+    for j in range(segments):
+        order = random.permutation(np.arange(1, points))
+        for side, half in enumerate((order[: points // 2], order[points // 2 :])):
+            held[np.sort(half), j, side] = np.resize(LEVELS, len(half))
+    return held
+
+
+def regulated(held: np.ndarray, hold: float = HOLD) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (rows,), s, and pressures (rows, segments, 2) of a regulator, Pa."""
+    time = np.arange(0.0, hold * len(held), 1 / RATE)
+    row = np.minimum((time / hold + 1e-9).astype(int), len(held) - 1)
+    before, since = held[np.maximum(row - 1, 0)], time - hold * row
+    return time, before + (held[row] - before) * np.clip(since / RISE, 0, 1)[:, None, None]
+
+
+@cache
+def bench(robot: RobotSpec) -> tuple[Trajectory, np.ndarray]:
+    """Return a robot that hangs by its head while pressures are held, and these."""
+    time, pressure = regulated(levels(robot.segments))
+    chambers = RecordedPressures(robot, time, pressure, supply_pa=48e3)
+    plant = AnalyticalSnake(robot, supply_pa=48e3, base="clamped", pneumatics=chambers)
+    vented = Schedule(time[-1], np.zeros(1), np.full((1, robot.segments, 2), -1, dtype=np.int8))
+    return rollout(plant, Replay(vented), round(time[-1], 1), record_hz=RATE), pressure
+
+
+def csv(time: np.ndarray, columns: dict[str, np.ndarray]) -> str:
+    rows = np.column_stack([time, *columns.values()])
+    return "\n".join([",".join(["time", *columns]), *(",".join(f"{v:.9g}" for v in r) for r in rows), ""])
+
+
+def air(pressure: np.ndarray, kind: str = "pressure", unit: str = "_kpa", scale: float = 1e-3):
+    return {
+        f"{kind}_{side}_{j + 1}{unit}": scale * pressure[:, j, k]
+        for j in range(pressure.shape[1])
+        for k, side in enumerate(("plus", "minus"))
+    }
+
+
+def log_of_bends(
+    folder: Path, robot: RobotSpec, time: np.ndarray, pressure: np.ndarray, *, noise=1e-3, seed=0, **columns
+) -> Path:
+    """Write bends at rest under pressures, and these or other columns beside them: one logger's file."""
+    bend = robot.modules.array("bias") + air_bend(robot, pressure)
+    bend = bend + noise * np.random.default_rng(seed).standard_normal(bend.shape)
+    path = folder / f"held_{seed}.csv"
+    named = {f"bend_{j + 1}": each for j, each in enumerate(bend.T)}
+    path.write_text(csv(time, named | (columns or air(pressure))))
+    return path
+
+
+def taken(path: Path, spec: RobotSpec, log: Path | None = None, **how: object) -> tuple[str, Recording]:
+    return path.name, RecordingReader(**how).take(str(path), str(log or path), spec)
+
+
+def hits(found: Estimate, truth: dict[str, float]) -> int:
+    return sum(found[name].low <= value <= found[name].high for name, value in truth.items())
+
+
+def test_modules_come_back_from_bend_logs(tmp_path):
+    """60 intervals of 95 %: fewer than 51 hits have a probability below 1 in 1,000."""
+    total, time_and_pressure = 0, regulated(levels(4))
+    for seed in range(5):
+        path = log_of_bends(tmp_path, TRUE_CHAIN, *time_and_pressure, seed=seed)
+        (table,) = static_tables([taken(path, SPEC)], SPEC, 48e3)
+        assert table.bend.shape == (12, 4) and np.isfinite(table.bend).all()
+        # About 115 frames of white noise follow the first 5 τ.
+        assert np.median(table.bend_error) == pytest.approx(1e-3 / 115**0.5, rel=0.25)
+        off = table.bend - TRUE_CHAIN.modules.array("bias") - air_bend(TRUE_CHAIN, table.pressure)
+        assert np.sqrt(np.mean((off / table.bend_error) ** 2)) == pytest.approx(1.0, abs=0.3)
+        found = fit_static([table], SPEC)
+        assert found.residual_scale == pytest.approx(0.9, abs=0.35)
+        total += hits(found, OF_CHAIN)
+        for name, value in OF_CHAIN.items():
+            assert found[name].value == pytest.approx(value, rel=2e-3, abs=5e-4), name
+    assert stats.binom.cdf(50, 60, 0.95) < 1e-3
+    assert total >= 51
+
+
+@pytest.mark.parametrize(("robot", "truth"), [(TRUE_CHAIN, OF_CHAIN), (TRUE_MODULE, OF_MODULE)])
+def test_modules_come_back_from_markers(tmp_path, robot, truth):
+    """With noise of 0.2 mm, pressures of 100 Pa, and a clock of the log's own."""
+    motion, pressure = bench(robot)
+    spec = with_values(robot, dict.fromkeys(truth, 1.0) | {k: 0.0 for k in truth if "bias" in k})
+    write_motive(motion, Take(layout="pair", labeled=True, digits=3, seed=4), tmp_path / "take.csv")
+    noise = 100.0 * np.random.default_rng(1).standard_normal(pressure.shape)
+    time = np.arange(len(pressure)) / RATE + 3.7
+    (tmp_path / "take.valves.csv").write_text(csv(time, air(pressure + noise)))
+    take = taken(tmp_path / "take.csv", spec, tmp_path / "take.valves.csv", head="snake:1a")
+    (table,) = static_tables([take], spec, 48e3)
+    assert len(table.bend) == 12
+    error = np.median(take[1].trajectory.stack("bend_error"))
+    # What does not average out counts: so many frames would make it less.
+    assert np.median(table.bend_error) == pytest.approx(error / 10, rel=0.3)
+    found = fit_static([table], spec)
+    assert hits(found, truth) >= (9 if len(truth) > 3 else 2)
+    for name, value in truth.items():
+        assert found[name].value == pytest.approx(value, rel=0.01, abs=2e-3), name
+
+
+def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
+    """Of two takes together, with one to validate; a bend log is a recording, and its table a table."""
+    time, pressure = regulated(levels(1))
+    for seed in range(3):
+        log_of_bends(tmp_path, TRUE_MODULE, time, pressure, seed=seed)
+    words = [
+        "calibrate",
+        "actuator",
+        "held_0.csv",
+        "held_1.csv",
+        "--validate",
+        "held_2.csv",
+        "-r",
+        "gen4_module",
+    ]
+    logs = [word for seed in range(3) for word in ("--valves", f"held_{seed}.csv")]
+    done = srs_twin(*words, *logs, "--static", "--name", "mine", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "24 plateaus in calibration/fits/mine.table.csv" in done.stderr
+    fit = load_fit(tmp_path / "calibration/fits/mine.yaml")
+    assert [each.role for each in fit.data] == ["fit", "fit", "validation"] and "--static" in fit.command
+    path = tmp_path / "calibration/fits/mine.table.csv"
+    again = srs_twin(
+        "calibrate", "actuator", str(path), "-r", "gen4_module", "--out", "again.yaml", cwd=tmp_path
+    )
+    assert again.returncode == 0, again.stderr
+    assert load_fit(tmp_path / "again.yaml").parameters == fit.parameters
+    takes = [taken(tmp_path / f"held_{seed}.csv", MODULE) for seed in range(2)]
+    table, read = merged(static_tables(takes, MODULE, 48e3)), read_static(path, MODULE)
+    for name in ("pressure", "bend", "bend_error"):
+        assert (getattr(table, name) == getattr(read, name)).all()
+    assert is_static(path) and not is_static(tmp_path / "held_0.csv")
+    words = ["calibrate", "actuator", str(path), "-r", "gen4_module"]
+    refused = srs_twin(*words, "--static", cwd=tmp_path)
+    assert refused.returncode == 2 and "--static: take it out; tables of held" in refused.stderr
+    same = [
+        "calibrate",
+        "actuator",
+        "held_0.csv",
+        "--validate",
+        "held_0.csv",
+        "-r",
+        "gen4_module",
+        "--static",
+    ]
+    refused = srs_twin(*same, *(["--valves", "held_0.csv"] * 2), "--name", "b", cwd=tmp_path)
+    assert refused.returncode == 2 and "the same data as held_0.csv" in refused.stderr
+    assert not (tmp_path / "calibration/fits/b.table.csv").exists()
+
+
+def test_points_that_were_not_measured_stay_empty(tmp_path):
+    table = StaticTable(
+        "x", "0" * 64, np.arange(8.0).reshape(2, 2, 2) / 3, np.array([[0.1, np.nan], [np.nan, 1 / 3]])
+    )
+    write_static(table, tmp_path / "x.table.csv")
+    read = read_static(tmp_path / "x.table.csv", SPEC)
+    assert (read.pressure[:, :2] == table.pressure).all() and np.isnan(read.bend_error).all()
+    assert read.bend[:, :2] == pytest.approx(table.bend, abs=0, nan_ok=True)
+
+
+def test_each_segment_counts_by_its_own_errors(tmp_path):
+    """Without errors all count alike."""
+    time, pressure = regulated(levels(4))
+    (table,) = static_tables(
+        [taken(log_of_bends(tmp_path, TRUE_CHAIN, time, pressure, noise=3e-3), SPEC)], SPEC, 48e3
+    )
+    scales = [each.scale for each in fit_static([table], SPEC).residuals]
+    assert scales == pytest.approx(np.sqrt((table.bend_error**2).mean(axis=0)), rel=1e-9)
+    plain = StaticTable(table.name, table.sha256, table.pressure, table.bend)
+    assert {each.scale for each in fit_static([plain], SPEC).residuals} == {0.01}
+
+
+def test_valves_that_fill_or_vent_for_long_hold_pressures_too(tmp_path):
+    """Supply pressure where they fill, none where they vent; a valve that is held says nothing."""
+    states = np.array([[-1, -1], [1, -1], [-1, -1], [-1, 1], [-1, -1]], dtype=np.int8)[:, None]
+    schedule = Schedule(10.0, 2.0 * np.arange(5), states)
+    time = np.arange(0.0, 10.0, 1 / RATE)
+    trace = LagPneumatics(TRUE_MODULE, supply_pa=40e3, layout="in_out").advance(schedule, time)
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(trace.bend.shape)
+    columns = {"bend_1": (trace.bend + noise)[:, 0]}
+    valves = states[np.minimum((time / 2 + 1e-9).astype(int), 4)]
+    path = tmp_path / "valves.csv"
+    path.write_text(csv(time, columns | air(valves, "valve", "", 1)))
+    (table,) = static_tables([taken(path, MODULE)], MODULE, 40e3)
+    assert table.pressure[:, 0].tolist() == [[0, 0], [40e3, 0], [0, 0], [0, 40e3], [0, 0]]
+    found = fit_static([table], MODULE)
+    assert hits(found, OF_MODULE) >= 2
+    for name, value in OF_MODULE.items():
+        assert found[name].value == pytest.approx(value, rel=3e-3, abs=1e-3), name
+    path.write_text(
+        csv(time, columns | air(np.where(time < 0.4, -1, 0)[:, None, None] + 0 * valves, "valve", "", 1))
+    )
+    with pytest.raises(
+        InputError, match=r"valves.csv: no plateau: .*a valve that is held \(0\) nobody knows"
+    ):
+        static_tables([taken(path, MODULE)], MODULE, 40e3)
+
+
+def test_what_makes_no_table(tmp_path):
+    def refused(pressure: np.ndarray, time: np.ndarray, match: str, spec: RobotSpec = MODULE) -> None:
+        path = log_of_bends(tmp_path, TRUE_MODULE, time, pressure)
+        with pytest.raises(InputError, match=match):
+            static_tables([taken(path, spec)], spec, 48e3)
+
+    time, _ = regulated(levels(1))
+    wave = np.zeros((len(time), 1, 2))
+    wave[:, 0, 0] = 20e3 * (1 + np.sin(2 * time))
+    wanted = (
+        r"held_0.csv: no plateau: all pressures stay constant for 0\.\d+ s at most; 0.55 s \(5 times the slow"
+    )
+    refused(wave, time, wanted)
+    # A ramp of 1 kPa/s stays within the band for 2 s, again and again.
+    wave[:, 0, 0] = 1e3 * time
+    refused(wave, time, "no plateau: all pressures stay constant for 2 s at most; .* and 12 frames more")
+    held = levels(1)
+    held[:, 0, 1] = 0
+    held[:, 0, 0] = np.resize([0, 12e3], len(held))
+    refused(regulated(held)[1], time, r"pressure_plus_1: held at 2 different pressures only; 3 or more")
+    # Bends that creep all the time.
+    creeping = np.zeros((len(time), 1, 2))
+    path = tmp_path / "creep.csv"
+    path.write_text(csv(time, {"bend_1": 0.01 * time} | air(creeping)))
+    with pytest.raises(
+        InputError, match=r"creep.csv: no plateau: .* for 30 s at most; .* are wanted, bends at rest"
+    ):
+        static_tables([taken(path, MODULE)], MODULE, 48e3)
+
+
+def test_the_start_of_a_creep_is_left_out(tmp_path):
+    """Bends that approach their rest within seconds: the mean is of the end."""
+    time = np.arange(0.0, 12.0, 1 / RATE)
+    bend = 0.5 - 0.1 * np.exp(-time) + 1e-3 * np.random.default_rng(0).standard_normal(len(time))
+    path = tmp_path / "slow.csv"
+    path.write_text(csv(time, {"bend_1": bend} | air(np.full((len(time), 1, 2), 10e3))))
+    (table,) = static_tables([taken(path, MODULE)], MODULE, 48e3)
+    assert table.bend[0, 0] == pytest.approx(0.5, abs=1e-3)
