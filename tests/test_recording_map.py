@@ -171,7 +171,7 @@ def test_duties_become_valves_that_fill_for_their_share(tmp_path):
 
 def test_a_rigid_body_gives_a_heading(tmp_path):
     """A pose at each connector, mounted at any angle: bends to the noise of its rotation."""
-    from srs_twin.recordings.recording import _bodies_as_pairs
+    from srs_twin.recordings.recording import bodies_as_pairs
     from srs_twin.recordings.tracking import MarkerTable
 
     truth = motion()
@@ -180,7 +180,7 @@ def test_a_rigid_body_gives_a_heading(tmp_path):
     turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
     points = np.concatenate([truth.position, np.full((*half.shape, 1), 0.03)], axis=-1)
     table = MarkerTable("x", "", "MCAP", truth.time, points, tuple("abcde"), (), rotations=turns)
-    pairs = _bodies_as_pairs(table)
+    pairs = bodies_as_pairs(table)
     assert pairs.labels == tuple("aabbccddee") and pairs.rotations is None
     lines = pairs.points[:, ::2] - pairs.points[:, 1::2]
     assert np.linalg.norm(lines, axis=-1) == pytest.approx(0.02)

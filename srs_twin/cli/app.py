@@ -13,6 +13,7 @@ from srs_twin.cli import DEBUG, calibrate, models
 from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor import doctor
+from srs_twin.cli.inspect import inspect
 from srs_twin.cli.options import option, with_options
 from srs_twin.cli.plan import plan
 from srs_twin.cli.play import play
@@ -31,7 +32,23 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-verbs = (list_, show, run, compare, plan, replay, sweep, reproduce, view, play, render, diff, schema, doctor)
+verbs = (
+    list_,
+    show,
+    inspect,
+    run,
+    compare,
+    plan,
+    replay,
+    sweep,
+    reproduce,
+    view,
+    play,
+    render,
+    diff,
+    schema,
+    doctor,
+)
 for verb in verbs:
     app.command(verb.__name__.rstrip("_"))(with_options(verb))
 app.add_typer(calibrate.app, name="calibrate")

@@ -120,12 +120,12 @@ def read_motion(
     table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
     up = map.up if map.up and up == "auto" else up
     with named_in_errors(table.name):
-        table = _bodies_as_pairs(map.applied(table))
+        table = bodies_as_pairs(map.applied(table))
         geometry = spec.geometry
         frames = frame_grid(table.time)
         floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
-        plane, high = _without_high(floor)
-        slots, columns = _slots(table, at_frames(plane, frames))
+        plane, high = without_high(floor)
+        slots, columns = in_slots(table, at_frames(plane, frames))
         gap_frames = max(1, round(longest_gap_s / frames.period))
         check_scale(slots, geometry.pitch, spec.segments, spec.name)
         tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
@@ -154,7 +154,7 @@ def read_motion(
         return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
 
 
-def _bodies_as_pairs(table: MarkerTable) -> MarkerTable:
+def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
     """Return a table in which two markers stand for each rigid body with a rotation, on one of its axes.
 
     The axis is the one that turns most: an upright one would tell no heading.
@@ -219,7 +219,7 @@ def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, bod
     )
 
 
-def _without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
+def without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
     """Return the plane without what lies well over or under the robot, and how many samples those were."""
     if not np.isfinite(floor.height).any():
         return floor.plane, 0
@@ -227,7 +227,7 @@ def _without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
     return np.where(high[..., None], np.nan, floor.plane), int(high.sum())
 
 
-def _slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def in_slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in slots; columns with connectors' names stay where they are."""
     count = len(table.places)
     if not count:

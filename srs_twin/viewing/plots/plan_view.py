@@ -15,10 +15,11 @@ from srs_twin.comparison.following import following, footprint_of, segments_of
 from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line, segment_points
-from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, finish, panels, style_of
+from srs_twin.viewing.plots.style import GOAL_COLOR, PLUS_COLOR, STYLES, Style, finish, panels, style_of
 
 if TYPE_CHECKING:
     from srs_twin.planning import Footprint, Segment
+    from srs_twin.recordings.inspection import Scene
 
 
 _MOST_SHOWN = 6
@@ -44,6 +45,36 @@ def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure
     title = f"Seen from above: paths of the centre of mass, bodies (dot: head) at t = {shown} s"
     finish(axes, "y (m)", "x (m)", title=title)
     figure.legend(loc="lower right", ncols=len(trajectories), fontsize=9, frameon=False)
+    return figure
+
+
+def markers_view(scene: Scene) -> Figure:
+    """Return markers from above: their ways, the chain at three moments, rigid pairs, where it crawled."""
+    places = scene.places
+    low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
+    wide, deep = np.maximum(high - low, 1e-3)
+    figure, (axes,) = panels(float(np.clip(8.0 * deep / wide + 1.4, 2.8, 7.0)))
+    axes.plot(*places.reshape(len(places), -1, 2).transpose(2, 0, 1), color="0.8", linewidth=0.6, zorder=1)
+    complete = np.flatnonzero(np.isfinite(places[..., 0]).all(axis=1))
+    if complete.size:
+        order = list(scene.order) or list(range(places.shape[1]))
+        for moment, shade in zip(complete[[0, len(complete) // 2, -1]], ("0.55", "0.35", "0.1"), strict=True):
+            along = places[moment, order]
+            axes.plot(
+                *along.T, "o-" if scene.order else "o", color=shade, markersize=4, linewidth=1.2, zorder=2
+            )
+            for pair in scene.rigid:
+                axes.plot(*places[moment, list(pair)].T, color=PLUS_COLOR, linewidth=2.5, zorder=3)
+        for name, place in zip(scene.names, places[complete[0]], strict=True):
+            axes.annotate(name, place, xytext=(3, 5), textcoords="offset points", fontsize=7)
+        start, end = (places[complete[k]].mean(axis=0) for k in (0, -1))
+        if np.hypot(*(end - start)) > 0.05 * wide:
+            axes.annotate(
+                "", end, start, arrowprops={"arrowstyle": "->", "color": GOAL_COLOR, "linewidth": 1.2}
+            )
+    axes.set_aspect("equal", adjustable="datalim")
+    title = f"{places.shape[1]} markers; lines: order along the body at the first, middle and last frame"
+    finish(axes, "y (m)", "x (m)", title=title)
     return figure
 
 

@@ -1,0 +1,422 @@
+"""What is in a recording, without a robot: format, clock, axes, markers, distances, order, head, a map.
+
+Facts are plain data with units in their keys, as `srs-twin inspect --json` prints them. `Scene` is what its
+picture is drawn from.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.recordings.body import body_order, forward_distance
+from srs_twin.recordings.csv_table import PRESSURES, RecordedFile, read_file
+from srs_twin.recordings.floor import on_floor
+from srs_twin.recordings.formats import MCAP, PLAIN, axis_columns, identify, read_mcap
+from srs_twin.recordings.gaps import LEAST_FRAMES, FrameGrid, at_frames, frame_grid, runs
+from srs_twin.recordings.motion_files import read_markers
+from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_high
+from srs_twin.recordings.recording_map import LOG_NAME, RecordingMap
+from srs_twin.recordings.shape import noise_of
+from srs_twin.recordings.tracking import MarkerTable, distances, follow
+from srs_twin.robot.spec import RobotSpec
+
+_SOLID = 0.2  # of the frames a marker is seen on: less is no marker of a robot
+_RIGID = 2.0  # times what noise gives: a distance that varies less is that of one rigid part
+_GAP = 0.2  # s, over which markers are followed
+_SAMPLED = 2000
+_CRAWLED = 0.3  # of the distance of neighbours: less does not tell the head
+_CARRIER = 10.0  # openings a second: more are no gait's
+_MOST_SIGNALS = 200
+_MILLIMETRES = 2.0  # m between neighbours: more is a unit that was mistaken
+_UNIT = ("_pa", "_kpa", "_bar", "_psi")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Markers from above: places (frames, markers, 2), m, names, order along the body, and rigid pairs."""
+
+    places: np.ndarray
+    names: tuple[str, ...]
+    order: tuple[int, ...]
+    rigid: tuple[tuple[int, int], ...]
+    title: str
+
+
+def inspect_file(
+    path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec | None
+) -> tuple[dict[str, Any], Scene | None]:
+    """Return the facts of a file, and its markers where it has any.
+
+    Args:
+        path: a recording of markers, or a log.
+        map: units, rate and places that are known.
+        spec: the robot that it may be of.
+
+    Raises:
+        InputError: it cannot be read; says why.
+    """
+    kind = identify(path)
+    if kind == PLAIN:
+        file = read_file(path)
+        (cells,) = file.head(1)
+        if not axis_columns(cells) and not any(cell.strip().lower().startswith("x_1") for cell in cells):
+            return _log_facts(file, cells, map), None
+    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
+    facts, scene = _motion_facts(map.applied(table), map)
+    if spec is not None:
+        facts["robot"] = _beside_robot(path, map, spec)
+    if kind == MCAP:
+        facts["signals"] = [
+            {"name": name, **_signal_facts(name, time, values)}
+            for name, (time, values) in list(read_mcap(path).signals.items())[:_MOST_SIGNALS]
+        ]
+    return facts, scene
+
+
+def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
+    frames = frame_grid(table.time)
+    rate = 1 / frames.period
+    facts: dict[str, Any] = {
+        "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
+        "rate_hz": rate, "duration_s": float(frames.time[-1] - frames.time[0]),
+        "frames": int((frames.rows >= 0).sum()), "frames_missing": int((frames.rows < 0).sum()),
+        "announced_frames": table.header_frames, "notes": [*table.corrections, *frames.corrections],
+    }  # fmt: skip
+    turned = () if table.rotations is None else np.flatnonzero(np.isfinite(table.rotations).any(axis=(0, 2)))
+    bodies = [table.labels[k] for k in turned]
+    whole = bodies_as_pairs(table)
+    try:
+        floor = on_floor(whole.points, map.up or "auto", "y" if table.kind.startswith("Motive") else "z")
+    except InputError as error:
+        facts["notes"].append(str(error))
+        return facts, None
+    facts |= {"up": floor.up}
+    facts["notes"] += floor.corrections
+    plane, high = without_high(floor)
+    seen = at_frames(plane, frames)
+    height = at_frames(floor.height, frames)
+    facts["markers"] = [
+        _marker_facts(name, seen[:, k], height[:, k], frames, name in bodies)
+        for k, name in enumerate(whole.labels)
+    ]
+    if high:
+        facts["notes"].append(f"{high} positions lie far above or below the others")
+    scene = _chain_facts(whole, seen, frames, facts)
+    return facts, scene
+
+
+def _marker_facts(
+    name: str, place: np.ndarray, height: np.ndarray, frames: FrameGrid, body: bool
+) -> dict[str, Any]:
+    missing = np.isnan(place[:, 0])
+    gaps = runs(missing)
+    inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(place))] if len(gaps) else gaps
+    longest = float(np.diff(inner, axis=1).max()) * frames.period if len(inner) else 0.0
+    return {
+        "name": name, "rigid_body": body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
+        "longest_gap_s": longest, "noise_mm": None if missing.all() else 1e3 * noise_of(place[:, None]),
+        "height_mm": None if np.isnan(height).all() else 1e3 * float(np.nanmedian(height)),
+    }  # fmt: skip
+
+
+def _chain_facts(
+    table: MarkerTable, seen: np.ndarray, frames: FrameGrid, facts: dict[str, Any]
+) -> Scene | None:
+    """Add order, distances, layouts and head to the facts, as far as markers tell them."""
+    slots, columns = in_slots(table, seen)
+    apart = distances(slots, _SAMPLED)
+    nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=2)
+    if not np.isfinite(nearest).any():
+        facts["notes"].append("never two markers at once")
+        return None
+    near = float(np.median(nearest[np.isfinite(nearest)]))
+    if near > _MILLIMETRES:
+        facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give units")
+    tracks, origin, dropped = follow(slots, columns, max(1, round(_GAP / frames.period)), 2 * near)
+    share = (~np.isnan(tracks[..., 0])).mean(axis=0)
+    solid = np.flatnonzero(share >= _SOLID)
+    names = _names(origin[:, solid], table.labels, facts)
+    places = tracks[:, solid]
+    facts |= {"tracks": len(solid), "positions_of_nothing": int(dropped)}
+    complete = np.isfinite(places[..., 0]).all(axis=1)
+    if complete.sum() < LEAST_FRAMES or len(solid) < 2:
+        facts["notes"].append(f"{int(complete.sum())} frames with all {len(solid)} lasting markers at once")
+        return Scene(places, names, (), (), facts["file"])
+    whole = places[complete]
+    noise = noise_of(places)
+    apart = distances(whole, _SAMPLED)
+    np.einsum("fkk->fk", apart)[:] = np.inf
+    with np.errstate(invalid="ignore"):
+        low, middle, top = np.quantile(apart, [0.25, 0.5, 0.75], axis=0)
+        spread = 0.74 * (top - low)
+    rigid = [
+        (a, b)
+        for a, b in zip(*np.triu_indices(len(solid), 1), strict=True)
+        if spread[a, b] < _RIGID * np.sqrt(2) * noise
+    ]
+    pairs = tuple((int(a), int(b)) for a, b in rigid if middle[a, b] <= 1.5 * np.nanmin(middle[[a, b]]))
+    try:
+        order = tuple(int(k) for k in body_order(whole))
+    except InputError as error:
+        facts["notes"].append(str(error))
+        order = ()
+    facts["noise_mm"] = 1e3 * noise
+    facts["rigid_pairs"] = [[names[a], names[b]] for a, b in pairs]
+    facts["order"] = [names[k] for k in order]
+    facts["distances"] = [
+        {"markers": [names[a], names[b]], "median_mm": 1e3 * middle[a, b], "spread_mm": 1e3 * spread[a, b]}
+        for a, b in zip(order, order[1:], strict=False)
+    ]
+    count = len(solid)
+    facts["layouts"] = {"single": count, "head": count - 1} | (
+        {"pair": count // 2, "head_middles": count // 2} if count % 2 == 0 else {"middles": (count + 1) // 2}
+    )
+    facts["head"] = _head_facts(whole, frames.period, order, pairs, names, near)
+    return Scene(places, names, order, pairs, facts["file"])
+
+
+def _names(origin: np.ndarray, labels: Sequence[str], facts: dict[str, Any]) -> tuple[str, ...]:
+    """Return a column's name for each marker, each once; note where markers change columns."""
+    from scipy.optimize import linear_sum_assignment
+
+    counts = np.stack([np.bincount(each[each >= 0], minlength=len(labels)) for each in origin.T])
+    _, chosen = linear_sum_assignment(-counts)
+    if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
+        facts["notes"].append(
+            f"{100 * away / counts.sum():.0f} % of the positions stand in other columns than their marker's: "
+            "columns change places, and a map by their names does not hold for all frames"
+        )
+    return tuple(labels[k] for k in chosen)
+
+
+def _head_facts(
+    whole: np.ndarray, period: float, order: Sequence[int], pairs: Sequence[tuple[int, int]],
+    names: Sequence[str], near: float,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return which ends may be the head, the likeliest first."""
+    if len(order) < 3:
+        return []
+    found = []
+    ends = {"first": (order[0], order[1]), "last": (order[-1], order[-2])}
+    rigid = {frozenset(pair) for pair in pairs}
+    second = [end for end in ends.values() if frozenset(end) in rigid]
+    if len(second) == 1 and len(pairs) == 1:
+        found.append(
+            {"marker": names[second[0][0]], "why": "the only end with a second marker on a rigid part"}
+        )
+    crawled = forward_distance(period, whole[:, list(order)])
+    if abs(crawled) > _CRAWLED * near:
+        end = order[0] if crawled > 0 else order[-1]
+        found.append({"marker": names[end], "why": f"the body crawled {abs(crawled):.3g} m towards this end"})
+    return found
+
+
+def _beside_robot(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> dict[str, Any]:
+    """Return what reading it as a recording of a robot gives."""
+    try:
+        found = read_motion(path, spec, map=map)
+    except InputError as error:
+        return {"name": spec.name, "reads": False, "says": str(error)}
+    length, markers = found.trajectory.stack("length"), found.summary.markers
+    low, middle, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
+    assert markers is not None, "it is a recording of markers"
+    return {
+        "name": spec.name, "reads": True, "says": found.summary.text(), "layout": markers.layout,
+        "bend_error_rad": markers.bend_error_rad, "length_mm": (1e3 * middle).tolist(),
+        "stretch": ((high - low) / spec.geometry.segment_length).tolist(),
+    }  # fmt: skip
+
+
+def _log_facts(file: RecordedFile, cells: Sequence[str], map: RecordingMap) -> dict[str, Any]:
+    """Return the facts of a table of numbers over time."""
+    signals: list[dict[str, Any]] = []
+    notes: list[str] = []
+    time: np.ndarray | None = None
+    for k, cell in enumerate(cells[:_MOST_SIGNALS]):
+        try:
+            values, said = file.rows(1, [k], len(cells))
+        except InputError as error:
+            if "is no number" not in str(error):
+                raise
+            signals.append({"name": cell.strip(), "looks_like": "text", "understood": False})
+            continue
+        if k == 0:
+            notes += said
+        if (
+            time is None
+            and cell.strip().lower().startswith(("time", "t_", "stamp", "sec"))
+            or cell.strip().lower() == "t"
+        ):
+            time = values[:, 0]
+            if cell.strip().lower().endswith(("ms", "ms)", "ms]")):
+                time = time / 1e3
+            continue
+        clock = np.arange(len(values), dtype=float) if time is None else time
+        signals.append(
+            {"name": cell.strip(), **_signal_facts(cell.strip(), clock, values[:, 0], timed=time is not None)}
+        )
+    facts: dict[str, Any] = {
+        "file": file.name, "format": PLAIN, "content": "log", "sha256": file.sha256, "signals": signals,
+        "notes": notes,
+    }  # fmt: skip
+    if time is not None and len(time) > 1:
+        step = np.diff(time)
+        facts |= {
+            "starts_s": float(time[0]), "duration_s": float(time[-1] - time[0]), "rows": len(time),
+            "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
+            "steps_back": int((step < 0).sum()),
+        }  # fmt: skip
+    return facts
+
+
+def _signal_facts(name: str, time: np.ndarray, values: np.ndarray, *, timed: bool = True) -> dict[str, Any]:
+    """Return range, guess and switching of one signal."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return {"looks_like": "nothing", "understood": False}
+    facts: dict[str, Any] = {
+        "low": float(known.min()), "high": float(known.max()), "distinct": len(np.unique(known)),
+        "looks_like": _looks_like(name, known),
+        "understood": bool(LOG_NAME.fullmatch(_canonical(name))) or name.lower().startswith("bend_"),
+    }  # fmt: skip
+    if facts["distinct"] <= 3 and timed:
+        opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
+        rate = float(1 / np.median(np.diff(opened))) if len(opened) > 2 and np.ptp(opened) > 0 else 0.0
+        facts["openings_per_s"] = rate
+        if rate > _CARRIER:
+            facts["looks_like"] += f", switched by a carrier of about {rate:.0f} Hz"
+    return facts
+
+
+def _canonical(name: str) -> str:
+    """Return pressure_kpa_plus_1 for pressure_plus_1_kpa, as a map's key."""
+    for unit in _UNIT:
+        if name.lower().endswith(unit):
+            kind, _, rest = name[: -len(unit)].partition("_")
+            return f"{kind}{unit}_{rest}".lower()
+    return name.lower()
+
+
+def _looks_like(name: str, values: np.ndarray) -> str:
+    distinct, low, high, said = set(np.unique(values)[:4].tolist()), values.min(), values.max(), name.lower()
+    if distinct <= {-1.0, 0.0, 1.0}:
+        return "valve states" if -1.0 in distinct else "valve states, 0 venting"
+    if low >= 0 and high <= 1:
+        return "duty"
+    if low >= 0 and high <= 100 and any(word in said for word in ("duty", "pwm", "%")):
+        return "duty, per cent"
+    if any(word in said for word in ("bend", "angle", "rad", "deg", "theta")) or (
+        low < 0 and np.abs(values).max() < 7
+    ):
+        return "angle" + (", degrees" if np.abs(values).max() > 7 else ", rad")
+    if low > -100 and (high > 2 or any(unit in said for unit in PRESSURES)):
+        return "pressure, " + ("bar" if high < 8 else "kPa" if high < 2e3 else "Pa") + " by its range"
+    return "a number"
+
+
+def proposed_map(facts: Sequence[Mapping[str, Any]]) -> str:
+    """Return a map for files of one recording, in YAML, with what was guessed and why."""
+    import json
+
+    lines = ["# Proposed by srs-twin inspect: correct it, then give it as --map."]
+    for each in (one for one in facts if one["content"] == "markers"):
+        lines += [f"# {each['file']}: {each['format']}, {each['rate_hz']:.4g} Hz"]
+        if "up" in each:
+            lines.append(f"up: {json.dumps(each['up'])}")
+        lines += _marker_lines(each)
+    logged = [
+        signal for each in facts for signal in each.get("signals", ()) if signal["looks_like"] != "text"
+    ]
+    if logged:
+        lines.append("log:")
+        for signal in logged:
+            key = _canonical(signal["name"])
+            known = LOG_NAME.fullmatch(key)
+            said = f"{signal['looks_like']}, {signal.get('low', 0):g} to {signal.get('high', 0):g}"
+            lines.append(f"  {key if known else '# valve_plus_1'}: {json.dumps(signal['name'])}  # {said}")
+        if not any(LOG_NAME.fullmatch(_canonical(signal["name"])) for signal in logged):
+            lines[lines.index("log:")] = (
+                "# log:  # say which is valve_plus_1, pressure_kpa_plus_1, … of each segment"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _marker_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Return the lines of markers, head first where it is known."""
+    import json
+
+    order, heads = list(facts.get("order", ())), [each["marker"] for each in facts.get("head", ())]
+    pairs = {frozenset(pair) for pair in facts.get("rigid_pairs", ())}
+    if heads and order and heads[0] == order[-1]:
+        order.reverse()
+    why = (
+        facts["head"][0]["why"]
+        if heads
+        else "which end is the head is not known: turn the numbers round if need be"
+    )
+    if not order:
+        return ["# markers: their order is not known; name their places: {connector: 1}, {middle: 1}, …"]
+    lines = [f"markers:  # head: {why}"]
+    twice = len(order) % 2 == 0 and all(
+        frozenset(pair) in pairs for pair in zip(order[::2], order[1::2], strict=True)
+    )
+    ahead = not twice and len(order) > 2 and frozenset(order[:2]) in pairs
+    bodies = {each["name"] for each in facts["markers"] if each["rigid_body"]}
+    if bodies:
+        unique = list(dict.fromkeys(order))
+        return [lines[0].replace("markers:", "bodies:")] + [
+            f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in enumerate(unique, start=1)
+        ]
+    for k, name in enumerate(order):
+        place = f"connector: {k // 2 + 1}" if twice else f"connector: {max(1, k + 1 - ahead)}"
+        side = ", side: ahead" if ahead and k == 0 else ""
+        lines.append(f"  {json.dumps(name)}: {{{place}{side}}}")
+    return lines + [
+        f"  {json.dumps(each['name'])}: ignore" for each in facts["markers"] if each["name"] not in order
+    ]
+
+
+def in_words(facts: Mapping[str, Any]) -> str:
+    """Return the facts for people, a line each."""
+    lines = [f"{facts['file']}: {facts['format']}, {facts['content']}"]
+    if facts.get("rate_hz"):
+        rows = facts.get("frames", facts.get("rows"))
+        what = "frames" if "frames" in facts else "rows"
+        lines.append(f"{rows} {what}, {facts['rate_hz']:.4g} Hz, {facts['duration_s']:.4g} s")
+    if "up" in facts:
+        noise = f"noise {facts['noise_mm']:.2g} mm; " if "noise_mm" in facts else ""
+        lines.append(f"up: {facts['up']}; {noise}{facts.get('tracks', 0)} lasting markers")
+    for each in facts.get("markers", ())[:40]:
+        noise = f"noise {each['noise_mm']:.2g} mm" if each["noise_mm"] is not None else "never seen"
+        noise += ", rigid body" if each["rigid_body"] else ""
+        gaps = f"{each['gaps']} gaps up to {each['longest_gap_s']:.3g} s"
+        lines.append(
+            f"  {each['name']}: seen on {100 * each['coverage']:.1f} % of the frames, {gaps}, {noise}"
+        )
+    for each in facts.get("distances", ()):
+        a, b = each["markers"]
+        rigid = ", one rigid part" if [a, b] in facts["rigid_pairs"] or [b, a] in facts["rigid_pairs"] else ""
+        lines.append(f"  {a} to {b}: {each['median_mm']:.1f} mm, varies by {each['spread_mm']:.2g} mm{rigid}")
+    if "layouts" in facts:
+        fitting = ", ".join(
+            f"{name} of {count} connectors" for name, count in facts["layouts"].items() if count > 1
+        )
+        lines.append(f"layouts with this number of markers: {fitting}")
+        heads = "; ".join(f"{each['marker']} ({each['why']})" for each in facts["head"])
+        lines.append(f"head: {heads or 'not told by the markers; give --head'}")
+    for each in facts.get("signals", ()):
+        bounds = f", {each['low']:g} to {each['high']:g}" if "low" in each else ""
+        rate = f", opens {each['openings_per_s']:.3g} times a second" if each.get("openings_per_s") else ""
+        lines.append(
+            f"  {each['name']}: {each['looks_like']}{bounds}{rate}"
+            + ("" if each["understood"] else " (needs a map)")
+        )
+    if (robot := facts.get("robot")) is not None:
+        lines += [f"as a recording of {robot['name']}:", *(f"  {line}" for line in robot["says"].split("\n"))]
+    return "\n".join([*lines, *(f"note: {each}" for each in facts["notes"])])

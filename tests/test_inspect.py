@@ -1,0 +1,159 @@
+"""What `srs-twin inspect` says of recordings is so, and the map that it proposes reads them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from recorded import NOISE, RATE, SPEC, motion, valve_csv
+from synthetic_takes import Take, motive_csv, write_motive
+from test_foreign_recordings import bag
+from test_formats import c3d_file
+
+from srs_twin import InputError
+from srs_twin.cli import main
+from srs_twin.identification import read_motion
+from srs_twin.io.validation import load_model
+from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+
+
+def inspected(folder, take, **known):
+    path = folder / "take.csv"
+    write_motive(motion(), take, path)
+    return inspect_file(path, RecordingMap(**known), None)
+
+
+def test_facts_of_a_take(tmp_path):
+    facts, scene = inspected(tmp_path, Take(layout="head", labeled=True, unit="cm", up="x"))
+    assert (facts["format"], facts["content"], facts["up"]) == ("Motive CSV 1.21", "markers", "x")
+    assert facts["rate_hz"] == pytest.approx(RATE) and facts["frames"] == len(motion())
+    assert facts["noise_mm"] == pytest.approx(1e3 * NOISE, rel=0.2)
+    assert facts["order"] in (facts["order"][:], ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))])
+    assert facts["rigid_pairs"] == [["snake:ahead", "snake:1"]]
+    assert {each["marker"] for each in facts["head"]} == {"snake:ahead"}
+    assert facts["layouts"]["head"] == 5 and facts["layouts"]["single"] == 6
+    assert "lengths converted from cm to m" in facts["notes"]
+    near = {frozenset(each["markers"]): each for each in facts["distances"]}
+    pair = near[frozenset(["snake:ahead", "snake:1"])]
+    assert pair["median_mm"] == pytest.approx(20, abs=0.2) and pair["spread_mm"] < 0.5
+    assert near[frozenset(["snake:1", "snake:2"])]["spread_mm"] > 0.5
+    assert scene.places.shape == (len(motion()), 6, 2) and scene.rigid == ((0, 1),)
+
+
+def test_gaps_and_coverage_are_counted(tmp_path):
+    facts, _ = inspected(
+        tmp_path, Take(labeled=True, occluded=[(2, 1.0, 1.15), (2, 2.0, 2.05), (4, 3.5, 9.0)])
+    )
+    third, last = facts["markers"][2], facts["markers"][4]
+    assert third["gaps"] == 2 and third["longest_gap_s"] == pytest.approx(0.15)
+    assert third["coverage"] == pytest.approx(1 - 20 / 401) and last["gaps"] == 0
+    assert last["coverage"] == pytest.approx(350 / 401)
+
+
+@pytest.mark.parametrize("layout", ["single", "head", "pair"])
+def test_the_proposed_map_reads_the_take(tmp_path, layout):
+    facts, _ = inspected(tmp_path, Take(layout=layout, labeled=False, seed=3))
+    path = tmp_path / "map.yaml"
+    path.write_text(proposed_map([facts]))
+    found = read_motion(tmp_path / "take.csv", SPEC, map=load_model(RecordingMap, path)).trajectory
+    known = read_motion(tmp_path / "take.csv", SPEC).trajectory
+    assert found.stack("bend") == pytest.approx(known.stack("bend"), abs=1e-6)
+
+
+def test_lengths_in_another_unit_than_assumed_are_asked_for(tmp_path):
+    path = tmp_path / "x.csv"
+    rows = np.column_stack([motion().time, 1e3 * motion().position.reshape(len(motion()), -1)])
+    names = [f"{name}_{axis}" for name in "abcde" for axis in "xy"]
+    path.write_text(
+        ",".join(["t", *names]) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
+    )
+    assert any("lengths in mm? Give units" in each for each in inspect_file(path, NO_MAP, None)[0]["notes"])
+    facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
+    assert not any("Give units" in each for each in facts["notes"])
+    assert facts["robot"]["reads"] and facts["robot"]["layout"] == "single"
+    assert facts["robot"]["length_mm"] == pytest.approx([1e3 * SPEC.geometry.segment_length] * 4, rel=0.02)
+
+
+def test_columns_that_change_places_are_said(tmp_path):
+    facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
+    assert any("columns change places" in each for each in facts["notes"])
+
+
+def test_a_log(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(valve_csv(motion(), 0.0, 4.0, 7.0))
+    facts, scene = inspect_file(path, NO_MAP, None)
+    assert scene is None and facts["content"] == "log" and facts["starts_s"] == 7.0
+    first = facts["signals"][0]
+    assert first["understood"] and first["looks_like"] == "valve states"
+    assert first["openings_per_s"] == pytest.approx(2.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("column", "values", "said"), [
+    ("V1", [0, 1] * 50, "valve states, 0 venting"),
+    ("PWM 1", [0, 12.5, 50, 100] * 25, "duty, per cent"),
+    ("a", [0.1, 0.4, 0.9, 1.0] * 25, "duty"),
+    ("p1", [0.0, 22.0, 41.0, 48.3] * 25, "pressure, kPa by its range"),
+    ("q", [0.0, 2.2e4, 4.1e4, 4.8e4] * 25, "pressure, Pa by its range"),
+    ("bend_1", [-0.4, 0.1, 0.5, 0.9] * 25, "angle, rad"),
+    ("note", ["x"] * 100, "text"),
+])  # fmt: skip
+def test_what_columns_look_like(tmp_path, column, values, said):
+    path = tmp_path / "log.csv"
+    path.write_text(f"time,{column}\n" + "".join(f"{0.01 * k},{v}\n" for k, v in enumerate(values)))
+    assert inspect_file(path, NO_MAP, None)[0]["signals"][0]["looks_like"].startswith(said)
+
+
+def test_a_carrier_is_told_from_a_gait(tmp_path):
+    path, time = tmp_path / "log.csv", np.arange(4000) / 1000
+    state = (time * 30 % 1 < 0.4).astype(int)
+    path.write_text(
+        "time,valve_plus_1\n" + "".join(f"{t:.3f},{s}\n" for t, s in zip(time, state, strict=True))
+    )
+    assert "a carrier of about 30 Hz" in inspect_file(path, NO_MAP, None)[0]["signals"][0]["looks_like"]
+
+
+def test_a_bag_has_bodies_and_signals(tmp_path):
+    facts, _ = inspect_file(bag(tmp_path / "walk.mcap"), NO_MAP, None)
+    assert facts["format"] == "MCAP" and [each["rigid_body"] for each in facts["markers"]] == [True] * 10
+    assert {each["looks_like"] for each in facts["signals"]} == {"valve states"}
+    text = proposed_map([facts])
+    assert "bodies:" in text and '"/snake/link1": {connector: 1}' in text and '"/valves.plus[0]"' in text
+
+
+def test_other_formats(tmp_path):
+    path = tmp_path / "take.c3d"
+    path.write_bytes(c3d_file())
+    facts, _ = inspect_file(path, NO_MAP, None)
+    assert facts["format"] == "C3D" and facts["file"] in in_words(facts)
+
+
+def run(words, code=0):
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == code
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_motive(motion(), Take(layout="head"), "take.csv")
+    (tmp_path / "cut.csv").write_text(motive_csv(motion(), Take())[:300])
+    run(["inspect", "take.csv", "--picture", "seen.png", "--write-map", "map.yaml"])
+    assert "one rigid part" in capsys.readouterr().out
+    assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
+    run(["inspect", "take.csv", "--write-map", "map.yaml"], 2)
+    assert "map.yaml: exists; give --overwrite" in capsys.readouterr().err
+    run(["inspect", "cut.csv", "take.csv", "--json"], 2)
+    said = capsys.readouterr()
+    assert [each["file"] for each in json.loads(said.out)] == ["take.csv"] and "cut.csv:" in said.err
+    run(["inspect", "take.csv", "--robot", "gen2", "--units", "m"])
+    assert "layout head" in capsys.readouterr().out
+
+
+def test_files_that_are_nothing(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("hello\nworld\n")
+    with pytest.raises(InputError, match="no motion recording that is read"):
+        inspect_file(path, NO_MAP, None)
