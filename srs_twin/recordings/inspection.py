@@ -7,6 +7,7 @@ picture is drawn from.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,7 +28,7 @@ from srs_twin.recordings.tracking import MarkerTable, distances, follow
 from srs_twin.robot.spec import RobotSpec
 
 _SOLID = 0.2  # of the frames a marker is seen on: less is no marker of a robot
-_RIGID = 2.0  # times what noise gives: a distance that varies less is that of one rigid part
+_RIGID = 1.3  # times what noise gives: a distance that varies less is that of one rigid part
 _GAP = 0.2  # s, over which markers are followed
 _SAMPLED = 2000
 _CRAWLED = 0.3  # of the distance of neighbours: less does not tell the head
@@ -160,7 +161,10 @@ def _chain_facts(
         for a, b in zip(*np.triu_indices(len(solid), 1), strict=True)
         if spread[a, b] < _RIGID * np.sqrt(2) * noise
     ]
-    pairs = tuple((int(a), int(b)) for a, b in rigid if middle[a, b] <= 1.5 * np.nanmin(middle[[a, b]]))
+    close = [(int(a), int(b)) for a, b in rigid if middle[a, b] <= 1.5 * np.nanmin(middle[[a, b]])]
+    # Of a body that bends little many distances hardly vary; a marker has one partner on a rigid part.
+    often = Counter(marker for pair in close for marker in pair)
+    pairs = tuple((a, b) for a, b in close if often[a] == often[b] == 1)
     try:
         order = tuple(int(k) for k in body_order(whole))
     except InputError as error:

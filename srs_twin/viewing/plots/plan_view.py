@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from os.path import commonprefix
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,8 +66,10 @@ def markers_view(scene: Scene) -> Figure:
             )
             for pair in scene.rigid:
                 axes.plot(*places[moment, list(pair)].T, color=PLUS_COLOR, linewidth=2.5, zorder=3)
+        same = len(commonprefix(scene.names)) if len(scene.names) > 1 else 0
         for name, place in zip(scene.names, places[complete[0]], strict=True):
-            axes.annotate(name, place, xytext=(3, 5), textcoords="offset points", fontsize=7)
+            said = name[same:] or name
+            axes.annotate(said, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7)
         start, end = (places[complete[k]].mean(axis=0) for k in (0, -1))
         if np.hypot(*(end - start)) > 0.05 * wide:
             axes.annotate(
