@@ -20,7 +20,7 @@ from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 from srs_twin.cli import main
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
-from srs_twin.identification import join, read_valves
+from srs_twin.identification import ValveLog, join, read_valves
 from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.friction import is_pulls, read_pulls
 from srs_twin.identification.takes import gait_run, logs_of, repeats, start_pose, starts_at_rest
@@ -282,6 +282,16 @@ def test_a_gait_tells_its_frequency(tmp_path, frequency):
     assert repeats(read_valves(path, SPEC)) == pytest.approx(frequency, rel=0.01)
     path.write_text(valve_csv(truth, 0.0, 1.2 / frequency, 3.0))
     assert repeats(read_valves(path, SPEC)) is None
+
+
+@pytest.mark.parametrize("carrier", [20.0, 30.0, 50.0])
+def test_the_gaits_frequency_is_not_its_carriers(carrier):
+    clock = np.arange(0.0, 6.0, 0.002)
+    filling = (clock * 1.5 % 1 < 0.5)[:, None, None] & (clock * carrier % 1 < 0.6)[:, None, None]
+    states = np.where(np.broadcast_to(filling, (len(clock), 4, 2)), 1.0, -1.0)
+    assert repeats(ValveLog("valve", clock, states, "x", "", ())) == pytest.approx(1.5, rel=0.02)
+    always = np.where(np.broadcast_to((clock * carrier % 1 < 0.6)[:, None, None], states.shape), 1.0, -1.0)
+    assert repeats(ValveLog("valve", clock, always, "x", "", ())) is None
 
 
 def test_a_recording_becomes_a_run(tmp_path):

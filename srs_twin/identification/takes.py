@@ -31,6 +31,7 @@ _LOG = ".valves.csv"
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _LEAST_OPENINGS = 4
 _EVEN = 0.05  # of a period: by how much openings may come early or late
+_CARRIER = 0.07  # s: openings nearer to each other are those of a carrier
 _STILL = 1e-9  # s
 
 
@@ -127,14 +128,16 @@ def _log_of(take: Path) -> str:
 def repeats(log: ValveLog) -> float | None:
     """Return the frequency at which all chambers open evenly, Hz; None where they do not.
 
-    The first opening is left out: a gait may begin with a part of a period.
+    The first opening is left out: a gait may begin with a part of a period. Openings of a carrier, which come
+    sooner than any gait's, count as one.
     """
     if log.kind != "valve":
         return None
     opened = (log.values[1:] == 1) & (log.values[:-1] != 1)
     periods = []
     for column in opened.reshape(len(opened), -1).T:
-        times = log.time[1:][column][1:]
+        times = log.time[1:][column]
+        times = times[np.append(True, np.diff(times) > _CARRIER)[: len(times)]][1:]
         if len(times) < _LEAST_OPENINGS:
             return None
         gaps = np.diff(times)
