@@ -35,6 +35,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import comb
+from typing import Any
 
 import numpy as np
 
@@ -245,10 +246,10 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
         way: "free" or "fixed", see `determined`.
     """
     seen = points @ [1, 1j]
-    length, alike = marks.geometry.segment_length, np.ones(marks.geometry.connectors - 1)
+    straight, alike = marks.geometry.segment_length, np.ones(marks.geometry.connectors - 1)
     known = slice(0, _NOISE_FROM)
     noise = noise_of(np.where(missing[known, :, None], np.nan, points[known]))
-    prior = _Prior(noise, length * alike, _STRETCH * length, None if way == "free" else _OPEN)
+    prior = _Prior(noise, straight * alike, _STRETCH * straight, None if way == "free" else _OPEN)
     whole = np.flatnonzero(~missing.any(axis=1))
     if len(whole) < 4:
         whole, missing = np.arange(len(time)), np.zeros_like(missing)
@@ -256,28 +257,20 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
     _learn(seen[some], _start(seen[some], marks), marks, prior)
     width, bends = 3 + 2 * len(alike), slice(3, 3 + len(alike))
     state, error = np.empty((len(time), width)), np.empty((len(time), len(alike)))
-    away, sums = np.empty(seen.shape), np.zeros(2)
-
-    def take(rows: np.ndarray, fitted: _Fitted) -> np.ndarray:
-        state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
-        return fitted.chi
-
-    def lay(rows: np.ndarray, start: np.ndarray) -> None:
-        def fit(part: np.ndarray) -> np.ndarray:
-            each = rows[part]
-            weight = np.full(seen[each].shape, prior.noise**-2)
-            return take(each, _fit(start[part], seen[each], weight, marks, prior))
-
-        for chi in pool.map(fit, _chunks(np.arange(len(rows)))):
-            sums[:] += chi
-
-    # NumPy's loops hold no lock.
-    pool = ThreadPoolExecutor(processors())
+    away = np.empty(seen.shape)
     start = _start(seen[whole], marks)
     if prior.open is not None:
         start = _turned(start, seen[whole], marks, prior)
-    lay(whole, start)
-    scale = float(np.sqrt(sums[0] / sums[1])) if sums[1] > _REDUNDANT * len(whole) else 1.0
+
+    def lay(part: np.ndarray) -> np.ndarray:
+        rows = whole[part]
+        weight = np.full(seen[rows].shape, prior.noise**-2)
+        fitted = _fit(start[part], seen[rows], weight, marks, prior)
+        state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
+        return fitted.chi
+
+    chi, redundant = np.sum(_in_threads(lay, np.arange(len(whole))), axis=0)
+    scale = float(np.sqrt(chi / redundant)) if redundant > _REDUNDANT * len(whole) else 1.0
     if prior.open is not None:
         scale = max(scale, 1.0)
     missing = missing.copy()
@@ -292,22 +285,15 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
         def mend(rows: np.ndarray) -> None:
             aim = near(time[rows])
             aim[:, bends] = np.clip(aim[:, bends], -np.pi, np.pi)
-            take(rows, _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends]))
+            fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends])
+            state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
 
-        list(pool.map(mend, _chunks(torn)))
+        _in_threads(mend, torn)
     state[:, 2] = np.unwrap(state[:, 2])
     _, _, node, theta = Marks(np.zeros(0, dtype=int), np.zeros(0), marks.geometry).places(state)
     residual = np.sqrt(np.ma.masked_array(away**2, missing).mean(axis=1).filled(0.0))
-    return Shape(
-        node,
-        theta,
-        error * scale,
-        state[:, bends.stop :],
-        prior.spread,
-        prior.noise * scale,
-        residual,
-        missing,
-    )
+    length, noise = state[:, bends.stop :], prior.noise * scale
+    return Shape(node, theta, error * scale, length, prior.spread, noise, residual, missing)
 
 
 def _between(time: np.ndarray, state: np.ndarray, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -319,8 +305,11 @@ def _between(time: np.ndarray, state: np.ndarray, rows: np.ndarray) -> Callable[
     return lambda at: np.asarray(spline(at))
 
 
-def _chunks(rows: np.ndarray) -> list[np.ndarray]:
-    return np.split(rows, range(_CHUNK, len(rows), _CHUNK)) if rows.size else []
+def _in_threads(work: Callable[[np.ndarray], Any], rows: np.ndarray) -> list[Any]:
+    """Return what work gives for some rows at a time, on all processors: NumPy's loops hold no lock."""
+    parts = np.split(rows, range(_CHUNK, len(rows), _CHUNK))
+    with ThreadPoolExecutor(processors()) as pool:
+        return list(pool.map(work, parts))
 
 
 @dataclass(frozen=True)
