@@ -1,6 +1,6 @@
 """How well the clocks of motions and logs are aligned, and whether a gait's period is ever mistaken.
 
-    uv run python benchmarks/clock.py [--draws 500] [--seed 0] [--spread 0.1]
+    uv run python benchmarks/clocks.py [--draws 500] [--seed 0] [--spread 0.1]
 
 Each draw is a robot (with `--spread` its gains and time constants differ from those of the robot file that
 reads it), a run of rests and gaits, a window of it that cameras saw, and one that was logged, on a clock that
