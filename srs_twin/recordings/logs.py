@@ -40,11 +40,14 @@ from srs_twin.recordings.trajectories import LogSummary, measured, moving_slope,
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
+AIR = ("pressure", "setpoint")
+"""Kinds of logs whose values are pressures; the others are valve and duty."""
 
 _LARGEST = 2 * np.pi  # rad: no segment is a full circle
 _HIGHEST = 2e6  # Pa: no chamber holds more
 _LOWEST = -1.1e5
 _LATEST = 1e9  # s
+_MOST_PERIODS = 1_000_000  # of a carrier
 _MOVED = 0.05  # of a segment's length
 _TURNED = np.radians(5.0)
 
@@ -197,10 +200,10 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     """
     if binary_format(path) == MCAP:
         return _mcap_log(path, spec, map)
+    air = {f"{kind}_{side}": PRESSURES for kind in AIR for side in SIDES}
     valves: dict[str, dict[str, float]] = {
         f"{kind}_{side}": {} for kind in ("valve", "duty") for side in SIDES
     }
-    air = {f"{kind}_{side}": PRESSURES for kind in ("pressure", "setpoint") for side in SIDES}
     file = read_file(path)
     with named_in_errors(file.name):
         table = read_table(file, CLOCK | valves | air, map.columns)
@@ -213,23 +216,27 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
     time, values, notes = table.read_timed(clock, chosen)
-    if kind == "setpoint":
-        kind = "pressure"
-        notes.append("set-points taken as the chambers' pressures")
-    if kind == "duty":
-        with named_in_errors(table.file.name):
-            time, values = _switched(time, values, map.carrier_hz, notes)
-        kind = "valve"
-    else:
+    if kind != "duty":
         _check_values(table, kind, chosen, values)
-    if np.abs(time).max() > _LATEST:
-        raise table.file.error(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
-    if kind == "valve" and not (values == -1).any() and (values == 0).any():
-        values[values == 0] = -1.0
-        notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
-    if kind == "pressure" and not any(each.unit for each in chosen):
+    if kind in AIR and not any(each.unit for each in chosen):
         notes.append("pressures without a unit taken as Pa")
-    notes += table.unused_columns()
+    with named_in_errors(file.name):
+        values = values.reshape(-1, spec.segments, 2)
+        return _log(file.name, file.sha256, kind, time, values, map, [*notes, *table.unused_columns()])
+
+
+def _log(
+    source: str,
+    sha256: str,
+    kind: str,
+    time: np.ndarray,
+    values: np.ndarray,
+    map: RecordingMap,
+    notes: list[str],
+) -> ValveLog:
+    """Return valves or pressures in the order of time, of values (rows, segments, 2) of one of the four kinds."""
+    if np.abs(time).max() > _LATEST:
+        raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
     order, moved = time_order(time)
     time, values = time[order], values[order]
     # Of rows at one time the last holds, as it would on the valve.
@@ -238,15 +245,22 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     if not kept.all():
         notes.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
     if kept.sum() < 2:
-        raise table.file.error("a log has 2 rows or more")
-    shaped = values[kept].reshape(-1, spec.segments, 2)
-    return ValveLog(kind, time[kept], shaped, table.file.name, table.file.sha256, tuple(notes))
+        raise InputError("a log has 2 rows or more")
+    time, values = time[kept], values[kept]
+    if kind == "setpoint":
+        notes.append("set-points taken as the chambers' pressures")
+    elif kind == "duty":
+        time, values = _switched(time, values, map.carrier_hz, notes)
+    elif kind == "valve" and not (values == -1).any() and (values == 0).any():
+        values = np.where(values == 0, -1.0, values)
+        notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
+    return ValveLog("pressure" if kind in AIR else "valve", time, values, source, sha256, tuple(notes))
 
 
 def _switched(
     time: np.ndarray, duty: np.ndarray, carrier_hz: float | None, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (rows,), s, and valves (rows, chambers) that fill for their share of each carrier period.
+    """Return times (rows,), s, and valves (rows, …) that fill for their share of each carrier period.
 
     Duties hold until the next row, are from 0 to 1, or to 100 per cent.
     """
@@ -254,17 +268,17 @@ def _switched(
         raise InputError("duties need the frequency of their carrier: log: {carrier_hz: 30} in a map")
     if not ((duty >= 0) & (duty <= 100)).all():
         raise InputError("duties from 0 to 1, or 0 to 100 per cent, are wanted")
+    if (time[-1] - time[0]) * carrier_hz > _MOST_PERIODS:
+        raise InputError(f"over {_MOST_PERIODS} periods of the carrier; cut the log")
     if duty.max() > 1:
         duty = duty / 100
         notes.append("duties taken as per cent")
-    order = np.argsort(time, kind="stable")
-    time, duty = time[order], duty[order]
     begins = np.arange(time[0], time[-1], 1 / carrier_hz)
     share = duty[np.searchsorted(time, begins + 1e-9, side="right") - 1]
-    edges = np.unique(np.concatenate([begins, (begins[:, None] + share / carrier_hz).ravel()]))
+    ends = begins[:, None, None] + share / carrier_hz
+    edges = np.unique(np.concatenate([begins, ends.ravel(), time[-1:]]))
     edges = edges[edges <= time[-1]]
-    period = np.searchsorted(begins, edges + 1e-9, side="right") - 1
-    filling = edges[:, None] < begins[period, None] + share[period] / carrier_hz - 1e-9
+    filling = edges[:, None, None] < ends[np.searchsorted(begins, edges + 1e-9, side="right") - 1] - 1e-9
     notes.append(f"duties switched at {carrier_hz:g} Hz, filling first")
     return edges, np.where(filling, 1.0, -1.0)
 
@@ -275,10 +289,12 @@ def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) 
     with named_in_errors(topics.name):
         names = {what: signal for signal, what in map.columns.items()}
         kinds = {what.partition("_")[0] for what in names}
-        unit = {unit for what in names if (unit := what.rpartition("_")[2].lower()) in PRESSURES}
-        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
-        wanted = [f"{each}_{u}" for each in wanted for u in unit] if unit else wanted
-        if len(kinds) != 1 or len(unit) > 1 or sorted(wanted) != sorted(names):
+        units = {unit for what in names if (unit := what.rpartition("_")[2].lower()) in PRESSURES}
+        end = f"_{min(units)}" if units else ""
+        wanted = [
+            f"{kind}_{side}_{j + 1}{end}" for kind in kinds for j in range(spec.segments) for side in SIDES
+        ]
+        if len(kinds) != 1 or sorted(wanted) != sorted(names):
             found = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
                 f"which signals are the air of {spec.segments} segments is not known; a map has log: "
@@ -287,31 +303,18 @@ def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) 
         for each in names.values():
             if each not in topics.signals:
                 raise UnknownNameError("signal", each, topics.signals)
-        (kind,), factor = kinds, PRESSURES[unit.pop()] if unit else 1.0
-        series = [topics.signals[names[each]] for each in wanted]
+        (kind,), series = kinds, [topics.signals[names[each]] for each in wanted]
         time = np.unique(np.concatenate([each for each, _ in series]))
-        time = time[
-            (time >= max(each[0] for each, _ in series)) & (time <= max(each[-1] for each, _ in series))
-        ]
-        notes = list(topics.notes)
-        if kind in ("pressure", "setpoint"):
-            values = factor * np.stack([np.interp(time, *each) for each in series], axis=1)
-            notes += ["set-points taken as the chambers' pressures"] * (kind == "setpoint")
-            kind = "pressure"
+        time = time[time >= max(each[0] for each, _ in series)]
+        if kind in AIR:
+            factor = PRESSURES[min(units)] if units else 1.0
+            columns = [factor * np.interp(time, *each) for each in series]
         else:
-            values = np.stack([v[np.searchsorted(t, time, side="right") - 1] for t, v in series], axis=1)
-            if kind == "duty":
-                time, values = _switched(time, values, map.carrier_hz, notes)
-            kind = "valve"
-            if not np.isin(values, (-1, 0, 1)).all():
-                raise InputError("valves are -1 (vent), 0 (hold) or 1 (fill)")
-            if not (values == -1).any() and (values == 0).any():
-                values = np.where(values == 0, -1.0, values)
-                notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
-        if len(time) < 2:
-            raise InputError("a log has 2 rows or more")
-    shaped = values.reshape(-1, spec.segments, 2)
-    return ValveLog(kind, time, shaped, topics.name, topics.sha256, tuple(notes))
+            columns = [values[np.searchsorted(own, time, side="right") - 1] for own, values in series]
+        values = np.stack(columns, axis=1).reshape(-1, spec.segments, 2)
+        if kind == "valve" and not np.isin(values, (-1, 0, 1)).all():
+            raise InputError("valves are -1 (vent), 0 (hold) or 1 (fill)")
+        return _log(topics.name, topics.sha256, kind, time, values, map, list(topics.notes))
 
 
 def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: np.ndarray) -> None:
