@@ -234,7 +234,7 @@ def _log(
     map: RecordingMap,
     notes: list[str],
 ) -> ValveLog:
-    """Return valves or pressures in the order of time, of values (rows, segments, 2) of one of the four kinds."""
+    """Return valves or pressures in the order of time; values of any kind, shape (rows, segments, 2)."""
     if np.abs(time).max() > _LATEST:
         raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
     order, moved = time_order(time)
