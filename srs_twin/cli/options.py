@@ -146,7 +146,7 @@ class ReadingOptions:
         map: What is what in the files (docs/logs.md).
         units: Of lengths, where the file does not say: m, cm, mm, in, ft.
         rate: Frames a second, where the file has no time.
-        marker: Where one is, as "tip=connector 3", "m1=middle 1", "h2=connector 1 ahead"; repeatable.
+        marker: Its place, as tip=connector 3, m1=middle 1 or h2=connector 1 ahead; repeatable.
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"
