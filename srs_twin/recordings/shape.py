@@ -60,7 +60,7 @@ _STRETCH = 0.1  # of a segment's length: σ_ℓ before anything is known
 _LOOSE, _OPEN = 0.3, 0.3  # of a length; σ_ε, rad: before anything is known
 _TOLD = 0.15  # rad: standard error of a bend at 0.2 mm of noise, where markers determine it
 _TURNS = 0.3  # largest change in a step, rad
-_STEPS, _CLOSE = 15, 1e-6  # rad, m
+_STEPS, _CLOSE = 15, 1e-5  # rad, m: the step after it is smaller by far
 _NOISE_FROM = 20_000  # frames that tell the noise
 _CHUNK = 2048  # frames at a time
 _SAMPLED, _ROUNDS = 400, 12
@@ -258,18 +258,16 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
     width, bends = 3 + 2 * len(alike), slice(3, 3 + len(alike))
     state, error = np.empty((len(time), width)), np.empty((len(time), len(alike)))
     away = np.empty(seen.shape)
-    start = _start(seen[whole], marks)
-    if prior.open is not None:
-        start = _turned(start, seen[whole], marks, prior)
 
-    def lay(part: np.ndarray) -> np.ndarray:
-        rows = whole[part]
-        weight = np.full(seen[rows].shape, prior.noise**-2)
-        fitted = _fit(start[part], seen[rows], weight, marks, prior)
+    def lay(rows: np.ndarray) -> np.ndarray:
+        start, weight = _start(seen[rows], marks), np.full(seen[rows].shape, prior.noise**-2)
+        if prior.open is not None:
+            start = _turned(start, seen[rows], marks, prior)
+        fitted = _fit(start, seen[rows], weight, marks, prior)
         state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
         return fitted.chi
 
-    chi, redundant = np.sum(_in_threads(lay, np.arange(len(whole))), axis=0)
+    chi, redundant = np.sum(_in_threads(lay, whole), axis=0)
     scale = float(np.sqrt(chi / redundant)) if redundant > _REDUNDANT * len(whole) else 1.0
     if prior.open is not None:
         scale = max(scale, 1.0)
