@@ -83,6 +83,17 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str]) -> str:
     )
 
 
+def judged_digest(document: Mapping[str, Any]) -> str:
+    """Return a digest of a scenario with its robot and what it reads.
+
+    Laws do not count: whether they are the same still is seen in the values themselves.
+    """
+    return digest_of(
+        scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
+        files=list(file_digests(document).values()),
+    )
+
+
 def digest_of(**parts: Any) -> str:
     """Return the SHA-256 of plain data, hex."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
@@ -104,6 +115,15 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
             yield str(find("footprint", name))
         except InputError:
             yield name
+    start = document.get("start")
+    if isinstance(start, Mapping) and start.get("from"):
+        yield from (str(Path(start["from"]) / f"{plant}.parquet") for plant in document.get("plants", ()))
+    world = document.get("world")
+    if isinstance(world, Mapping):
+        from srs_twin.scenario.map_file import pictures_of
+
+        yield from (str(world[key]) for key in ("map", "circles") if world.get(key))
+        yield from (str(each) for each in (pictures_of(Path(world["map"])) if world.get("map") else ()))
     if isinstance(recording, Mapping):
         from srs_twin.identification.takes import logs_of
 

@@ -24,9 +24,11 @@ from srs_twin.identification.actuator import (
     fit_static,
     read_static,
 )
-from srs_twin.identification.fit_file import fingerprint, trajectory_hash
+from srs_twin.identification.fit_file import data_sets, fingerprint, fit_file, trajectory_hash, write_fit
+from srs_twin.identification.fitted_robot import fitted_robot
 from srs_twin.identification.unknowns import names_of_fields, unknowns, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
+from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.logs import ValveLog
 from srs_twin.robot.spec import RobotSpec
 
@@ -115,7 +117,7 @@ def test_a_chamber_that_was_never_filled_is_not_known():
 
 
 def test_a_mode_faster_than_the_camera_is_not_identified():
-    found = fit_actuator([response(TRUTH | {"actuator.tau_mode_s": 0.001}, noise=0.05)], MODULE)
+    found = fit_actuator([response(TRUTH | {"actuator.tau_mode_s": 0.001}, noise=0.019)], MODULE)
     assert found["actuator.tau_mode_s"].verdict == "not identifiable"
     assert found["actuator.tau_vent_s"].verdict == "identified"
 
@@ -224,6 +226,68 @@ def test_a_limit_that_was_never_felt_has_no_number():
     found = fit_static([table(1e9, noise=0.01, most=40e3)], MODULE)
     assert found["actuator.bend_limit_rad"].value is None
     assert found["modules.gain_plus_1"].value == pytest.approx(1.2, rel=0.05)
+
+
+def convex(curve, noise: float = 0.004) -> StaticTable:
+    """Return plateaus of a module that bends by a curve (rad) of the share of 60 kPa, odd."""
+    pressure = np.zeros((24, 1, 2))
+    pressure[:12, 0, 0] = pressure[12:, 0, 1] = np.linspace(0, 60e3, 12)
+    share = (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1]) / 60e3
+    bend = 0.05 + np.sign(share) * curve(np.abs(share))
+    bend = bend + noise * np.random.default_rng(3).normal(size=bend.shape)
+    return StaticTable("convex", fingerprint(bend), pressure, bend, np.full(bend.shape, noise))
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        lambda u: 1.5 * np.maximum(u - 0.3, 0.0),
+        lambda u: 1.5 * 0.06 * (np.logaddexp(0, (u - 0.3) / 0.06) - np.logaddexp(0, -0.3 / 0.06)),
+        lambda u: 0.5 * u + np.maximum(u - 0.4, 0.0),
+        lambda u: np.expm1(1.3 * u) / 2,
+        lambda u: 1.2 / (1 + np.exp((0.5 - u) / 0.12)) - 1.2 / (1 + np.exp(0.5 / 0.12)),
+    ],
+    ids=["dead zone", "soft", "partial", "exponential", "sigmoid"],
+)
+def test_curves_that_begin_late_are_explained_where_the_straight_line_is_not(curve):
+    """The curves are none of the law's; the fitted robot bends as they do."""
+    table = convex(curve)
+    straight = fit_static(
+        [table], MODULE, names=["modules.gain_plus_1", "modules.gain_minus_1", "modules.bias_rad_1"]
+    )
+    found = fit_static([table], MODULE)
+    assert straight.residual_scale > 8
+    assert found.residual_scale == pytest.approx(1.0, abs=0.5)
+    assert "straight line" in found["actuator.onset_rad"].why
+    fitted = with_values(MODULE, found.held | found.values)
+    off = fitted.modules.bias[0] + air_bend(fitted, table.pressure) - table.bend
+    assert np.sqrt(np.mean(off**2)) < 1.5 * 0.004
+
+
+def test_numbers_of_a_dead_zone_are_found_and_put_into_the_robot(tmp_path):
+    x_full = MODULE.actuator.gain * 60e3
+
+    def law(u):
+        x = u * x_full
+        return x - 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
+
+    found = fit_static([table := convex(law)], MODULE)
+    truth = {"actuator.onset_rad": 0.3, "actuator.onset_width_rad": 0.2, "modules.gain_plus_1": 1.2}
+    for name, value in truth.items():
+        assert found[name].low <= value <= found[name].high, found[name]
+    about = {"name": "late", "title": "late", "robot": "gen4_module", "method": "static", "command": "x"}
+    fit = fit_file(found, **about, versions={}, data=data_sets([table], []))
+    write_fit(fit, path := tmp_path / "late.yaml")
+    spec = fitted_robot([path], "late").spec()
+    assert spec.actuator.onset_share == 1.0
+    wanted = with_values(MODULE, found.held | found.values)
+    assert air_bend(spec, table.pressure) == pytest.approx(air_bend(wanted, table.pressure), abs=1e-6)
+
+
+def test_a_straight_line_hardly_ever_has_a_dead_zone():
+    """The F-test says 1 %; 3 of 20 would have a probability of 1 in 1,000."""
+    found = [fit_static([table(1.4, 0.01, seed)], MODULE) for seed in range(20)]
+    assert sum("actuator.onset_rad" in each.held | each.values for each in found) < 3
 
 
 def test_a_static_test_knows_no_mass_and_no_time():

@@ -139,6 +139,55 @@ def test_what_the_data_want_beyond_its_bounds_has_no_number():
     assert "the least that is allowed, 0 1, or beyond" in found["a"].why
 
 
+@pytest.mark.parametrize("lacks", [False, True])
+def test_a_model_that_lacks_an_effect_cannot_tell(lacks):
+    """A line through what bends, and through a line: the residuals decide, not the formal error."""
+    rng = np.random.default_rng(3)
+
+    def residuals(v):
+        curve = 2 + v["b"] * TIME
+        seen = 2 + 3 * TIME + (8 * np.maximum(TIME - 0.5, 0.0) ** 2 if lacks else 0.0)
+        return [Residual(f"walk {name}", "m", seen + noise[name] - curve, 0.1) for name in noise]
+
+    noise = {name: 0.1 * rng.normal(size=len(TIME)) for name in ("path_x", "path_y")}
+    found = least_squares(residuals, [unknown("b", 0.0)])
+    if not lacks:
+        assert found["b"].verdict == "identified" and found.misfit == ()
+        return
+    assert found["b"].verdict == "cannot tell" and found["b"].value is not None
+    assert "spread about the best value under a wrong model" in found["b"].why
+    assert found.misfit[0] == "the model does not explain the data; these intervals do not hold"
+    assert found.misfit[1].startswith("left of path: ") and found.misfit[1].endswith("growing with time")
+    assert found.misfit[0] in found.text()
+
+
+def test_one_kind_of_signal_that_is_not_explained_is_enough():
+    """Of many samples of one kind, few of another are lost in the mean."""
+    noise = np.random.default_rng(0).normal(size=(8, len(TIME)))
+
+    def residuals(v):
+        bends = [Residual(f"walk bend_{j}", "rad", v["a"] + each, 1.0) for j, each in enumerate(noise, 1)]
+        return [*bends, Residual("walk yaw_rate", "rad/s", np.array([v["a"] + 4.0]), 1.0)]
+
+    found = least_squares(residuals, [unknown("a", 0.0)])
+    assert found.residual_scale < 1.2 and found["a"].verdict == "cannot tell"
+    assert found.misfit[1].startswith("left of yaw_rate: 4")
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.05, 0.3])
+def test_a_reference_widens_intervals_by_the_error_of_the_model(bias):
+    """A reference whose slope reads b + bias: the variance grows by bias², the value stays."""
+    measured = 2 * TIME + 0.01 * np.random.default_rng(0).normal(size=len(TIME))
+    one = [unknown("b", 0.0)]
+    residuals = lambda v: [Residual("line", "1", measured - v["b"] * TIME, 0.01)]  # noqa: E731
+    alone = least_squares(residuals, one)["b"]
+    found = least_squares(residuals, one, refit=lambda v: {"b": v["b"] + bias})["b"]
+    assert found.value == alone.value
+    assert found.standard_error == pytest.approx(math.hypot(alone.standard_error, bias), rel=1e-6)
+    assert found.verdict == ("weakly identified" if bias > 0.1 else "identified")
+    assert ("the model's error" in found.why) == (bias > 0)
+
+
 def test_two_minima_that_fit_alike_are_told():
     measured = 4.0 + 0.01 * np.random.default_rng(0).normal(size=len(TIME))
     found = least_squares(

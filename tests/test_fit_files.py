@@ -13,7 +13,7 @@ from test_actuator_fits import MODULE, response
 from srs_twin import load_robot
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import actuator_unknowns, fit_actuator
-from srs_twin.identification.estimate import Estimate, Parameter
+from srs_twin.identification.estimate import Estimate, Parameter, Residual
 from srs_twin.identification.fit_file import DataSet, FitFile, fit_file, load_fit, write_fit
 from srs_twin.identification.fitted_robot import fitted, robot_override
 from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns, with_values
@@ -90,6 +90,21 @@ def test_every_parameter_reaches_the_robot(name):
     assert file.spec().mass.connectors == pytest.approx(expected.mass.connectors)
 
 
+def test_what_a_model_does_not_explain_stands_in_the_file(tmp_path: Path):
+    unsure = Parameter("friction.mu_t", "1", "cannot tell", 0.05, 0.01, 0.03, 0.08, "spread")
+    left = Residual("walk.csv yaw_rate", "rad/s", np.array([0.05]), 0.01)
+    estimate = Estimate((unsure,), np.eye(1), (left,), residual_scale=5.0)
+    file = fit_file(estimate, **(ABOUT | {"robot": "gen2"}), data=DATA)
+    again = load_fit(write_fit(file, tmp_path / "x.yaml"))
+    assert again.parameters[0].verdict == "cannot tell"
+    assert again.quality.misfit == [
+        "the model does not explain the data; these intervals do not hold",
+        "left of yaw_rate: 5 times the noise, most in walk.csv",
+    ]
+    with pytest.raises(InputError, match="nothing in it is identified"):
+        robot_override(file, weak=False)
+
+
 def test_weak_numbers_may_be_left_out():
     weak = Parameter("friction.mu_t", "1", "weakly identified", 0.05, 0.01, 0.03, 0.08)
     fit = fit_file(Estimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
@@ -152,3 +167,26 @@ def test_the_format_keeps_data_apart(tmp_path: Path):
         load_fit(path)
     halves = [replace(each, from_s=k, to_s=k + 1.0) for k, each in enumerate(same)]
     assert len(fit_file(fit.estimate(), **ABOUT, data=halves).data) == 2
+
+
+def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
+    """Its 95 % interval comes back from the robot's own distribution, and the correlation with it."""
+    from scipy.stats import lognorm
+
+    from srs_twin.identification.fitted_robot import fitted_robot
+    from srs_twin.uncertainty import Priors
+
+    names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
+    found = [
+        Parameter(name, unit, "identified", value, 0.05 * value, value / 1.1, value * 1.1)
+        for name, unit, value in zip(names, ("1", "N*m/rad"), (0.05, 0.4), strict=True)
+    ]
+    estimate = Estimate(tuple(found), np.array([[1.0, -0.6], [-0.6, 1.0]]))
+    path = tmp_path / "mine.yaml"
+    write_fit(fit_file(estimate, **ABOUT | {"robot": "gen2"}, data=DATA), path)
+    priors = Priors.of(fitted_robot([path], "mine"))
+    i, j = (priors.paths.index(name) for name in names)
+    assert priors.correlation[i, j] == -0.6
+    ends = priors.each[i].at(np.array([0.025, 0.975]))
+    assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
+    assert ends == pytest.approx(lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3)

@@ -6,10 +6,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from recorded import motion
+from synthetic_takes import Take, write_motive
 
 from srs_twin import Gait, Trajectory, load_robot
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.identification import read_motion
+from srs_twin.identification.estimate import Parameter
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.takes import measured_length
 from srs_twin.identification.unknowns import with_values
 
 SPEC = load_robot("gen2")
@@ -131,6 +136,46 @@ def test_validation_runs_are_only_looked_at():
     assert 0 < beside.rms("validation") < 0.5
     with pytest.raises(InputError, match="the same data as run_0"):
         fit_locomotion(fitted, SPEC, names, model=COMPLETE, validation=fitted[:1])
+
+
+@pytest.mark.parametrize(("layout", "head"), [("pair", "snake:1a"), ("head", None)])
+def test_markers_show_the_gap(tmp_path, layout, head):
+    """Read with a gap that is 4 mm off, and again with the one found."""
+    spec = with_values(SPEC, {"geometry.rigid_gap_m": 0.022})
+    truth = SPEC.geometry.rigid_gap
+    for _ in range(2):
+        write_motive(motion(), Take(layout=layout, labeled=True), tmp_path / "take.csv")
+        take = read_motion(tmp_path / "take.csv", spec, layout=layout, head=head)
+        found = measured_length([take], spec, ["friction.mu_t", "geometry.rigid_gap_m"])
+        assert found is not None and found.value == pytest.approx(truth, abs=4e-4)
+        spec = with_values(spec, {"geometry.rigid_gap_m": found.value})
+    assert found.low <= truth <= found.high and found.verdict == "identified"
+    assert "from the markers" in found.why
+    length = measured_length([take], spec, ["geometry.segment_length_m"])
+    assert length is not None and length.value == pytest.approx(SPEC.geometry.segment_length, abs=3e-4)
+    assert measured_length([take], spec, ["friction.mu_t"]) is None
+    assert measured_length([take], spec, ["geometry.segment_length_m", "geometry.rigid_gap_m"]) is None
+
+
+def test_what_was_measured_is_held_and_stands_in_the_estimate():
+    gap = Parameter("geometry.rigid_gap_m", "m", "identified", 0.022, 1e-4, 0.0217, 0.0223, "measured")
+    names = ["friction.mu_t", "friction.mu_n", "geometry.rigid_gap_m"]
+    found = fit_locomotion(
+        straight_and_curved(), SPEC, names, model=COMPLETE, against="shapes", starts=1, known=[gap]
+    )
+    assert found["geometry.rigid_gap_m"] == gap
+    assert found["friction.mu_t"].value == pytest.approx(0.055, rel=0.01)
+    assert found.correlation.shape == (3, 3) and (found.correlation[2] == [0, 0, 1]).all()
+    alone = fit_locomotion(straight_and_curved()[:1], SPEC, names[2:], model=COMPLETE, known=[gap])
+    assert alone.parameters == (gap,) and alone.rms("fit") is not None
+
+
+def test_a_model_that_does_not_explain_a_walk_cannot_tell():
+    """`complete` has no compliance: what a yielding body does in a curve it cannot."""
+    data = runs(COMPLIANT, {"bending.stiffness_nm_per_rad": 0.3}, [(2.0, 0.2)], seconds=2.0)
+    found = fit_locomotion(data, SPEC, ["friction.mu_t"], model=COMPLETE, against="both", starts=1)
+    assert found["friction.mu_t"].verdict == "cannot tell"
+    assert any("bend" in line for line in found.misfit)
 
 
 def test_what_cannot_be_fitted_is_refused():

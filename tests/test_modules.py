@@ -19,7 +19,7 @@ from srs_twin.control.replay import HoldValves
 from srs_twin.mjcf.model import robot_mjcf
 from srs_twin.mjcf.numerics import Numerics
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
-from srs_twin.pneumatics.chambers import air_bend, as_felt, flattened, largest_bend
+from srs_twin.pneumatics.chambers import air_bend, as_felt, bent, largest_bend
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import ModulesFile, load_robot_file
 from srs_twin.robot.spec import Modules
@@ -30,7 +30,9 @@ PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
 both = pytest.mark.parametrize("kind", PLANTS)
 
 
-def unlike(seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: float = 0.0) -> RobotSpec:
+def unlike(
+    seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: float = 0.0, **onset: float
+) -> RobotSpec:
     """Return a generation 4 whose modules all differ, with a largest bend (rad)."""
     rng, spec = np.random.default_rng(seed), load_robot("gen4")
     modules = Modules.of(
@@ -38,7 +40,7 @@ def unlike(seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: flo
         tau_vent=rng.uniform(0.7, 1.3, (4, 2)), bias=rng.uniform(-bias, bias, 4),
         sensor_gain=1 + rng.uniform(-sensors, sensors, 4), sensor_bias=rng.uniform(-sensors, sensors, 4),
     )  # fmt: skip
-    return replace(spec, actuator=replace(spec.actuator, bend_limit=limit), variation=modules)
+    return replace(spec, actuator=replace(spec.actuator, bend_limit=limit, **onset), variation=modules)
 
 
 def mirrored(spec: RobotSpec) -> RobotSpec:
@@ -56,14 +58,37 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 @settings(max_examples=100)
 @given(st.floats(-5, 5), st.floats(0.3, 3))
 def test_bends_flatten_towards_their_limit(x, limit):
-    value, slope, curve = flattened(x, limit)
+    law = limit, 0.0, 1.0, 1.0
+    value, slope, curve = bent(x, law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
     assert value**4 * (limit**4 + x**4) == pytest.approx((x * limit) ** 4, rel=1e-9, abs=1e-12)
     step = 1e-4
-    ahead, behind = flattened(x + step, limit), flattened(x - step, limit)
+    ahead, behind = bent(x + step, law), bent(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2)
-    assert flattened(x, np.inf) == (x, 1.0, 0.0)
+    assert bent(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
+
+
+@settings(max_examples=100)
+@given(
+    st.floats(-3, 3), st.floats(0.5, 3) | st.just(np.inf), st.floats(0, 1),
+    st.floats(0.05, 1.5), st.floats(0.05, 1.5),
+)  # fmt: skip
+def test_bends_that_begin_late_are_odd_smooth_and_rise(x, limit, share, onset, width):
+    law, step = (limit, share, onset, width), 1e-5
+    value, slope, curve = bent(x, law)
+    y = x - share * width / 2 * np.log(np.cosh((x + onset) / width) / np.cosh((x - onset) / width))
+    assert value == pytest.approx(y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12)
+    assert (value, slope) == (-bent(-x, law)[0], bent(-x, law)[1]) and slope >= 0
+    assert bent(0.0, law)[1] == pytest.approx(1 - share * np.tanh(onset / width))
+    spec = unlike(limit=limit, onset_share=share, onset=onset, onset_width=width)
+    pressure = np.zeros((4, 2))
+    pressure[:, 0] = x / (spec.actuator.gain * spec.modules.array("gain")[:, 0])
+    assert air_bend(spec, pressure) == pytest.approx(np.full(4, value), abs=1e-12)
+    assert as_felt(spec, np.zeros((4, 2))) == pytest.approx(np.zeros((4, 2)))
+    ahead, behind = bent(x + step, law), bent(x - step, law)
+    assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
+    assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
 
 def test_what_mujoco_gets_bends_linear_muscles_as_far():
@@ -193,18 +218,27 @@ def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
 
 
 @both
-@pytest.mark.parametrize("way", ["plus", "minus"])
-def test_the_static_bend_is_the_modules_own(kind, way):
+@pytest.mark.parametrize(
+    ("way", "share", "supply", "chambers"),
+    [
+        ("plus", 0.0, 48e3, "lag"), ("minus", 0.0, 48e3, "lag"), ("minus", 1.0, 10e3, "lag"),
+        ("plus", 1.0, 20e3, "lag"), ("minus", 0.8, 30e3, "lag"), ("plus", 0.8, 40e3, "orifice"),
+        ("minus", 1.0, 48e3, "lag"),
+    ],
+)  # fmt: skip
+def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
     """On a bench, where nothing but the air bends it; the formula is written out once more."""
     spec = replace(load_robot("gen4_module"), variation=Modules.of(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
         bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
     ))  # fmt: skip
-    spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0))
-    plant = PLANTS[kind](spec, base="clamped", tick=0.001, supply_pa=48e3)
+    late = {"onset_share": share, "onset": 0.3, "onset_width": 0.2}
+    spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0, **late))
+    plant = PLANTS[kind](spec, base="clamped", tick=0.001, supply_pa=supply, pneumatics=chambers)
     states = ("fill", "vent") if way == "plus" else ("vent", "fill")
     run = rollout(plant, HoldValves(*states), 2.0)
-    x = spec.actuator.gain * 48e3 * (1.2 if way == "plus" else -0.8)
+    x = spec.actuator.gain * supply * (1.2 if way == "plus" else -0.8)
+    x -= share * 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
     expected = 0.15 + x / (1 + x**4) ** 0.25
     assert run["bend_1"][-1] == pytest.approx(expected, abs=1e-4)
     assert run["sensed_1"][-1] == pytest.approx(1.1 * expected - 0.05, abs=1e-4)
@@ -228,6 +262,7 @@ def test_a_stiff_light_twin_bends_as_the_free_modules_would():
     spec = unlike()
     stiff = replace(
         spec,
+        actuator=replace(spec.actuator, onset_share=0.5, onset=0.2, onset_width=0.15),
         bending=replace(spec.bending, stiffness=20.0),
         friction=replace(spec.friction, mu_t=0.01, mu_n=0.05),
     )
@@ -366,6 +401,8 @@ def test_a_scenario_names_modules_and_faults(tmp_path):
         ("[0.1, 0, 0, -0.1]", "[0.1, 0]", "modules.bias_rad: 2 entries for 4 segments; give 4, head first"),
         ("gain_spread: 0.15", "gain_spred: 0.15", "unknown key; did you mean gain_spread?"),
         ("gain_spread: 0.15", "gain_spread: 3", "a number from 0 to 0.3"),
+        ("bend_limit_rad: 1.5", "onset_share: 1.5", "a number from 0 to 1"),
+        ("bend_limit_rad: 1.5", "onset_width_rad: 0", "a number from 0.01 to 6.3"),
         ("bend_limit_rad: 1.5", "bend_limit_rad: 9", "a number from 0.1 to 6.3"),
         ("stuck: open", "stuck: ajar", "open"),
     ],

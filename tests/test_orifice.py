@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -386,3 +388,21 @@ def test_a_twin_too_coarse_for_its_chambers_is_refused():
     ):
         TwinSnake(robot(), pneumatics=limited(2.0))
     TwinSnake(robot(), pneumatics=limited(2.0), timestep=0.00025).step(np.full((4, 2), -1))
+
+
+@pytest.mark.parametrize("flow_limit", [None, 2e-4])
+def test_closed_chambers_do_not_drive_a_twin_on_its_loads(flow_limit):
+    """Stiff springs: at 1 ms a connector between two of them once threw the snake at metres a second."""
+
+    def crawled(**options: Any) -> tuple[float, float]:
+        chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow_limit)
+        step = {"timestep": min(0.001, chambers.felt_s)} | options
+        found = rollout(
+            TwinSnake(robot(), supply_pa=SUPPLY, pneumatics=chambers, **step), Gait(2.0, offset=0.4), 2.0
+        )
+        way = math.hypot(found["com_x"][-1] - found["com_x"][0], found["com_y"][-1] - found["com_y"][0])
+        return way, found["heading"][-1]
+
+    preloaded, loaded = crawled(contact="preloaded"), crawled(contact="loaded")
+    assert loaded == pytest.approx(preloaded, rel=0.1)
+    assert crawled(contact="loaded", timestep=0.00025) == pytest.approx(loaded, rel=0.03)

@@ -104,7 +104,7 @@ def test_phase_steps_differ_by_generation():
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_number_says_where_it_is_from(name):
     sources = robot_sources(name)
-    assert len(sources) == 27
+    assert len(sources) == 27 + (name in ("gen1", "gen2"))  # those that hoses may drag
     for path, record in sources.items():
         words = record.source.lower()
         cited = any(w in words for w in ("table", "section", "fig"))
@@ -120,7 +120,7 @@ def test_a_written_robot_is_the_same_robot(name, tmp_path):
 
 
 def test_one_mass_for_all_is_the_list_of_it(write):
-    record = load_robot_file("gen2").mass.connectors_kg.model_dump()
+    record = load_robot_file("gen2").mass.connectors_kg.model_dump(exclude={"uncertain"})
     assert load_robot(write({"mass.connectors_kg": record | {"value": [0.03] * 5}})) == load_robot("gen2")
 
 
@@ -145,7 +145,7 @@ def test_everything_wrong_with_a_robot_comes_at_once(write):
         "friction.mu_t.value: must be a number from 0 to 10, not -0.1",
         "friction.mu_n.status: must be one of measured, calibrated, estimated, not text 'guessed'",
         "bending.stiffness_nm_per_rad.source: missing; it must be text of 1 to 1000 characters",
-        "supply.nominal_kpa: must be a block of keys (value, unit, status, source), not 48.3",
+        "supply.nominal_kpa: must be a block of keys (value, unit, status, source, uncertain), not 48.3",
         "gait.phase_step_rad.value: must be a number from -6.3 to 6.3, not NaN",
     ]
     found = refusal(path)
@@ -161,7 +161,7 @@ TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
     ("changes", "words"),
     [
         (
-            {"mass.connectors_kg.value": [0.1, 0.2]},
+            {"mass.connectors_kg.value": [0.1, 0.2], "mass.connectors_kg.uncertain": None},
             "2 masses for 5 connectors; give 5, or one number for all",
         ),
         (

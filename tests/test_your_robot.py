@@ -50,15 +50,19 @@ def test_what_was_hidden_lies_in_the_intervals(walked_through):
     for name in ("my_friction", "my_gains", "my_levels", "my_lags", "my_body"):
         fit = load_fit(walked_through / f"calibration/fits/{name}.yaml")
         for each in fit.parameters:
-            if each.value is not None:
+            if each.verdict == "cannot tell":
+                assert "these intervals do not hold" in each.why, each
+            elif each.value is not None:
                 assert each.low <= HIDDEN[each.name] <= each.high, (name, each)
                 seen.add(each.name)
             else:
                 assert each.name not in HIDDEN, each
         assert {each.role for each in fit.data} == {"fit", "validation"}
         assert fit.quality.validation_rms is not None
-    # The stiffness needs the twin, which takes minutes.
-    assert set(HIDDEN) - seen == {"bending.stiffness_nm_per_rad"}
+    # Free segments swing, which the law of the air does not know; the stiffness needs the twin (minutes).
+    assert set(HIDDEN) - seen == {
+        "bending.stiffness_nm_per_rad", "actuator.tau_fill_s", "actuator.tau_vent_s",
+    }  # fmt: skip
 
 
 @pytest.mark.slow

@@ -36,6 +36,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.stats
 
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Estimate, Residual, Role, correlation_time
@@ -61,6 +62,8 @@ _CLOCK = 0.05  # s: how far an estimated offset may be wrong
 _MOST_PRESSURE = 2e6  # Pa
 _MOST_BEND = 2 * math.pi
 _BEND, _LIMIT = "actuator.bend_rad", "actuator.bend_limit_rad"
+_CORNER = 0.02  # rad: width of a dead zone whose data show none
+_SHARE, _LATE = "actuator.onset_share", ("actuator.onset_rad", "actuator.onset_width_rad")
 _OWN = ("modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
 
 
@@ -419,10 +422,13 @@ def fit_static(
 ) -> Estimate:
     """Return gains, biases and the bend limit from static tables.
 
+    Where a dead zone explains the bends better than its numbers would by chance (F-test, 1 %), these are
+    found as well: first onset and width with all of the slope missing, then the share of it too.
+
     Args:
         tables: what was measured; the residual of each point is in the estimate.
         spec: the robot that the search starts from; `actuator.bend_rad` is held, as in `fit_actuator`.
-        names: what is unknown, see `unknowns`; default gains, biases and the bend limit.
+        names: what is unknown, see `unknowns`; default gains, biases, the bend limit and a dead zone.
         validation: tables to hold the estimate against.
         watch: is told how far the search is, see `least_squares`.
 
@@ -430,22 +436,63 @@ def fit_static(
         InputError: no table, or one to validate with that is also fitted.
     """
     everything = with_roles("static tables", tables, validation)
-
-    def residuals(values: Mapping[str, float]) -> list[Residual]:
-        robot, found = with_values(spec, values), []
-        for table, role in everything:
-            off = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
-            found += _bend_residuals(table.name, off, role, table.bend_error)
-        return found
-
-    wanted = [*per_segment(spec, *_OWN), _LIMIT] if names is None else list(names)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
-    starts = {_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if math.isinf(spec.actuator.bend_limit) else {}
-    looked_for = unknowns(spec, wanted, starts=starts)
-    found = least_squares(residuals, looked_for, held=_held(spec, looked_for), watch=watch)
-    if names is not None or not starts or found[_LIMIT].value is not None:
+    unlimited = math.isinf(spec.actuator.bend_limit)
+
+    def search(wanted: Sequence[str], fixed: Mapping[str, float], starts: Mapping[str, float]) -> Estimate:
+        base = with_values(spec, fixed)
+
+        def residuals(values: Mapping[str, float]) -> list[Residual]:
+            robot, found = with_values(base, values), []
+            for table, role in everything:
+                off = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
+                found += _bend_residuals(table.name, off, role, table.bend_error)
+            return found
+
+        looked_for = unknowns(base, wanted, starts=starts)
+        held = _held(base, looked_for) | dict(fixed)
+        found = least_squares(residuals, looked_for, held=held, watch=watch)
+        if names is not None or not unlimited or _LIMIT not in wanted or found[_LIMIT].value is not None:
+            return found
+        # A limit that was never felt has no say in the gains: at its bound it would still flatten bends.
+        without = search([each for each in wanted if each != _LIMIT], fixed, {})
+        return without.with_known([found[_LIMIT]])
+
+    starts = {_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if unlimited else {}
+    wanted = [*per_segment(spec, *_OWN), _LIMIT] if names is None else list(names)
+    found = search(wanted, {}, starts)
+    points = sum(np.isfinite(table.bend).sum() for table in tables)
+    if names is not None or spec.actuator.onset_share or points <= len(wanted) + len((*_LATE, _SHARE)):
         return found
-    # A limit that was never felt has no say in the gains: at its bound it would still flatten bends a little.
-    linear = fit_static(tables, spec, names=wanted[:-1], validation=validation, watch=watch)
-    correlation = np.pad(linear.correlation, (0, 1), constant_values=np.nan)
-    return replace(linear, parameters=(*linear.parameters, found[_LIMIT]), correlation=correlation)
+
+    # A dead zone, as far as it is not fixed; with a corner as sharp as may be where no width is found.
+    def zone(begin: Mapping[str, float], fixed: Mapping[str, float]) -> Estimate:
+        names = [*wanted, *(each for each in (*_LATE, _SHARE) if each not in fixed)]
+        found = search(names, fixed, starts | dict(begin))
+        if found[_LATE[1]].value is not None:
+            return found
+        names.remove(_LATE[1])
+        return search(names, {**fixed, _LATE[1]: _CORNER}, starts | {_LATE[0]: begin[_LATE[0]]})
+
+    late = zone({_LATE[0]: 0.4 * largest, _LATE[1]: 0.2 * largest}, {_SHARE: 1.0})
+    if not _better(late, found):
+        return found
+    partial = zone({_SHARE: 0.8} | late.values, {})
+    chosen = partial if _better(partial, late) else late
+    why = (
+        f"a straight line leaves {found.rms('fit'):.3g} times the noise, a dead zone {chosen.rms('fit'):.3g}"
+    )
+    said = (
+        replace(each, why="; ".join(filter(None, (why, each.why)))) if each.name == _LATE[0] else each
+        for each in chosen.parameters
+    )
+    return replace(chosen, parameters=tuple(said))
+
+
+def _better(more: Estimate, less: Estimate) -> bool:
+    """Say whether a law with more numbers explains data better than these would by chance (F-test, 1 %)."""
+    if any(more[each.name].value is None for each in more.parameters if each.name in (*_LATE, _SHARE)):
+        return False
+    added, left = max(len(more.values) - len(less.values), 1), more.independent - len(more.values)
+    ratio = ((less.rms("fit") or 0.0) / max(more.rms("fit") or 0.0, 1e-3)) ** 2 - 1
+    return left > 0 and ratio * left / added > scipy.stats.f.ppf(0.99, added, left)

@@ -12,6 +12,10 @@ directions is not identifiable. So is one whose standard error is 1 or more in z
 for then the data hardly say more than its bounds do. Up to 0.1 it is identified, between them weakly. A
 smaller share in a blind direction adds the spread that the bounds leave to it.
 
+All of this supposes that the model is right. Where the weighted residuals, all or those of one kind of
+signal, exceed their noise by more than `EXPLAINED`, nothing is identified: an interval is then the spread
+about the best value under a wrong model, and the verdict is "cannot tell".
+
 **Independent samples.** Residuals of neighbouring samples resemble each other: of noise that cameras and
 filters smooth, and of what the model lacks. With ρ_k their autocorrelation, n samples tell a mean as well as
 n/τ independent ones,
@@ -27,8 +31,9 @@ of runs, count as independent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -45,6 +50,11 @@ KNOWN = 1.0
 
 BLIND_SHARE = 0.1
 """Share in blind directions from which on a parameter is not identifiable."""
+
+EXPLAINED = 2.0
+"""Largest standard deviation of the weighted residuals of a model that explains the data, kind by kind."""
+
+UNEXPLAINED = "the model does not explain the data; these intervals do not hold"
 
 _TRUSTED = 2.0
 _LEAST = 1e-6
@@ -96,7 +106,7 @@ def identifiability(
     return Identifiability(covariance, np.linalg.norm(blind, axis=0), blind)
 
 
-Verdict = Literal["identified", "weakly identified", "not identifiable"]
+Verdict = Literal["identified", "weakly identified", "cannot tell", "not identifiable"]
 Role = Literal["fit", "validation"]
 
 
@@ -132,7 +142,9 @@ class Parameter:
         name: see `unknowns`.
         unit: of all numbers here.
         verdict: "identified" (standard error at most a tenth of the value or scale), "weakly identified" (at
-            most once), or "not identifiable": from these data; such a one has no numbers.
+            most once), "cannot tell": the model does not explain the data, and the interval is the spread
+            about the best value under a wrong model; or "not identifiable": from these data; such a one has
+            no numbers.
         value: the estimate.
         standard_error: of it.
         low: lower end of the 95 % confidence interval.
@@ -193,6 +205,22 @@ class Estimate(Shown):
         """What has a number, by name."""
         return {each.name: each.value for each in self.parameters if each.value is not None}
 
+    @property
+    def misfit(self) -> tuple[str, ...]:
+        """What is left where the model does not explain the data, a line each; none where it does."""
+        explained = explains(self.residuals, self.residual_scale)
+        return () if explained else (UNEXPLAINED, *patterns(self.residuals))
+
+    def with_known(self, known: Sequence[Parameter]) -> Estimate:
+        """Return the estimate with parameters that were not fitted, which correlate with nothing."""
+        size, count = len(self.parameters), len(known)
+        correlation = np.eye(size + count)
+        correlation[:size, :size] = self.correlation
+        for i, each in enumerate(self.parameters):
+            if each.value is None:
+                correlation[i], correlation[:, i] = np.nan, np.nan
+        return replace(self, parameters=(*self.parameters, *known), correlation=correlation)
+
     def rms(self, role: Role) -> float | None:
         """Return the root mean square of the weighted residuals of a role; None without any."""
         squares = [(r.values / r.scale) ** 2 for r in self.residuals if r.role == role and len(r.values)]
@@ -210,7 +238,49 @@ class Estimate(Shown):
             value = f"{each.value:.5g} ± {each.standard_error:.2g}{unit}"
             interval = f"95 % {each.low:.5g} to {each.high:.5g}"
             lines.append(f"{each.name}: {value}, {interval}: {each.verdict}{why}")
-        return "\n".join(lines)
+        return "\n".join((*lines, *self.misfit))
+
+
+_SERIES = 20
+"""Values from which on a signal is taken for a series in time."""
+_GROWS = 1.5
+"""Times the RMS of a series' first half: from here on the residuals of its second half have grown."""
+
+
+def of_kinds(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
+    """Return the residuals of the fit by kind of signal, such as bend, the worst first."""
+    kinds: dict[str, list[Residual]] = {}
+    for each in residuals:
+        if each.role == "fit" and len(each.values):
+            kinds.setdefault(re.sub(r"_(\d+|x|y)$", "", each.name.rpartition(" ")[2]), []).append(each)
+    return dict(sorted(kinds.items(), key=lambda kind: -_weighted_rms(kind[1])))
+
+
+def _weighted_rms(residuals: Sequence[Residual]) -> float:
+    return float(np.sqrt(np.mean([(each.rms / each.scale) ** 2 for each in residuals])))
+
+
+def explains(residuals: Sequence[Residual], scale: float) -> bool:
+    """Say whether a model explains the data: all of them, and each kind of signal.
+
+    Args:
+        residuals: of all data.
+        scale: standard deviation of the weighted ones.
+    """
+    return max(scale, *map(_weighted_rms, of_kinds(residuals).values()), 0.0) <= EXPLAINED
+
+
+def patterns(residuals: Sequence[Residual]) -> Iterator[str]:
+    """Yield which signals exceed their noise, the worst first, where most, and whether with time."""
+    for kind, some in of_kinds(residuals).items():
+        if (left := _weighted_rms(some)) <= 1:
+            break
+        worst = max(some, key=lambda each: each.rms / each.scale)
+        halves = [[np.sum(part**2) for part in np.array_split(each.values, 2)] for each in some]
+        before, after = np.sum(halves, axis=0)
+        grew = ", growing with time" if len(worst.values) >= _SERIES and after > _GROWS**2 * before else ""
+        where = f", most in {name}" if (name := worst.name.rpartition(" ")[0]) else ""
+        yield f"left of {kind}: {left:.3g} times the noise{where}{grew}"
 
 
 _PART = 0.05

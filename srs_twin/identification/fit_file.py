@@ -200,6 +200,8 @@ class QualityFile(Strict):
     """Of the validation."""
     converged: bool
     """Whether the search came to an end."""
+    misfit: Annotated[list[Long], Field(max_length=20)] | None = None
+    """What is left where the model does not explain the data (default: it does)."""
 
 
 class FitFile(Strict, Shown):
@@ -295,6 +297,7 @@ def fit_file(
         rms=_maybe(estimate.rms("fit")),
         validation_rms=_maybe(estimate.rms("validation")),
         converged=estimate.converged,
+        misfit=[line[:1000] for line in estimate.misfit] or None,
     )
     file = FitFile(
         **about,

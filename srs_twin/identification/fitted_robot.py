@@ -5,12 +5,15 @@ What a fit found becomes the `robot: {base: …}` block of a scenario, or a robo
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
@@ -22,6 +25,8 @@ from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 
 _PA_PER_KPA = 1e3
+_WIDE = 3.92  # standard deviations in 95 %
+_LEAST, _SURE = 0.05, 0.99  # of correlations: fewer are none, more would be singular
 _ROUNDED = 1e-7  # fit files have nine digits
 
 
@@ -48,12 +53,14 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
     kept = {name: fit.held[name] for name in held} | moved
     spec = with_values(file.spec() if over is None else over, kept | values)
     block: dict[str, Any] = {"base": fit.robot}
+    doubts = {each.name: doubt for each in taken if (doubt := _doubt(each))}
 
     def put(name: str, status: str, source: str, *, over: bool = True) -> None:
         section, key = name.split(".", 1)
         for where, record in _records(spec, section, key).items():
             if over or where not in block.get(section, {}):
-                block.setdefault(section, {})[where] = record | {"status": status, "source": source}
+                about = {"status": status, "source": source} | doubts.get(f"{section}.{where}", {})
+                block.setdefault(section, {})[where] = record | about
 
     for each in taken:
         alike = [other for other in taken if _record_key(other.name) == _record_key(each.name)]
@@ -62,6 +69,8 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
         put("actuator.bend_rad", "calibrated", f"held in fit {fit.name}: gains are multiples of it")
     for name in moved:
         put(name, "estimated", f"held in fit {fit.name}: its values refer to it", over=False)
+    if pairs := _correlated(fit, list(doubts)):
+        block["correlated"] = pairs
     spread = file.modules
     for key in block.get("modules", {}) if spread else ():
         drawn = SPREADS[key.removesuffix("_rad")]
@@ -124,6 +133,32 @@ def _record_key(name: str) -> str:
     return re.sub(r"(_plus|_minus)?_\d+$", "", name)
 
 
+def _doubt(found: ParameterEntry) -> dict[str, Any]:
+    """Return how well a number is known, as its record says it; nothing of an element of a list."""
+    if found.name.startswith(("modules.", "mass.")) or None in (found.value, found.low, found.high):
+        return {}
+    value, low, high = float(found.value or 0.0), float(found.low or 0.0), float(found.high or 0.0)
+    if low > 0.0:  # fits search positive numbers by their logarithms
+        factor = (high / low) ** (1 / _WIDE)
+        return (
+            {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
+            if factor > 1.0 and value
+            else {}
+        )
+    return {"uncertain": {"kind": "normal", "sd": (high - low) / _WIDE}} if high > low else {}
+
+
+def _correlated(fit: FitFile, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the correlations of what a fit found, as a robot file says them."""
+    known = [each.name for each in fit.parameters if each.value is not None]
+    found = []
+    for i, j in itertools.combinations(range(len(known)), 2):
+        r = float(np.clip(fit.correlation[i][j], -_SURE, _SURE))
+        if known[i] in names and known[j] in names and abs(r) >= _LEAST:
+            found.append({"of": [known[i], known[j]], "r": round(r, 4)})
+    return found
+
+
 def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
     words = "; ".join(f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries)
     source = f"fit {fit.name} ({fit.method}), 95 %: {words}"
@@ -155,7 +190,12 @@ def overrides_of(
                 f"{path}: a fit of robot {fit.robot}, where {wanted} is wanted; fits are put over the robot "
                 "that they started from"
             )
-        for key, value in robot_override(fit, weak=weak, over=spec).items():
+        override = robot_override(fit, weak=weak, over=spec)
+        again = {each.name for each in fit.parameters}
+        earlier = [pair for pair in block.get("correlated", []) if not again.intersection(pair["of"])]
+        if pairs := earlier + override.pop("correlated", []):
+            block["correlated"] = pairs
+        for key, value in override.items():
             block[key] = block.get(key, {}) | value if isinstance(value, Mapping) else value
         spec = fitted(fit, spec, weak=weak)
     return block

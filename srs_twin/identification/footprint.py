@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -385,6 +385,9 @@ def footprint_file(measured: Measured, name: str) -> FootprintFile:
     """Return a measurement as a file's content, each column with unit, status and source."""
     drive, paths, source = measured.drive, measured.steady, _source(measured)
     edge = "as curvature_per_m; the farthest that any repeat reached"
+    # The snake lies straight at first, longer than it ever is in its gait.
+    body = drive.spec.geometry
+    at_rest = round((body.body_length + body.width) / 2, _DIGITS)
 
     def record(value: object, unit: str, source: str) -> dict[str, object]:
         return {"value": value, "unit": unit, "status": "calibrated", "source": source}
@@ -399,8 +402,8 @@ def footprint_file(measured: Measured, name: str) -> FootprintFile:
         "speed_m_s": record(_column(paths, "speed"), "m/s", "as curvature_per_m; along the arc"),
         "left_m": record(_column(paths, "left"), "m", edge),
         "right_m": record(_column(paths, "right"), "m", "as left_m"),
-        "ahead_m": record(max(_column(paths, "ahead")), "m", "as left_m, at any offset"),
-        "behind_m": record(max(_column(paths, "behind")), "m", "as ahead_m"),
+        "ahead_m": record(max(*_column(paths, "ahead"), at_rest), "m", "as left_m, or straight"),
+        "behind_m": record(max(*_column(paths, "behind"), at_rest), "m", "as ahead_m"),
         "spread": {
             "source": f"half the range over {measured.repeats} phases of the gait at the start",
             **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
@@ -448,9 +451,18 @@ def header(study: Study, robot: str, name: str, versions: Mapping[str, str]) -> 
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of a robot's numbers in SI."""
-    # Without a tail of its own a robot is what it was before there were any.
-    return hashlib.sha256(repr(spec).replace(", tail=None", "").encode()).hexdigest()
+    """Return the SHA-256 of a robot's numbers in SI, of those that are not their defaults.
+
+    A parameter that is added later, and does nothing by default, leaves it as it was.
+    """
+
+    def told(part: Any) -> Any:
+        if not is_dataclass(part):
+            return part
+        values = {each: getattr(part, each.name) for each in fields(part)}
+        return {each.name: told(value) for each, value in values.items() if value != each.default}
+
+    return hashlib.sha256(repr(told(spec)).encode()).hexdigest()
 
 
 def refuse_other(path: Path, study: Study, robot: str, name: str) -> None:

@@ -15,6 +15,15 @@ $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\ta
 and intervals take Student's t with n/τ − p degrees of freedom, in z: those of logarithms are not symmetric.
 This is exact for unknowns whose effect is slower than the correlation of the residuals and overstates the
 error of others.
+
+**Error of the model.** What a model lacks moves the estimate, and residuals may show nothing of it. A
+*reference*, a better model, shows it: of data that it makes with values z₀ the search finds others, and
+b(z₀), their difference, is by how much an estimate is off there (indirect inference: Gouriéroux, Monfort and
+Renault 1993, Journal of Applied Econometrics 8). With b₁ = b(z) and b₂ = b(z − b₁),
+
+$$ C \to C + b_2 b_2^\top + (b_2 - b_1)(b_2 - b_1)^\top ; $$
+
+the last term is how closely b is known. The values stay as they are: those with which the model fits best.
 """
 
 from __future__ import annotations
@@ -27,6 +36,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
     IDENTIFIED,
+    UNEXPLAINED,
     Estimate,
     Identifiability,
     Parameter,
@@ -35,6 +45,7 @@ from srs_twin.identification.estimate import (
     bound_reason,
     cancels,
     correlation_time,
+    explains,
     hidden_reason,
     identifiability,
 )
@@ -43,6 +54,9 @@ from srs_twin.identification.unknowns import Unknown
 Values = Mapping[str, float]
 Residuals = Callable[[Values], Sequence[Residual]]
 Guide = Callable[[Residual], bool]
+
+Refit = Callable[[Values], Values]
+"""Returns what a search finds, by name, of data that a reference makes with these values."""
 
 Watch = Callable[[int, float], None]
 """Called while a search goes on, with how often the model was run and the least weighted RMS so far."""
@@ -180,6 +194,11 @@ class Search:
         # Of a model that is not smooth neither is the better one: two samples, and the error of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
+    def shift(self, z: np.ndarray, refit: Refit) -> np.ndarray:
+        """Return how far from z a search ends in data that a reference makes with it, shape (n,)."""
+        values = refit(self.values(z))
+        return np.array([each.coordinate(values[each.name]) for each in self.unknowns]) - z
+
     def run(self, start: np.ndarray) -> SearchEnd:
         """Search from a start, by the guide first; where the runs are spent, return the best there was."""
         options = self._options
@@ -271,6 +290,7 @@ def least_squares(
     held: Values | None = None,
     watch: Watch | None = None,
     validation: Residuals | None = None,
+    refit: Refit | None = None,
 ) -> Estimate:
     """Fit unknowns to data.
 
@@ -285,6 +305,7 @@ def least_squares(
         held: what the values refer to, for the estimate.
         watch: is told how far the search is.
         validation: residuals of data that are only looked at in the end, where those take long.
+        refit: shows the error of the model, where this explains the data.
 
     Raises:
         InputError: no unknown, fewer samples than unknowns, or residuals that are not finite at the start.
@@ -292,13 +313,15 @@ def least_squares(
     search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
     ends = [search.run(start) for start in starts_of(search, starts, seed)]
     best = min(ends, key=lambda end: end.cost)
-    found = _estimate(search, best, ends, held or {})
+    found = _estimate(search, best, ends, held or {}, refit)
     if validation is None:
         return found
     return replace(found, residuals=(*found.residuals, *validation(search.values(best.z))))
 
 
-def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: Values) -> Estimate:
+def _estimate(
+    search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: Values, refit: Refit | None
+) -> Estimate:
     from scipy import stats
 
     z, unknowns = best.z, search.unknowns
@@ -308,7 +331,7 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
     independent = samples / correlation_time(fitted, len(unknowns))
     freedom = max(independent - len(unknowns), 1.0)
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
-    noise = float(np.sqrt(variance * samples / independent))
+    noise, scale = float(np.sqrt(variance * samples / independent)), float(np.sqrt(variance))
     jacobian, doubt = search.derivatives(z, noise)
     # What does not act does not want to be anywhere, least of all at a bound.
     acts = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(doubt, axis=0)
@@ -316,6 +339,12 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
     inside = np.flatnonzero(~bound)
     widths = (search.high - search.low)[inside]
     known = identifiability(jacobian[:, inside], doubt[:, inside], noise, widths)
+    off, explained = np.zeros(len(z)), explains(residuals, scale)
+    if refit is not None and explained:
+        first = search.shift(z, refit)
+        off = search.shift(np.clip(z - first, search.low, search.high), refit)
+        moved = np.stack([off, off - first])[:, inside]
+        known = replace(known, covariance=known.covariance + moved.T @ moved)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
     reach = _rivals(best, ends, variance * samples / independent, stats.chi2.ppf(LEVEL, len(unknowns)))
     found, kept = [], []
@@ -332,13 +361,22 @@ def _estimate(search: Search, best: SearchEnd, ends: Sequence[SearchEnd], held: 
             found.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
         else:
             error = float(known.errors[place])
-            found.append(_numbers(unknown, float(z[i]), error, quantile, reach[i], best.converged))
+            each = _numbers(unknown, float(z[i]), error, quantile, reach[i], best.converged)
+            if 2 * off[i] ** 2 > error**2:
+                true = unknown.value(z[i] - off[i])
+                why = f"mostly the model's error: it finds this value where the reference has {true:.4g}"
+                each = replace(each, why="; ".join(filter(None, (each.why, why))))
+            if not explained:
+                each = replace(each, verdict="cannot tell", why=f"{UNEXPLAINED}: {_SPREAD_ONLY}")
+            found.append(each)
         kept.append(i)
     correlation, blind = _correlation(found, kept, inside, known), cancels(unknowns, inside, known)
-    scale = float(np.sqrt(variance))
     return Estimate(
         tuple(found), correlation, residuals, blind, samples, float(independent), scale, held, best.converged
     )
+
+
+_SPREAD_ONLY = "the spread about the best value under a wrong model"
 
 
 def _numbers(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -19,9 +19,9 @@ import numpy as np
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.estimate import Estimate, Residual, Role
+from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role
 from srs_twin.identification.fit_file import DataSet, trajectory_hash, with_roles
-from srs_twin.identification.least_squares import SearchOptions, Watch, least_squares
+from srs_twin.identification.least_squares import Search, SearchOptions, Watch, least_squares
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
@@ -33,7 +33,7 @@ from srs_twin.trajectory import Trajectory
 PLANTS = ("analytical", "twin")
 AGAINST = ("averages", "shapes", "both")
 
-# What a measured value may be off by, and units.
+# What a measured value may be off by, and units; a bend by what markers leave of it, if that is more.
 NOISE = {
     "speed": (2e-3, "m/s"),
     "yaw_rate": (1e-2, "rad/s"),
@@ -41,10 +41,12 @@ NOISE = {
     "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }
-# Of differences, in z: fine, and coarse. `compliant` is smooth; steps that adapt to friction are less so.
-_STEPS = {"compliant": (1e-4, 0.1), "analytical": (3e-2, 0.1)}
+_STEPS = (3e-2, 0.1)
+"""Of differences, in z, fine and coarse: the analytical plants have kinks."""
+
 MOST_TWIN_RUNS = 150
 """How often a search runs the twin through all recordings at most."""
+
 _TOLERANCE = 2e-5  # m/s: with the plant's own, ten times as large, differences are those of its steps
 _DIVERGED = 1e3
 _RATE = 50.0  # Hz: at which shapes are compared at most
@@ -95,13 +97,15 @@ class PlantModel:
 
         The twin's motion is smooth to 1e-3 in z. But its path and heading follow the unknowns only up to
         1e-2, and farther off they say nothing; its bends follow them up to 1, so they lead the search. What
-        data tell is judged over the few per cent that they leave open.
+        data tell is judged over the few per cent that they leave open. `compliant` has kinks as the twin has,
+        finer ones, but all of its signals follow the unknowns.
         """
         if self.plant == "twin":
             guide = None if against == "averages" else lambda each: " bend_" in each.name
             return SearchOptions(3e-3, 3e-2, 3e-4, guide, telling=3e-2, enough=1e-2, most_runs=MOST_TWIN_RUNS)
-        compliant = self.settings.get("model") == "compliant"
-        return SearchOptions(*_STEPS["compliant" if compliant else "analytical"])
+        if self.settings.get("model") == "compliant":
+            return SearchOptions(1e-2, 3e-2, 1e-4, lambda each: True, telling=1e-2)
+        return SearchOptions(*_STEPS)
 
     def build(self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None) -> Plant:
         """Return the plant of a robot, with chambers of its own or given ones."""
@@ -126,6 +130,10 @@ class PlantModel:
         return rollout(plant, run.controller, duration, record_hz=1 / plant.tick)
 
 
+_Data = tuple[GaitRun, dict[str, np.ndarray], Role]
+"""A run, its signals and its role."""
+
+
 def fit_locomotion(
     runs: Sequence[GaitRun],
     spec: RobotSpec,
@@ -136,6 +144,8 @@ def fit_locomotion(
     validation: Sequence[GaitRun] = (),
     starts: int = 3,
     watch: Watch | None = None,
+    reference: PlantModel | None = None,
+    known: Sequence[Parameter] = (),
 ) -> Estimate:
     """Return what gait runs tell of a robot.
 
@@ -149,6 +159,9 @@ def fit_locomotion(
         starts: how many searches; one may end in a minimum that is not the least, with a large residual.
             Against the twin one does, where shapes lead it.
         watch: is told how far the search is, see `least_squares`.
+        reference: a plant that is nearer to the robot than the model; shows by how much the model's own error
+            moves the estimate, see `least_squares`. None: intervals suppose that the model is right.
+        known: parameters that were measured; they are held there, and not fitted.
 
     Raises:
         InputError: no run, too few for so many unknowns, a run without a whole gait period, or one to
@@ -157,17 +170,17 @@ def fit_locomotion(
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
     model = model or PlantModel()
+    spec = with_values(spec, {each.name: each.value for each in known if each.value is not None})
+    looked_for = unknowns(spec, [name for name in names if all(name != each.name for each in known)])
     everything = [
         (run, signals(run.trajectory, None, against, run.name), role)
         for run, role in with_roles("gait runs", runs, validation)
     ]
 
-    def residuals(wanted: Role, values: Mapping[str, float]) -> list[Residual]:
+    def residuals(data: Sequence[_Data], values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
         found: list[Residual] = []
-        for run, seen, role in everything:
-            if role != wanted:
-                continue
+        for run, seen, role in data:
             try:
                 predicted = signals(model.follow(run, robot), run.trajectory, against, run.name)
                 off = {name: seen[name] - predicted[name] for name in seen}
@@ -175,17 +188,38 @@ def fit_locomotion(
                 off = {name: np.full_like(each, _DIVERGED) for name, each in seen.items()}
             for name, each in off.items():
                 scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
+                stated = run.trajectory.columns.get(name.replace("bend", "bend_error"))
+                if "bend" in name and stated is not None:
+                    scale = max(scale, float(np.sqrt(np.mean(stated**2))))
                 found.append(Residual(f"{run.name} {name}", unit, each, scale, role))
         return found
 
-    return least_squares(
-        partial(residuals, "fit"),
-        unknowns(spec, names),
-        options=model.search_options(against),
+    options = model.search_options(against)
+    fitted = [each for each in everything if each[2] == "fit"]
+    kept = partial(residuals, [each for each in everything if each[2] != "fit"])
+
+    def refit(values: Mapping[str, float]) -> dict[str, float]:
+        assert reference is not None
+        robot, made = with_values(spec, values), []
+        for run, _, role in fitted:
+            moved = replace(run, trajectory=reference.follow(run, robot))
+            made.append((moved, signals(moved.trajectory, None, against, run.name), role))
+        starting = unknowns(robot, [each.name for each in looked_for])
+        search = Search(partial(residuals, made), starting, options, None)
+        return search.values(search.run(np.array([each.coordinate(each.start) for each in starting])).z)
+
+    if not looked_for and known:
+        return Estimate((), np.zeros((0, 0)), (*residuals(fitted, {}), *kept({}))).with_known(known)
+    found = least_squares(
+        partial(residuals, fitted),
+        looked_for,
+        options=options,
         starts=starts,
         watch=watch,
-        validation=partial(residuals, "validation"),
+        validation=kept,
+        refit=None if reference is None else refit,
     )
+    return found.with_known(known)
 
 
 def signals(

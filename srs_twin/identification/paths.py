@@ -137,7 +137,7 @@ class SteadyPath:
         """Measure whole periods of a run.
 
         The body is the band of its width about its centre line, not its connectors alone: between two of
-        them it bulges.
+        them it bulges; it is round at both ends.
 
         Args:
             trajectory: one run.
@@ -161,8 +161,13 @@ class SteadyPath:
         seen = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
         on_the_arc = begin.then(Poses.arc(curvature, speed * (trajectory.time[seen] - window.start)))
         along, left = on_the_arc.coordinates(body_sides(trajectory, geometry)[seen], curvature)
-        reach = [float(each) for each in (left.max(), -left.min(), along.max(), -along.min())]
-        return cls(speed, curvature, *reach)
+        # Head and tail are round; the twin collides them so.
+        ends, aside = on_the_arc.coordinates(trajectory.position[seen][:, [0, -1]], curvature)
+        reach = geometry.width / 2 / (1 - curvature * aside)  # of their discs, as angles seen from the centre
+        reach = np.arcsin(curvature * reach) / curvature if abs(curvature) > _STRAIGHT else reach
+        ahead = max(along.max(), (ends + reach).max())
+        behind = max(-along.min(), (reach - ends).max())
+        return cls(speed, curvature, *map(float, (left.max(), -left.min(), ahead, behind)))
 
 
 def mean_path(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:

@@ -247,6 +247,7 @@ _FIELDS: dict[str, _Field] = {
     "mass.connectors_kg_N": _Field("kg", 1e-3, 50.0, _mass, _put_mass, numbered="connector", least=_lightest),
     "friction.mu_t": _of("friction", "mu_t", "1", 1e-3, 5.0),
     "friction.mu_n": _of("friction", "mu_n", "1", 1e-3, 5.0),
+    "friction.drag_n": _of("friction", "drag", "N", 0.0, 50.0, scale=0.1),
     "bending.stiffness_nm_per_rad": _of("bending", "stiffness", "N*m/rad", 1e-3, 1e3),
     "bending.damping_time_s": _of("bending", "damping_time", "s", 1e-5, 10.0),
     "actuator.tau_fill_s": _of("actuator", "tau_fill", "s", 1e-5, 50.0),
@@ -256,6 +257,9 @@ _FIELDS: dict[str, _Field] = {
         "rad", 2e-3, 6.2, lambda spec, k: spec.actuator.gain * spec.supply.nominal, _put_bend
     ),
     "actuator.bend_limit_rad": _of("actuator", "bend_limit", "rad", 0.1, 6.3),
+    "actuator.onset_share": _of("actuator", "onset_share", "1", 0.0, 1.0, scale=0.5),
+    "actuator.onset_rad": _of("actuator", "onset", "rad", 0.02, 6.2),
+    "actuator.onset_width_rad": _of("actuator", "onset_width", "rad", 0.02, 6.2),
     "modules.gain_plus_N": _module("gain", 0, "1", 0.11, 9.0),
     "modules.gain_minus_N": _module("gain", 1, "1", 0.11, 9.0),
     "modules.tau_fill_plus_N": _module("tau_fill", 0, "1", 0.11, 9.0),

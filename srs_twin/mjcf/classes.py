@@ -44,6 +44,15 @@ def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics, *, limit
     press.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     press.gainprm[0] = 0.0
     press.ctrllimited, press.ctrlrange = True, [0, 1]
+    if spec.friction.drag > 0.0:
+        most = spec.friction.drag / spec.geometry.connectors
+        drag = mj.add_default("drag", root).actuator
+        drag.gear = [1, 0, 0, 0, 0, 0]
+        drag.biastype, drag.gainprm[0] = mujoco.mjtBias.mjBIAS_AFFINE, 0.0
+        # In step with its speed below the slip speed: the integrator takes that much implicitly.
+        drag.biasprm[2] = -most / numerics.slip_speed
+        drag.forcelimited, drag.forcerange = True, [-most, most]
+        drag.ctrllimited, drag.ctrlrange = True, [0, 1]
 
 
 def foot_radius(spec: RobotSpec, numerics: Numerics) -> float:

@@ -22,7 +22,7 @@ from srs_twin.errors import InputError
 from srs_twin.mjcf.classes import add_classes, drawn_height
 from srs_twin.mjcf.numerics import Numerics, hinge_stations
 from srs_twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
-from srs_twin.mjcf.wheels import add_contacts, add_feet, add_preload, add_wheels, fixed_inertia
+from srs_twin.mjcf.wheels import add_contacts, add_drag, add_feet, add_preload, add_wheels, fixed_inertia
 from srs_twin.robot.spec import GRAVITY, GYRATION, RobotSpec
 from srs_twin.world import World
 
@@ -78,6 +78,8 @@ def robot_mjcf(
     if free:
         if numerics.contact == "preloaded":
             add_preload(mj, spec, numerics)
+        if spec.friction.drag > 0.0:
+            add_drag(mj, spec)
         add_feet(mj, spec)
     _add_home(mj)
     return mj

@@ -138,6 +138,19 @@ def add_preload(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
         actuator.biasprm[0] = -force
 
 
+def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
+    """Brake every connector along its heading with an equal share of the robot's drag."""
+    for i in range(1, spec.geometry.connectors + 1):
+        mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
+        actuator = mj.add_actuator(mj.find_default("drag"), name=f"drag_{i}", target=f"drag_{i}")
+        actuator.trntype = mujoco.mjtTrn.mjTRN_SITE
+        for kind in ("frc", "vel"):
+            sensor = mj.add_sensor(
+                name=f"drag_{kind}_{i}", type=getattr(mjtSensor, f"mjSENS_ACTUATOR{kind.upper()}")
+            )
+            sensor.objtype, sensor.objname = mjtObj.mjOBJ_ACTUATOR, f"drag_{i}"
+
+
 def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
     """Mark the points of each connector where it touches the floor."""
     for i in range(1, spec.geometry.connectors + 1):

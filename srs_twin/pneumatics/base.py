@@ -11,6 +11,7 @@ import numpy as np
 
 from srs_twin.arrays import implausible, plausible
 from srs_twin.errors import DivergedError, InputError, one_of
+from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
@@ -49,7 +50,7 @@ class Trace(NamedTuple):
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
-class Pneumatics(ABC):
+class Pneumatics(Remembers, ABC):
     """Valves and chambers of a robot, and the bend that they would give a segment without load.
 
     A subclass says in `_follow` what the chambers do; commands reach it the valve delay later.
@@ -60,6 +61,7 @@ class Pneumatics(ABC):
             free ones must tell them to `advance`.
         felt_s: how long chambers that feel the bends may take these to go on as they do, s: bodies and
             chambers take turns at least that often.
+        stiffness: most that closed chambers stiffen a segment by, N·m/rad.
         overshoot: how many times the supply's pressure a chamber may reach.
         pressure: gauge pressures now, shape (segments, 2), Pa.
         bend: free bends now, shape (segments,), rad.
@@ -72,12 +74,14 @@ class Pneumatics(ABC):
         rest_bend: bends of free segments without pressure, shape (segments,), rad.
     """
 
+    memory = names("pressure", "bend", "air", "_elapsed", "openings", "valves", "_coming", "stuck")
     kind = "own"
     stuck: tuple[StuckValve, ...] = ()
     feels_bend = False
     overshoot = 1.0
     metered = True
     felt_s = math.inf
+    stiffness = 0.0
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
         one_of("valve layout", layout, LAYOUTS)
@@ -98,6 +102,18 @@ class Pneumatics(ABC):
         self.valves = np.full(shape, -1, dtype=np.int8)
         self._coming = Schedule(self._delay, np.zeros(1), self.valves[None])
 
+    def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+        """Begin with these pressures and free bends; valves and what is metered stay as they are.
+
+        Args:
+            pressure: gauge, shape (segments, 2), Pa.
+            bend: shape (segments,), rad.
+
+        Raises:
+            InputError: chambers whose pressures are given, or pressures and bends that they do not reach.
+        """
+        raise InputError(f"pneumatics '{self.kind}' cannot begin with pressures of one's own")
+
     def resting(self) -> Trace:
         """Return a trace of one moment, now, taken to be at rest."""
         trace = Trace.empty(1, self._segments)
@@ -105,6 +121,10 @@ class Pneumatics(ABC):
         trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
         trace.air[:] = self.air
         return trace
+
+    def now(self) -> Trace:
+        """Return a trace of one moment, now, as the chambers go on with their valves as they are."""
+        return self._follow(Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None)
 
     def schedule(self, valves: np.ndarray, span: float) -> Schedule:
         """Return checked commands as a schedule.
@@ -206,7 +226,9 @@ class Pneumatics(ABC):
         Raises:
             InputError: more than that or below 0, or chambers without a regulator.
         """
-        raise InputError(f"pneumatics '{self.kind}' has no supply that could be regulated; 'lag' has")
+        raise InputError(
+            f"pneumatics '{self.kind}' has no supply that could be regulated; 'lag' and 'orifice' have"
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording (JSON values)."""

@@ -25,8 +25,9 @@ import numpy as np
 
 from srs_twin.compiled import compiled
 from srs_twin.errors import InputError
+from srs_twin.memory import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, gains, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, bent, gains, reached, unbent, volume
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -35,6 +36,7 @@ class LagPneumatics(Pneumatics):
     """Chambers with a first-order lag each (module docstring)."""
 
     kind = "lag"
+    memory = names("_linear", "_asymptote", "_worth")
 
     def __init__(
         self,
@@ -71,7 +73,7 @@ class LagPneumatics(Pneumatics):
         self._tau_fill, self._largest = kinds[0], supply_pa
         self.regulate(supply_pa)
         self._tau, self._gain = actuator.tau_mode, gains(spec)
-        self._limit = actuator.bend_limit
+        self._law = bend_law(spec)
         self._space = chamber.dead_volume, chamber.displacement
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
@@ -79,6 +81,11 @@ class LagPneumatics(Pneumatics):
         """See `Pneumatics.reset`."""
         super().reset()
         self._linear = np.zeros(self._segments)
+
+    def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+        """See `Pneumatics.place`."""
+        self._linear = unbent(bend - self.rest_bend, self._law)
+        self.pressure, self.bend = reached(pressure, self._largest), np.array(bend, dtype=float)
 
     def regulate(self, supply_pa: float) -> None:
         """See `Pneumatics.regulate`: a regulator without a lag of its own."""
@@ -99,7 +106,7 @@ class LagPneumatics(Pneumatics):
         pressure, linear = self.pressure.copy(), self._linear.copy()
         free = np.empty(self._segments)
         law = self._kind, self._rate, self._asymptote, self._leak
-        bending = self._tau, self._gain, self.rest_bend, self._limit
+        bending = self._tau, self._gain, self.rest_bend, self._law
         drawn = _relax(pressure, linear, free, schedule, times, law, bending, self._space, trace)
         np.multiply(trace.air, self._worth, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
@@ -120,13 +127,13 @@ def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):
         times: ascending, shape (times,), s.
         law: kind of each chamber, shape (segments, 2); relaxation rates by kind and valve state + 1, 1/s;
             where the pressure relaxes to, same shape, Pa; λ, 1/s.
-        bending: τ₂, s; gain of each chamber, shape (segments, 2), rad/Pa; b, shape (segments,), and q_m, rad.
+        bending: τ₂, s; gain of each chamber, shape (segments, 2), rad/Pa; b, shape (segments,), and its law.
         space: V₀ (m³) and A (m³/rad) of a chamber.
         trace: out; air as amount drawn since the start, J.
     """
     span, starts, states = schedule
     kinds, rates, asymptotes, leak = law
-    tau, gain, bias, limit = bending
+    tau, gain, bias, curved = bending
     decay, lag = np.empty_like(rates), np.empty_like(rates)
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
@@ -134,7 +141,7 @@ def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
         held, leaked, last = 0.0, 0.0, 0.0
         for j in range(bend.shape[0]):
-            free = bias[j] + flattened(linear[j], limit)[0]
+            free = bias[j] + bent(linear[j], curved)[0]
             held += _filling(state[j], pressure[j, 0], pressure[j, 1], free, space, AMBIENT_PA)
         while True:
             # Rows up to and at the end of the run, then the end itself, from which the next run starts.
@@ -147,7 +154,7 @@ def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):
                         plus, minus, x = _segment(
                             state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
                         )
-                        free = bias[j] + flattened(x, limit)[0]
+                        free = bias[j] + bent(x, curved)[0]
                         inside = _filling(state[j], plus, minus, free, space, 0.0)
                         leaked += leak * (t - last) * weight * inside
                 last = t
@@ -157,7 +164,7 @@ def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):
                 plus, minus, x = _segment(
                     state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
                 )
-                turned, slope, curve = flattened(x, limit)
+                turned, slope, curve = bent(x, curved)
                 turned += bias[j]
                 content += _filling(state[j], plus, minus, turned, space, AMBIENT_PA)
                 if not within:

@@ -25,8 +25,9 @@ import numpy as np
 
 from srs_twin.arrays import check_positive
 from srs_twin.errors import InputError
+from srs_twin.memory import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, gains, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, bent, gains, reached, unbent, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
 from srs_twin.pneumatics.orifice_kernels import Plumbing, follow
 from srs_twin.pneumatics.valves import Schedule
@@ -56,6 +57,7 @@ class OrificePneumatics(Pneumatics):
     """
 
     kind = "orifice"
+    memory = names("_state", "_books", "_plumbing", "_worth")
     feels_bend = True
     # A full chamber that its opposite squeezes: 1.6 times was seen in gen 3.
     overshoot = 4.0
@@ -105,11 +107,15 @@ class OrificePneumatics(Pneumatics):
                 f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to {MOST_CRITICAL}"
             )
         *nominal, capacity = conductances(spec, critical_ratio)
+        self._capacity, self._largest = capacity, supply_pa
         begins = supply_pa if line_begins is None else line_begins
         if not 0 <= begins <= supply_pa:
             raise InputError(
                 f"line_begins {begins!r} Pa is not allowed; it must be 0 to the supply's {supply_pa:g}"
             )
+        chamber, strongest = spec.chamber, float(gains(spec).max()) * spec.bending.stiffness
+        grows = chamber.displacement / chamber.dead_volume
+        self.stiffness = strongest * grows * (supply_pa + AMBIENT_PA)
         self._line_begins = begins + AMBIENT_PA
         fill, vent = self.conductances = _each_chambers(spec, critical_ratio)
         self._plumbing = Plumbing(
@@ -117,12 +123,12 @@ class OrificePneumatics(Pneumatics):
             displacement=spec.chamber.displacement,
             gain=gains(spec),
             bias=spec.modules.array("bias"),
-            limit=spec.actuator.bend_limit,
+            law=bend_law(spec),
             tau=spec.actuator.tau_mode,
             critical=critical_ratio,
             fill=REFERENCE_PA * fill,
             vent=REFERENCE_PA * vent,
-            leak=leak_per_s * capacity,
+            leak=np.full((spec.segments, 2), leak_per_s * capacity),
             supply=supply_pa + AMBIENT_PA,
             most=AMBIENT_PA * most,
             band=REGULATED * supply_pa,
@@ -152,6 +158,41 @@ class OrificePneumatics(Pneumatics):
                 self._state[j, side] = AMBIENT_PA * size
         # Amount in the line, drawn, lost.
         self._books = np.array([self._line_begins * air.line, 0.0, 0.0])
+
+    def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+        """See `Pneumatics.place`; the bends are the segments' own as well."""
+        air = self._plumbing
+        linear = unbent(bend - self.rest_bend, air.law)
+        self.pressure = reached(pressure, self.overshoot * (air.supply - AMBIENT_PA))
+        self.bend = np.array(bend, dtype=float)
+        for j in range(self._segments):
+            for side in range(2):
+                size, _ = volume(air.dead, air.displacement, bend[j], side)
+                self._state[j, side] = (AMBIENT_PA + self.pressure[j, side]) * size
+        self._state[:, 2] = linear
+
+    def regulate(self, supply_pa: float) -> None:
+        """See `Pneumatics.regulate`."""
+        if not 0 <= supply_pa <= self._largest:
+            raise InputError(
+                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._largest:g} Pa, "
+                "which these chambers were made for"
+            )
+        band = REGULATED * max(supply_pa, 1.0)
+        self._plumbing = self._plumbing._replace(supply=supply_pa + AMBIENT_PA, band=band)
+        self._worth = supply_pa / (supply_pa + AMBIENT_PA)
+
+    def leak(self, segment: int, side: int, per_s: float) -> None:
+        """Let one chamber leak from now on.
+
+        Args:
+            segment: from 1, at the head.
+            side: 0 for +, 1 for −.
+            per_s: rate at which its pressure falls while it is held, as a share of itself, 1/s.
+        """
+        leaks = self._plumbing.leak.copy()
+        leaks[segment - 1, side] = per_s * self._capacity
+        self._plumbing = self._plumbing._replace(leak=leaks)
 
     @property
     def line_pressure(self) -> float:
@@ -184,7 +225,7 @@ class OrificePneumatics(Pneumatics):
         follow(state, books, schedule, times, self._substep, given, actual, self._plumbing, pressure, trace)
         np.multiply(trace.air, self._worth, out=trace.air)
         self._state, self._books = state, books
-        free = [flattened(x, self._plumbing.limit)[0] for x in state[:, 2]]
+        free = [bent(x, self._plumbing.law)[0] for x in state[:, 2]]
         self.pressure, self.bend, self.air = pressure, self.rest_bend + free, self._worth * books[1]
         return trace
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compiled import compiled
-from srs_twin.pneumatics.chambers import AMBIENT_PA, flattened, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bent, volume
 from srs_twin.pneumatics.flow import flow
 
 GAMMA = 1 - math.sqrt(0.5)
@@ -31,12 +31,12 @@ class Plumbing(NamedTuple):
         displacement: A, m³/rad.
         gain: of each chamber, shape (segments, 2), rad/Pa.
         bias: b, shape (segments,), rad.
-        limit: q_m, rad.
+        law: of the bend, see `chambers.bend_law`.
         tau: τ₂, s.
         critical: critical pressure ratio.
         fill: P₀ C of each chamber's inlet, shape (segments, 2), m³/s.
         vent: P₀ C of each chamber's outlet, same shape, m³/s.
-        leak: Λ, J/(s Pa).
+        leak: Λ of each chamber, shape (segments, 2), J/(s Pa).
         supply: absolute, Pa.
         most: largest flow of the supply, J/s.
         band: pressure over which its regulator closes, Pa.
@@ -48,12 +48,12 @@ class Plumbing(NamedTuple):
     displacement: float
     gain: np.ndarray
     bias: np.ndarray
-    limit: float
+    law: BendLaw
     tau: float
     critical: float
     fill: np.ndarray
     vent: np.ndarray
-    leak: float
+    leak: np.ndarray
     supply: float
     most: float
     band: float
@@ -81,7 +81,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
     come, come_here, come_line = 0.0, 0.0, 0.0
-    gone, gone_here = air.leak * (pressure - AMBIENT_PA), air.leak
+    gone, gone_here = air.leak[j, side] * (pressure - AMBIENT_PA), air.leak[j, side]
     if state != 0:
         value, by_source, by_here = flow(line if state == 1 else AMBIENT_PA, pressure, air.critical)
         if state == 1:
@@ -116,7 +116,7 @@ def _newton(y, books, base, line_base, weight, state, given, bend, air, linear, 
     rest = books[0] - line_base - weight * delivered
     steep = air.line - weight * closing
     for j in range(y.shape[0]):
-        turned, follows, _ = flattened(y[j, 2], air.limit)
+        turned, follows, _ = bent(y[j, 2], air.law)
         turned, follows = (bend[j], 0.0) if given else (air.bias[j] + turned, follows)
         matrix, by_line = 1.0 + weight / air.tau, 0.0
         missing = y[j, 2] * matrix - base[j, 2]
@@ -168,7 +168,7 @@ def _slopes(y, line_amount, state, given, bend, air, dy):  # type: ignore[no-unt
     come_all, gone_all = 0.0, 0.0
     for j in range(y.shape[0]):
         pull = -y[j, 2]
-        turned = bend[j] if given else air.bias[j] + flattened(y[j, 2], air.limit)[0]
+        turned = bend[j] if given else air.bias[j] + bent(y[j, 2], air.law)[0]
         for side in range(2):
             p, _, _, come, _, _, gone, _ = chamber(y[j, side], turned, j, side, state[j, side], line, air)
             dy[j, side] = come - gone
@@ -265,7 +265,7 @@ def follow(y, books, schedule, times, substep, given, actual, air, pressure, tra
                 _look(times, row, until, begun, h, ends, states[run], given, actual, air, trace)
                 row = until
     for j in range(segments):
-        free = air.bias[j] + flattened(y[j, 2], air.limit)[0]
+        free = air.bias[j] + bent(y[j, 2], air.law)[0]
         turned = actual[0, j] + actual[1, j] * span if given else free
         for side in range(2):
             size = volume(air.dead, air.displacement, turned, side)[0]
@@ -294,7 +294,7 @@ def _look(times, first_row, until, begun, h, ends, state, given, actual, air, tr
         _extrapolate(bend, actual, begun + x * h)
         _slopes(y, line, state, given, bend, air, dy)
         for j in range(segments):
-            shown, slope, curve = flattened(y[j, 2], air.limit)
+            shown, slope, curve = bent(y[j, 2], air.law)
             shown, speed = shown + air.bias[j], slope * dy[j, 2]
             turned, rate = (bend[j], actual[1, j]) if given else (shown, speed)
             rise = 0.0

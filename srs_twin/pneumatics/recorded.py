@@ -18,7 +18,7 @@ import numpy as np
 from srs_twin.compiled import compiled
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace
-from srs_twin.pneumatics.chambers import flattened, gains
+from srs_twin.pneumatics.chambers import bend_law, bent, gains
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -57,7 +57,7 @@ class RecordedPressures(Pneumatics):
         if not ((np.diff(time) > 0).all() and np.isfinite(pressure).all()):
             raise InputError("recorded pressures must be finite and their times rise")
         self._time, self._measured = np.asarray(time, float), np.asarray(pressure, float)
-        self._tau, self._limit = spec.actuator.tau_mode, spec.actuator.bend_limit
+        self._tau, self._law = spec.actuator.tau_mode, bend_law(spec)
         self._drive = (self._measured * gains(spec) * [1.0, -1.0]).sum(axis=-1)
         self._slope = np.zeros_like(self._drive)
         self._slope[:-1] = np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
@@ -90,7 +90,7 @@ class RecordedPressures(Pneumatics):
         fade = (self._linear[row] - drive + slope * self._tau) * np.exp(-since / self._tau)
         linear = drive + slope * (since - self._tau) + fade
         speed, acceleration = slope - fade / self._tau, fade / self._tau**2
-        _bend((linear, speed, acceleration), self.rest_bend, self._limit, trace)
+        _bend((linear, speed, acceleration), self.rest_bend, self._law, trace)
         for j in range(trace.pressure.shape[1]):
             for side in range(2):
                 trace.pressure[:, j, side] = np.interp(time, self._time, self._measured[:, j, side])
@@ -116,7 +116,7 @@ def _bend(motion, bias, limit, trace):  # type: ignore[no-untyped-def]
     linear, speed, acceleration = motion
     for k in range(linear.shape[0]):
         for j in range(linear.shape[1]):
-            turned, slope, curve = flattened(linear[k, j], limit)
+            turned, slope, curve = bent(linear[k, j], limit)
             trace.bend[k, j] = bias[j] + turned
             trace.bend_rate[k, j] = slope * speed[k, j]
             trace.bend_acceleration[k, j] = slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from srs_twin.errors import InputError, InputFileError
+from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.io.documents import Document, Loc, child
 from srs_twin.io.files import find
 from srs_twin.io.validation import Strict, load_model, validate
@@ -169,6 +169,8 @@ class FrictionFile(Records):
     """Along the heading (drag of a rolling wheel)."""
     mu_n: Number = number(0.0, 10.0)
     """Across the heading (a wheel that slides sideways)."""
+    drag_n: Number | None = number(0.0, 100.0, optional=True)
+    """Axial drag of tubes and belly in all, whatever the load; connectors share it (default: none)."""
 
 
 class BendingFile(Records):
@@ -201,6 +203,12 @@ class ActuatorFile(Records):
     """Pressure in one chamber that gives bend_rad."""
     bend_limit_rad: Number | None = number(0.1, 6.3, optional=True)
     """Bend that no pressure exceeds; the law flattens towards it (default: none, linear throughout)."""
+    onset_share: Number | None = number(0.0, 1.0, optional=True)
+    """Share of the slope that is missing in a dead zone about no pressure (default: 1 with onset_rad)."""
+    onset_rad: Number | None = number(0.01, 6.3, optional=True)
+    """Bend of the linear law up to which the zone reaches; s times it is lost for good (default: 0.3)."""
+    onset_width_rad: Number | None = number(0.01, 6.3, optional=True)
+    """Bend of the linear law over which the zone ends; small for a corner (default: 0.1)."""
 
 
 class ChamberFile(Records):
@@ -243,6 +251,15 @@ class TailFile(Records):
     """Radius of gyration of the assembly with its wheels."""
 
 
+class CorrelationFile(Strict):
+    """How two uncertain numbers go together."""
+
+    of: Annotated[list[str], Field(min_length=2, max_length=2)]
+    """Their paths, as friction.mu_t; without effect where one of them is not uncertain."""
+    r: Annotated[float, between(-0.999, 0.999)]
+    """Correlation of the normal variables that they are made from, -0.999 to 0.999."""
+
+
 class RobotFile(Strict):
     """A robot file."""
 
@@ -262,6 +279,8 @@ class RobotFile(Strict):
     """How each module departs from the nominal one (default: not at all)."""
     tail: TailFile | None = None
     """What the last connector carries on two axles (default: it is like the others)."""
+    correlated: Annotated[list[CorrelationFile], Field(max_length=500)] | None = None
+    """Which uncertain numbers go together (default: none), as a fit leaves them."""
 
     def records(self) -> dict[str, Record[Any, Any]]:
         """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
@@ -281,6 +300,7 @@ class RobotFile(Strict):
         """
         actuator, chamber = self.actuator.in_si(), self.chamber
         gain = actuator.pop("bend") / actuator.pop("at_pressure")
+        zone = bool(actuator.keys() & {"onset", "onset_width"})
         segments = self.geometry.connectors.value - 1
         return RobotSpec(
             name=self.name,
@@ -289,7 +309,7 @@ class RobotFile(Strict):
             mass=Mass(connectors=tuple(self.masses()), wheel=self.mass.wheel_kg.value),
             friction=Friction(**self.friction.in_si()),
             bending=Bending(**self.bending.in_si()),
-            actuator=Actuator(**{"bend_limit": math.inf} | actuator, gain=gain),
+            actuator=Actuator(**{"bend_limit": math.inf, "onset_share": float(zone)} | actuator, gain=gain),
             chamber=Chamber(
                 dead_volume=chamber.dead_volume_ml.value * M3_PER_ML,
                 displacement=chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
@@ -324,12 +344,40 @@ class RobotFile(Strict):
         if self.tail is not None and (com := self.tail.com_m.value) > (axle := self.tail.axle_m.value):
             text = f"{com:g} m is behind the second axle at {axle:g} m; the assembly would tip over"
             yield ("tail", "com_m", "value"), text
+        yield from self._doubts()
         nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
         if nominal > limit:
             yield (
                 ("supply", "nominal_kpa", "value"),
                 f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
             )
+
+    def _doubts(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of what is uncertain and cannot be."""
+        records = self.records()
+        for path, record in records.items():
+            section, key = path.split(".")
+            given, value = record.uncertain, record.value
+            loc, bounds = (section, key, "uncertain"), getattr(self, section).bounds.get(key)
+            if given is None:
+                continue
+            if bounds is None or isinstance(value, list | int):
+                yield loc, "only a number of its own can be uncertain, not a list or a count"
+            elif given.kind == "lognormal" and value <= 0:
+                yield loc, f"lognormal needs a number above 0, not {value:g}"
+            elif given.low is not None and given.high is not None:
+                low, high = max(bounds[0], given.low), min(bounds[1], given.high)
+                if (low, high) != (given.low, given.high):
+                    yield (
+                        loc,
+                        f"{given.low:g} to {given.high:g} leaves the allowed {bounds[0]:g} to {bounds[1]:g}",
+                    )
+                elif not low <= value <= high:
+                    yield loc, f"the number itself, {value:g}, lies outside of {low:g} to {high:g}"
+        for i, pair in enumerate(self.correlated or ()):
+            for k, path in enumerate(pair.of):
+                if path not in records:
+                    yield ("correlated", i, "of", k), str(UnknownNameError("number", path, records))
 
 
 def units_of(section: str) -> dict[str, str]:

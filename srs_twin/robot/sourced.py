@@ -9,9 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
-from pydantic import ConfigDict, Field
+from pydantic import (
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from srs_twin.io.validation import Strict, docstrings
 
@@ -24,6 +30,7 @@ UNITS = {
     "_l_per_min": "L/min",
     "_per_rad": "1/rad",
     "_per_s": "1/s",
+    "_rad_s": "rad/s",
     "_m_s": "m/s",
     "_kpa": "kPa",
     "_rad": "rad",
@@ -34,6 +41,7 @@ UNITS = {
     "_ml": "ml",
     "_uv": "µV",
     "_m": "m",
+    "_n": "N",
     "_s": "s",
     "_v": "V",
 }
@@ -52,7 +60,8 @@ _IN_SI = {
 
 def split_unit(key: str) -> tuple[str, str]:
     """Return a key without its unit, and the unit; "1" where it names none."""
-    ending = next((each for each in UNITS if key.endswith(each)), "")
+    # The n of μ_n is the normal to the heading.
+    ending = next((each for each in UNITS if key.endswith(each) and key != "mu_n"), "")
     return key.removesuffix(ending), UNITS.get(ending, "1")
 
 
@@ -73,6 +82,40 @@ Value = TypeVar("Value")
 Unit = TypeVar("Unit")
 
 
+_SHAPES = {"normal": ("sd",), "lognormal": ("factor",), "uniform": ("low", "high")}
+
+
+class Uncertain(Strict):
+    """How well a number is known: a distribution."""
+
+    kind: Literal["normal", "lognormal", "uniform"]
+    """normal: around the number; lognormal: its logarithm is, within a factor; uniform: a range."""
+    sd: float | None = Field(None, gt=0.0, le=1e9)
+    """Standard deviation of a normal distribution, in the number's unit."""
+    factor: float | None = Field(None, gt=1.0, le=100.0)
+    """Geometric standard deviation: two thirds lie between the number over and times this."""
+    low: float | None = Field(None, ge=-1e9, le=1e9)
+    """Lower end of the range, in the number's unit."""
+    high: float | None = Field(None, ge=-1e9, le=1e9)
+    """Upper end of the range."""
+    source: str | None = Field(None, min_length=1, max_length=1000)
+    """Where the spread comes from, or why it was assumed."""
+
+    @model_validator(mode="after")
+    def _has_its_numbers(self) -> Uncertain:
+        wanted = _SHAPES[self.kind]
+        given = tuple(name for name in ("sd", "factor", "low", "high") if getattr(self, name) is not None)
+        if given != wanted:
+            raise ValueError(f"{self.kind} takes {' and '.join(wanted)}, not {', '.join(given) or 'nothing'}")
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _what_is_given(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in inner(self).items() if value is not None}
+
+
 class Record(Strict, Generic[Value, Unit]):
     """One number and where it comes from."""
 
@@ -85,6 +128,12 @@ class Record(Strict, Generic[Value, Unit]):
     estimated: our assumption."""
     source: str = Field(min_length=1, max_length=1000)
     """Section, table, or how it was estimated."""
+    uncertain: Uncertain | None = None
+    """How well it is known (default: taken as it is)."""
+
+    @model_serializer(mode="wrap")
+    def _what_is_known(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in inner(self).items() if key != "uncertain" or value is not None}
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
@@ -138,11 +187,14 @@ class Records(Strict):
     """A section of a file whose numbers are records."""
 
     model_config = ConfigDict(json_schema_extra=_describe)
+    bounds: ClassVar[dict[str, tuple[float, float]]]  # of each number
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        cls.bounds = {}
         for key, given in list(vars(cls).items()):
             if isinstance(given, _Number):
+                cls.bounds[key] = given.low, given.high
                 unit, value = split_unit(key)[1], Annotated[given.kind, between(given.low, given.high)]
                 record: Any = Record[given.shape(value), Literal[unit]]  # type: ignore[misc]
                 cls.__annotations__[key] = record | None if given.optional else record
@@ -155,7 +207,7 @@ class Records(Strict):
 
 
 def restated(before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str) -> dict[str, Any]:
-    """Return plain data of a record whose number somebody sets: an estimate, whatever it was before.
+    """Return plain data of a record whose number somebody sets: an estimate, and what it is.
 
     Args:
         before: plain data of the record so far, whose unit stays; None or empty: there is none yet.
@@ -163,4 +215,5 @@ def restated(before: Mapping[str, Any] | None, value: Any, unit: str | None, sou
         unit: of the key, for a record that is new.
         source: who set it.
     """
-    return {**(before or {"unit": unit}), "value": value, "status": "estimated", "source": source}
+    kept = {key: each for key, each in (before or {"unit": unit}).items() if key != "uncertain"}
+    return {**kept, "value": value, "status": "estimated", "source": source}

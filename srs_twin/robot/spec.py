@@ -187,13 +187,16 @@ class Friction:
     Attributes:
         mu_t: along the heading (axle drag of a rolling wheel).
         mu_n: across it (a wheel that slides sideways).
+        drag: of tubes and belly, against the motion of the connectors along their headings, whatever their
+            loads; connectors share it equally, N.
     """
 
     mu_t: float
     mu_n: float
+    drag: float = 0.0
 
     def __post_init__(self) -> None:
-        _not_negative(self, "mu_t", "mu_n")
+        _not_negative(self, "mu_t", "mu_n", "drag")
 
 
 @dataclass(frozen=True)
@@ -233,7 +236,10 @@ class Actuator:
         tau_vent: τ₁ of a venting chamber, s.
         tau_mode: τ₂, valve and fast mechanical mode, s.
         gain: free bend per differential chamber pressure, rad/Pa (C₀ over the pressure that gave it).
-        bend_limit: q_m, bend that no pressure exceeds, rad; infinite where the law is linear throughout.
+        bend_limit: q_m, bend that no pressure exceeds, rad; infinite where there is none.
+        onset_share: s, share of the slope that is missing in the dead zone about no pressure; 0: none.
+        onset: d, linear bend up to which that zone reaches, rad.
+        onset_width: w, linear bend over which it ends, rad.
     """
 
     tau_fill: float
@@ -241,9 +247,13 @@ class Actuator:
     tau_mode: float
     gain: float
     bend_limit: float = math.inf
+    onset_share: float = 0.0
+    onset: float = 0.3
+    onset_width: float = 0.1
 
     def __post_init__(self) -> None:
-        _positive(self, "tau_fill", "tau_vent", "tau_mode", "gain")
+        _positive(self, "tau_fill", "tau_vent", "tau_mode", "gain", "onset", "onset_width")
+        _require(0 <= self.onset_share <= 1, "onset_share", self.onset_share, "it must be 0 to 1")
         _require(self.bend_limit > 0, "bend_limit", self.bend_limit, "it must be above 0")
 
 

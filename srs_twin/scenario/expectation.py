@@ -14,6 +14,8 @@ from srs_twin.scenario.fields import Section, quantity
 
 COMPARISON = "comparison"
 _BOUND = 1e9
+_MOVED = 0.01  # of an interval: a value that differs by more comes from other laws
+_SCATTER = 0.01  # of a published value: the second or third digit that is printed
 _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
@@ -49,6 +51,12 @@ class Expectation(Section):
     """Absolute tolerance of near."""
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Highest allowed value."""
+    published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
+    """A published value, which must lie within an interval of what the scenario predicts."""
+    within: Literal["interval_50", "interval_95"] | None = None
+    """That interval, which `srs-twin uncertainty SCENARIO --write` keeps."""
+    scatter: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
+    """Standard uncertainty of the published value (default: 1 % of it)."""
     above: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Lowest allowed value."""
     source: Words | None = None
@@ -70,8 +78,14 @@ class Expectation(Section):
         if self.metric not in known_metrics(self.subject):
             right = "plant: analytical or plant: twin" if self.of else f"of: {COMPARISON}"
             raise ValueError(f"{self.metric} needs {right}")
-        if sum(value is not None for value in (self.near, self.below, self.above)) != 1:
-            raise ValueError("give exactly one of near, below and above")
+        if sum(value is not None for value in (self.near, self.below, self.above, self.published)) != 1:
+            raise ValueError("give exactly one of near, below, above and published")
+        if (self.within is None) != (self.published is None):
+            raise ValueError("published and within: interval_95 go together")
+        if self.published is None and self.scatter is not None:
+            raise ValueError("scatter is of a published value")
+        if self.published is not None and self.of is not None:
+            raise ValueError("published values are a plant's")
         tolerances = sum(value is not None for value in (self.rel, self.abs))
         if tolerances != (self.near is not None):
             raise ValueError("near needs either rel or abs; below and above take neither")
@@ -83,6 +97,11 @@ class Expectation(Section):
     def subject(self) -> str:
         """Whose metric: "analytical", "twin" or "comparison"."""
         return self.plant or COMPARISON
+
+    @property
+    def stated(self) -> float | None:
+        """What was published of the metric; None where nothing was."""
+        return self.published if self.published is not None else self.near if self.source else None
 
     @property
     def allowed(self) -> tuple[float, float]:
@@ -97,7 +116,8 @@ class Expectation(Section):
         """Compare with what came out.
 
         Args:
-            metrics: as in metrics.json: "plants" → plant → metric, and "comparison" → metric.
+            metrics: as in metrics.json: "plants" → plant → metric, "comparison" → metric, and "intervals",
+                the kept ones, as `experiment.kept_intervals` returns them.
 
         Returns:
             A row of the expectations of metrics.json: `metric`, `of`, the `value` or None, what is `allowed`
@@ -106,6 +126,8 @@ class Expectation(Section):
         (low, high), subject = self.allowed, self.subject
         found = metrics.get(COMPARISON) if self.of else (metrics.get("plants") or {}).get(subject)
         value = (found or {}).get(self.metric)
+        if self.within is not None:
+            return self._judged(value, metrics.get("intervals") or {})
         return {
             "metric": self.metric,
             "of": subject,
@@ -116,6 +138,36 @@ class Expectation(Section):
             "source": self.source,
             "known": self.known,
         }
+
+    def _judged(self, value: float | None, kept: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the row of a published value and a kept interval.
+
+        It has the terms of ASME V&V 20 besides: the `error` E = value − published, the standard uncertainties
+        `u_num` of the time step, `u_input` of the robot's numbers and `u_d` of what was published, which of
+        them is `largest`; the interval's `width` and, for published and interval of 95 %, the `score`
+        (Gneiting and Raftery 2007), which is lower for narrow intervals that hold.
+        """
+        row: dict[str, Any] = {"metric": self.metric, "of": self.subject, "value": value}
+        rest = {"near": self.published, "source": self.source, "known": self.known}
+        spread = ((kept.get("plants") or {}).get(self.subject) or {}).get(self.metric)
+        if kept.get("stale") is not None or spread is None or value is None or self.published is None:
+            why = kept.get("stale") or f"the kept intervals have no {self.metric} of the {self.subject} plant"
+            return row | {"allowed": why, "met": False} | rest
+        low, high = spread[self.within]
+        moved = abs(value - spread["value"]) / (high - low)
+        if not moved <= _MOVED:
+            why = f"stale: the value was {spread['value']:.6g}; {kept['renew']} renews the interval"
+            return row | {"allowed": why, "met": False} | rest
+        scatter = _SCATTER * abs(self.published) if self.scatter is None else self.scatter
+        terms = {"u_num": spread["u_num"] or 0.0, "u_input": spread["u_input"], "u_d": scatter}
+        largest = max(terms, key=lambda name: terms[name])
+        off = max(low - self.published, self.published - high, 0.0)
+        share = 0.05 if self.within == "interval_95" else 0.5
+        judged = {"error": value - self.published, **terms, "largest": largest, "width": high - low}
+        judged |= {"score": high - low + 2 / share * off, "interval": [low, high]}
+        said = f"{self.published:.4g} published within {low:.4g} to {high:.4g}"
+        allowed = f"{said}; {largest} {terms[largest]:.2g} is largest"
+        return row | {"allowed": allowed, "met": low <= self.published <= high} | rest | judged
 
 
 def _in_words(low: float, high: float) -> str:

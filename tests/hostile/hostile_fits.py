@@ -44,7 +44,7 @@ FIT_MALFORMED: tuple[Malformed, ...] = edited(
         "half an interval": (", high: 0.0977", "", "parameters[0].verdict: identified, but high is missing"),
         "a value beyond its interval": ("value: 0.0966", "value: 0.2", ":12:66: parameters[0].value: must lie between low and high, 0.0955 and 0.0977"),
         "an interval the wrong way round": ("low: 0.4, high: 0.9", "low: 0.9, high: 0.4", "parameters[1].value: must lie between"),
-        "a verdict of one's own": ("verdict: identified", "verdict: certain", "parameters[0].verdict: must be one of identified, weakly identified, not identifiable, not text 'certain'"),
+        "a verdict of one's own": ("verdict: identified", "verdict: certain", "parameters[0].verdict: must be one of identified, weakly identified, cannot tell, not identifiable, not text 'certain'"),
         "a parameter that no robot has": ("friction.mu_t", "friction.mu_x", "parameters[0].name: "),
         "a parameter without a number": ("connectors_kg_5, unit", "connectors_kg_0, unit", "parameters[2].name: "),
         "one parameter twice": ("friction.mu_n", "friction.mu_t", "parameters: friction.mu_t stands here 2 times"),

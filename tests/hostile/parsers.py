@@ -108,7 +108,9 @@ def robots(draw: st.DrawFn) -> RobotFile:
         ("bending", "stiffness_nm_per_rad", 1e-4, 1e6), ("actuator", "tau_fill_s", 1e-6, 100.0),
     ):  # fmt: skip
         data[section][key]["value"] = draw(st.floats(low, high))
-        data[section][key]["source"] = draw(st.text(TEXT, min_size=1, max_size=40))
+        data[section][key]["source"] = words = draw(st.text(TEXT, min_size=1, max_size=40))
+        normal = {"kind": st.just("normal"), "sd": st.floats(1e-9, 1e3), "source": st.just(words)}
+        data[section][key]["uncertain"] = draw(st.none() | st.fixed_dictionaries(normal))
     data["title"] = draw(st.text(TEXT, min_size=1, max_size=40))
     return RobotFile.model_validate(data)
 

@@ -68,7 +68,8 @@ def test_a_frequency_that_is_none(refused, written, given):
         (
             "world: {}",
             "world: []",
-            "6:8: world: must be a block of keys (obstacles, polygons, random, floor, steps, bounds, goal), ",
+            "6:8: world: must be a block of keys (obstacles, circles, map, polygons, random, floor, steps, "
+            "bounds, goal), ",
         ),
         (
             "world: {}",

@@ -35,7 +35,8 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
     validated = "" if quality.validation_rms is None else f", of the validation {quality.validation_rms:.3g}"
     found = (
         f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the noise "
-        f"that is expected); {quality.samples} samples worth {quality.independent_samples:.4g}."
+        f"that is expected); {quality.samples} samples worth {quality.independent_samples:.4g}. "
+        f"{'; '.join(quality.misfit or ())}"
     )
     data = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
     return render(

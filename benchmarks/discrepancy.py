@@ -1,0 +1,63 @@
+"""Table 8 by model and discrepancy: each row predicted from the others.
+
+    uv run python benchmarks/discrepancy.py
+
+Predictions are those of the committed baseline. The prior of the discrepancy: a fifth of the published mean,
+over an offset of 0.2; noise: 5 % of the mean, as the text's own scatter between mirrored offsets.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from srs_twin.reproduction import load_baseline, load_claims
+from srs_twin.uncertainty import Discrepancy
+
+SIZE, LENGTH, NOISE = 0.2, 0.2, 0.05
+
+
+def main() -> None:
+    """Print a table."""
+    claims, kept = {claim.id: claim for claim in load_claims()}, load_baseline().outcomes
+    print("| quantity | plant | rms of the model | rms with discrepancy | rows within 95 % | mean width |")
+    print("|---|---|---|---|---|---|")
+    for quantity in ("speed", "radius"):
+        for plant in ("analytical", "twin"):
+            rows = []
+            for name, claim in claims.items():
+                found = re.fullmatch(rf"table8\.{quantity}\.([pm]?)(\d+)", name)
+                if found and claim.value is not None:
+                    offset = float(found[2]) / 10 * (-1 if found[1] == "m" else 1)
+                    value = kept[name][plant].value
+                    if quantity == "radius":  # curvature: a straight walk has one too
+                        rows.append((offset, 1 / claim.value, 1 / value))
+                    else:
+                        rows.append((offset, claim.value, value))
+            offset, measured, model = np.array(sorted(rows)).T
+            scale = float(np.abs(measured).mean())
+            centre, held, widths = [], [], []
+            for i in range(len(offset)):
+                rest = np.arange(len(offset)) != i
+                fit = Discrepancy(
+                    offset[rest, None], measured[rest], model[None, rest], NOISE * scale, SIZE * scale, LENGTH
+                )
+                drawn = fit.draw(offset[[i], None], model[None, [i]])[:, 0]
+                drawn += NOISE * scale * np.random.default_rng(i).normal(size=len(drawn))
+                low, middle, high = np.quantile(drawn, [0.025, 0.5, 0.975])
+                centre.append(middle)
+                held.append(low <= measured[i] <= high)
+                widths.append(high - low)
+            before, after = (np.sqrt(np.mean((each - measured) ** 2)) for each in (model, np.array(centre)))
+            what = "curvature" if quantity == "radius" else quantity
+            cells = what, plant, f"{100 * before / scale:.0f} %", f"{100 * after / scale:.0f} %"
+            print(
+                "| "
+                + " | ".join(cells)
+                + f" | {sum(held)} of {len(held)} | {100 * np.mean(widths) / scale:.0f} % |"
+            )
+
+
+if __name__ == "__main__":
+    main()

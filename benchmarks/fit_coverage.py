@@ -1,0 +1,162 @@
+"""Whether verdicts and intervals of gait fits hold where the model is wrong: analytical models, twin data.
+
+    uv run python benchmarks/fit_coverage.py [--robots 300] [--first 0] [--out coverage.jsonl] [--table]
+
+Each robot is gen2 or gen4 with another μ_t, μ_n and stiffness (each up to e^±0.3) and gap (up to 5 mm more or
+less), crawls twice for 2 s, and is captured with markers in pairs (noise 0.2 mm). `complete`, `simplified`
+and `compliant` are fitted to takes of the twin as shipped, and for one robot in three `compliant` to takes of
+`compliant` ("exact"), as `calibrate locomotion` does it but for one start: gap from the markers, the twin as
+reference. With `--truth finer` the twin as shipped is fitted to takes of a twin with half the step, six
+hinges a segment and chambers with orifices. A line of the file is a robot; those in it are skipped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grid import table
+from scipy.stats import beta
+from synthetic_takes import Take, write_motive
+
+from srs_twin import Gait, RobotSpec, load_robot, rollout
+from srs_twin.errors import InputError
+from srs_twin.identification import read_motion
+from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.takes import measured_length
+from srs_twin.identification.unknowns import with_values
+
+NAMES = (
+    "friction.mu_t", "friction.mu_n", "bending.stiffness_nm_per_rad", "geometry.rigid_gap_m",
+)  # fmt: skip
+GAITS = ((2.0, 0.0), (1.6, 0.2))
+SECONDS, REACH, GAP = 2.0, 0.3, 5e-3
+EXACT = 3  # every third robot of a kind is fitted by the exact model, too
+TWIN = PlantModel("twin")
+FINER = PlantModel("twin", {"timestep": 0.0005, "hinges_per_segment": 6, "pneumatics": "orifice"})
+RIGID = ("complete", "simplified")
+MODELS = {name: PlantModel(settings={"model": name, "friction": "wheel"}) for name in (*RIGID, "compliant")}
+
+
+def robot(seed: int) -> tuple[RobotSpec, dict[str, float]]:
+    """Return the robot that a fit starts from, and what is true of the one that crawls."""
+    rng = np.random.default_rng([22, seed])
+    spec = load_robot(("gen2", "gen4")[seed % 2])
+    factors = np.exp(rng.uniform(-REACH, REACH, 3))
+    truth = [spec.friction.mu_t, spec.friction.mu_n, spec.bending.stiffness] * factors
+    gap = spec.geometry.rigid_gap + rng.uniform(-min(GAP, spec.geometry.rigid_gap), GAP)
+    return spec, dict(zip(NAMES, [*map(float, truth), float(gap)], strict=True))
+
+
+def fits(seed: int, truth_model: str) -> dict[str, Any]:
+    """Return what all fits to the takes of a robot found."""
+    spec, truth = robot(seed)
+    of_twin, of_takes = {"twin": (TWIN, MODELS), "finer": (FINER, {"twin": TWIN})}[truth_model]
+    exact = truth_model == "twin" and seed // 2 % EXACT == 0
+    found: dict[str, Any] = {"seed": seed, "truth": truth, "plant": truth_model, "fits": {}}
+    for label, plant, models in (
+        ("", of_twin, of_takes),
+        ("exact", MODELS["compliant"], {"exact": MODELS["compliant"]}),
+    )[: 1 + exact]:
+        near, recordings = spec, []
+        with tempfile.TemporaryDirectory() as folder:
+            for k, gait in enumerate(GAITS):
+                snake = plant.build(with_values(spec, truth), spec.supply.nominal)
+                run = rollout(snake, Gait(*gait), SECONDS, record_hz=100)
+                take = Take(layout="pair", labeled=True, seed=10 * seed + k + 5 * bool(label))
+                write_motive(run, take, Path(folder) / f"{k}.csv")
+            for _ in range(2):  # the second time with the gap that the first has found
+                recordings = [
+                    read_motion(
+                        Path(folder) / f"{k}.csv", near, layout="pair", head="snake:1a", gait_frequency_hz=f
+                    )
+                    for k, (f, _) in enumerate(GAITS)
+                ]
+                known = measured_length(recordings, near, NAMES)
+                assert known is not None and known.value is not None
+                near = with_values(spec, {known.name: known.value})
+        runs = [
+            GaitRun(each.trajectory, Gait(*gait), spec.supply.nominal, f"gait_{k}")
+            for k, (each, gait) in enumerate(zip(recordings, GAITS, strict=True))
+        ]
+        for name, model in models.items():
+            begin = time.perf_counter()
+            names = [each for each in NAMES if name not in RIGID or "bending" not in each]
+            estimate = fit_locomotion(
+                runs, near, names,
+                model=model, against="both", starts=1, known=[known],
+                reference=None if model is TWIN else TWIN,
+            )  # fmt: skip
+            found["fits"][name] = {
+                "scale": estimate.residual_scale, "misfit": estimate.misfit[1:],
+                "seconds": time.perf_counter() - begin,
+                "parameters": {
+                    p.name: [p.verdict, p.value, p.standard_error, p.low, p.high] for p in estimate.parameters
+                },
+            }  # fmt: skip
+    return found
+
+
+def rows(done: list[dict[str, Any]]) -> Iterator[list[str]]:
+    """Yield the rows of the table: a parameter and model each, and each model with all of its parameters."""
+    for model in (*MODELS, "exact", "twin"):
+        every: list[tuple[str, bool]] = []
+        for name in NAMES:
+            some = []
+            for each in done:
+                if name in (found := each["fits"].get(model, {}).get("parameters", {})):
+                    verdict, value, _, low, high = found[name]
+                    some.append((verdict, value is not None and low <= each["truth"][name] <= high))
+            if some:
+                every += some
+                yield _row(model, name, some)
+        if every:
+            yield _row(model, "all", every)
+
+
+def _row(model: str, name: str, some: list[tuple[str, bool]]) -> list[str]:
+    sure = [held for verdict, held in some if verdict == "identified"]
+    row = [model, name, str(len(some)), f"{100 * len(sure) / len(some):.0f}"]
+    row.append(f"{100 * sum(verdict == 'cannot tell' for verdict, _ in some) / len(some):.0f}")
+    if not sure:
+        return [*row, "–", "–"]
+    lower = beta.ppf(0.05, sum(sure), len(sure) - sum(sure) + 1) if any(sure) else 0.0
+    return [*row, f"{100 * sum(sure) / len(sure):.1f}", f"{100 * lower:.1f}"]
+
+
+def main() -> None:
+    """Fit what is not yet in the file, and print the table."""
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--robots", type=int, default=300)
+    words.add_argument("--first", type=int, default=0, help="seed of the first robot")
+    words.add_argument("--truth", choices=["twin", "finer"], default="twin")
+    words.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
+    words.add_argument("--table", action="store_true", help="only print what is there")
+    given = words.parse_args()
+    lines = given.out.read_text("utf-8").splitlines() if given.out.exists() else []
+    done = {each["seed"]: each for each in map(json.loads, lines) if each["plant"] == given.truth}
+    for seed in range(given.first, given.first + given.robots) if not given.table else ():
+        if seed in done:
+            continue
+        try:
+            done[seed] = fits(seed, given.truth)
+        except InputError as error:
+            print(f"{seed}: {error}", flush=True)
+            continue
+        with given.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(done[seed]) + "\n")
+    head = ["model", "parameter", "fits", "identified, %", "cannot tell, %"]
+    print(table(head + ["of identified: holds, %", "lower 95 % bound, %"], list(rows([*done.values()]))))
+    if some := [each["fits"][m]["seconds"] for each in done.values() for m in each["fits"]]:
+        print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s a fit")
+
+
+if __name__ == "__main__":
+    main()

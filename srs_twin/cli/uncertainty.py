@@ -1,0 +1,140 @@
+"""`srs-twin uncertainty`: how sure a scenario's predictions are, and what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from srs_twin.cli import interruptible, say
+from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
+    JsonOption,
+    OneOutOption,
+    QuietOption,
+    ScenarioArgument,
+    at_once,
+    option,
+    plants_of,
+    print_json,
+)
+from srs_twin.cli.progress import Counting
+
+if TYPE_CHECKING:
+    from srs_twin.sweep.task import Row
+    from srs_twin.uncertainty import Propagation
+
+STUDIES = Path("runs/uncertainty")
+_NEXT = 3
+_NOTHING = 5e-4
+
+
+def uncertainty(
+    scenario: ScenarioArgument,
+    out: OneOutOption = None,
+    plants: Annotated[str | None, option("--plants LIST")] = None,
+    samples: Annotated[int, option("--samples N", min=16, max=65536)] = 2048,
+    twin: Annotated[int, option("--twin N", min=16, max=65536)] = 64,
+    without: Annotated[list[str] | None, option("--without NAME")] = None,
+    form: Annotated[list[str] | None, option("--form FIELD=A,B")] = None,
+    workers: Annotated[int | None, at_once("--workers N")] = None,
+    write: Annotated[bool, option("--write")] = False,
+    changed: Annotated[bool, option("--changed")] = False,
+    changes: ChangeOptions = NO_CHANGES,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Say how sure predictions are, and what to measure next.
+
+    Propagates what is uncertain of the robot's numbers, as its file says, to every metric of a scenario.
+    What an earlier start left in the folder is kept, and it goes on from there.
+
+    Options:
+        plants: analytical, twin or both. [default: the scenario's]
+        samples: Robots that are drawn from what is uncertain.
+        twin: Samples that the twin itself runs, where the model compliant can run all of them.
+        without: A number that is taken as it stands, as friction.drag_n; repeatable.
+        changed: Go on in a folder of an earlier version; keep what still belongs.
+        form: Values of a field that are equally likely, as pneumatics.kind=lag,orifice; repeatable.
+        write: Keep the intervals in calibration/intervals, where expectations find them.
+    """
+    from srs_twin.robot.file import RobotFile
+    from srs_twin.scenario import load_scenario
+    from srs_twin.sweep.execution import local
+    from srs_twin.uncertainty import Priors, Study
+
+    found = load_scenario(scenario, set=changes.changes())
+    priors = Priors.of(RobotFile.model_validate(found.document["robot"]), without=without or ())
+    chosen = tuple(plants_of(plants) or found.plants)
+    study = Study(
+        found,
+        priors,
+        chosen,
+        samples=samples,
+        costly=min(twin, samples),
+        seed=found.seed,
+        forms=_forms(form or ()),
+    )
+    folder = Path(out) if out else STUDIES / found.name
+
+    @contextmanager
+    def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:
+        with Counting(f"{found.name}, {part}", count, quiet=quiet) as shown:
+            yield lambda row: shown(failed=row.exit_code != 0)
+
+    with interruptible(f"what was run is kept in {folder}, start again to go on"):
+        result = study.run(folder, local(workers), counting, changed=changed)
+        files = result.write(folder)
+    if as_json:
+        print_json(result.document())
+    elif not quiet:
+        _show(result)
+    if write:
+        say(f"kept in {result.keep()}", quiet=quiet)
+    say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
+
+
+def _forms(given: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+    from srs_twin.io.documents import Change
+
+    found = {}
+    for text in given:
+        name, _, values = text.partition("=")
+        found[name] = tuple(Change.of(f"--form {text}", name, value).value for value in values.split(","))
+    return found
+
+
+def _short(value: float) -> str:
+    return "0" if abs(value) < _NOTHING else f"{value:.3g}"
+
+
+def _show(result: Propagation) -> None:
+    """Print the intervals of what people ask about first, and what to measure."""
+    from srs_twin.cli.fitting import print_table
+    from srs_twin.comparison.metrics import METRIC_UNITS
+    from srs_twin.viewing.plots.labels import metric_label
+
+    study = result.study
+    for plant, spreads in result.plants.items():
+        lines = []
+        for metric, spread in spreads.items():
+            if metric in METRIC_UNITS:
+                ends = (spread.interval(name) for name in ("interval_50", "interval_95"))
+                cells = (f"{_short(low)}–{_short(high)}" for low, high in ends)
+                stated = "" if spread.published is None else _short(spread.published)
+                lines.append((metric_label(metric), _short(spread.value), *cells, stated))
+        print_table((plant, "value", "50 %", "95 %", "published"), lines, left=(0,))
+    plant, metric = result.target
+    runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())
+    print(f"{len(study.priors.each)} uncertain numbers of {study.scenario.robot.name}; {runs}")
+    lost = {part: count for part, count in result.failed.items() if count}
+    if lost:
+        print("without a result: " + ", ".join(f"{count} of {part}" for part, count in lost.items()))
+    name = metric_label(metric)
+    for each in result.measure_next()[:_NEXT]:
+        print(
+            f"measuring {each['parameter']} to ±10 % would narrow the {plant}'s {name} "
+            f"from {each['width_now']:.3g} to {each['width']:.3g}"
+        )

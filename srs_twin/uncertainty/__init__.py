@@ -1,0 +1,7 @@
+"""Every number with an interval: what is uncertain of a robot, propagated to what a scenario predicts."""
+
+from srs_twin.uncertainty.discrepancy import Discrepancy
+from srs_twin.uncertainty.priors import Prior, Priors
+from srs_twin.uncertainty.propagation import Propagation, Spread, Study
+
+__all__ = ["Discrepancy", "Prior", "Priors", "Propagation", "Spread", "Study"]

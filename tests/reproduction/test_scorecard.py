@@ -1,0 +1,53 @@
+"""The scorecard: grades follow the figures that are kept."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from srs_twin.reproduction import load_baseline, load_claims
+from srs_twin.reproduction import scorecard as module
+from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED, scorecard
+from srs_twin.reproduction.verdicts import Baseline
+
+
+def test_every_claim_belongs_to_one_capability():
+    for claim in load_claims():
+        of = [name for name, starts in module._CAPABILITIES.items() if claim.id.startswith(starts)]
+        assert len(of) == 1, claim.id
+
+
+def test_nothing_is_graded_as_validated_against_hardware():
+    for row in scorecard(load_claims(), load_baseline()).values():
+        assert set(row) == set(FACTORS)
+        assert all(0 <= grade.grade <= 4 and grade.why for grade in row.values())
+        assert row["validation"].grade <= 2
+        assert UNVALIDATED in row["validation"].why
+
+
+def test_a_law_or_a_prediction_that_is_missed_lowers_its_grade():
+    claims, kept = load_claims(), load_baseline()
+    before = scorecard(claims, kept)["control of a module"]
+    assert before["validation"].grade >= 1
+    worse = Baseline(
+        {name: row for name, row in kept.outcomes.items() if not name.startswith("smc-")}, kept.versions
+    )
+    assert scorecard(claims, worse)["control of a module"]["validation"].grade == 0
+
+
+def test_the_command_prints_it_and_runs_nothing(srs_twin, tmp_path):
+    done = srs_twin("reproduce", "--scorecard", "--json", cwd=tmp_path)
+    assert done.returncode == 0
+    assert set(json.loads(done.stdout)["planning"]) == set(FACTORS)
+    shown = srs_twin("reproduce", "--scorecard", cwd=tmp_path)
+    assert UNVALIDATED in shown.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("u_num", "grade"), [(1e-4, 3), (1e-2, 2), (None, 2)])
+def test_a_small_error_of_the_time_step_is_worth_a_grade(u_num, grade):
+    spread = {"u_num": u_num, "u_input": 0.01}
+    document = {"plants": {"twin": {"m": spread}}, "target": {"plant": "twin", "metric": "m"}}
+    assert module._verification((3, 3), [document]).grade == grade
+    assert module._verification((2, 3), [document]).grade == 1

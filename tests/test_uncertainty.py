@@ -1,0 +1,309 @@
+"""Priors, surrogates, propagation: against distributions, known functions, brute force and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.io.documents import Document, dump_yaml
+from srs_twin.io.validation import validate
+from srs_twin.robot.file import RobotFile, load_robot_file
+from srs_twin.scenario import load_scenario
+from srs_twin.sweep.execution import local
+from srs_twin.uncertainty import Priors, Study
+from srs_twin.uncertainty.surrogates import Chaos, corrected
+
+SHARES = (np.arange(4000) + 0.5) / 4000
+
+
+def robot(**uncertain: dict[str, Any]) -> RobotFile:
+    """Return generation 2 with nothing but these numbers uncertain: section__key={...}."""
+    data = load_robot_file("gen2").model_dump(mode="json")
+    for section in data.values():
+        for record in section.values() if isinstance(section, dict) else ():
+            if isinstance(record, dict):
+                record.pop("uncertain", None)
+    for path, spread in uncertain.items():
+        section, key = path.split("__")
+        data[section][key]["uncertain"] = spread
+    return RobotFile.model_validate(data)
+
+
+@pytest.mark.parametrize(
+    ("spread", "expected"),
+    [
+        ({"kind": "normal", "sd": 0.004}, stats.norm(0.043, 0.004)),
+        ({"kind": "lognormal", "factor": 1.5}, stats.lognorm(math.log(1.5), scale=0.043)),
+        ({"kind": "uniform", "low": 0.03, "high": 0.05}, stats.uniform(0.03, 0.02)),
+    ],
+)
+def test_numbers_follow_the_distribution_that_the_file_says(spread, expected):
+    (prior,) = Priors.of(robot(friction__mu_t=spread)).each
+    assert prior.at(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
+
+
+@given(sd=st.floats(1e-4, 10.0), share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
+def test_normal_numbers_stay_where_files_allow_them_and_rise_with_their_share(sd, share, more):
+    (prior,) = Priors.of(robot(friction__mu_t={"kind": "normal", "sd": sd})).each
+    low, high = prior.at(np.sort([share, more]))
+    assert 0.0 <= low <= high <= 10.0
+
+
+def test_numbers_go_together_as_the_file_says():
+    file = robot(
+        friction__mu_t={"kind": "normal", "sd": 0.002},
+        bending__stiffness_nm_per_rad={"kind": "normal", "sd": 0.02},
+        geometry__half_track_m={"kind": "uniform", "low": 0.01, "high": 0.02},
+    )
+    paths = ("friction.mu_t", "bending.stiffness_nm_per_rad")
+    data = file.model_dump(mode="json") | {"correlated": [{"of": list(paths), "r": -0.7}]}
+    priors = Priors.of(RobotFile.model_validate(data))
+    drawn = np.corrcoef(priors.at(stats.qmc.Sobol(3, rng=0).random(4096)).T)
+    i, j = (priors.paths.index(path) for path in paths)
+    k = 3 - i - j
+    assert drawn[i, j] == pytest.approx(-0.7, abs=0.01)
+    assert abs(drawn[i, k]) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("spread", "words"),
+    [
+        ({"kind": "normal", "factor": 2.0}, "normal takes sd, not factor"),
+        ({"kind": "uniform", "low": 0.05, "high": 0.04}, "low 0.05 is not below high 0.04"),
+        (
+            {"kind": "uniform", "low": 0.05, "high": 0.06},
+            "the number itself, 0.043, lies outside of 0.05 to 0.06",
+        ),
+        ({"kind": "uniform", "low": -1.0, "high": 0.06}, "-1 to 0.06 leaves the allowed 0 to 10"),
+        ({"kind": "normel", "sd": 1.0}, "normal"),
+    ],
+)
+def test_what_makes_no_distribution_is_refused_with_its_place(spread, words):
+    data = robot().model_dump(mode="json")
+    data["friction"]["mu_t"]["uncertain"] = spread
+    document = Document("mine.yaml", data)
+    validate(RobotFile, document, data)
+    with pytest.raises(InputFileError, match="friction.mu_t.uncertain") as caught:
+        document.finish()
+    assert words in str(caught.value)
+
+
+def test_nothing_uncertain_is_said_plainly():
+    with pytest.raises(InputError, match="nothing is said to be uncertain"):
+        Priors.of(robot())
+
+
+def test_a_number_that_is_set_is_no_longer_uncertain():
+    found = load_scenario("gen2_straight", set={"robot.friction.mu_t": 0.05})
+    assert "uncertain" not in found.document["robot"]["friction"]["mu_t"]
+    assert "uncertain" in found.document["robot"]["friction"]["mu_n"]
+
+
+def test_sensitivities_of_ishigamis_function():
+    """A 7, B 0.1: S = 0.3139, 0.4424, 0; T = 0.5576, 0.4424, 0.2437."""
+    shares = stats.qmc.Sobol(3, rng=1).random(1024)
+    x = np.pi * (2 * shares - 1)
+    y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    found = Chaos.fit(shares, y[:, None])
+    expected = np.array([[0.3139, 0.4424, 0.0], [0.5576, 0.4424, 0.2437]])
+    assert found.indices[..., 0] == pytest.approx(expected, abs=2e-4)
+    assert (np.abs(found.indices[..., 0] - expected) < found.error[..., 0] + 1e-4).all()
+
+
+def test_errors_of_indices_cover_what_few_samples_do_to_them():
+    held = []
+    for seed in range(20):
+        shares = stats.qmc.Sobol(3, rng=seed).random(64)
+        noise = np.random.default_rng(seed).normal(size=64)
+        y = 2 * shares[:, 0] + shares[:, 1] + 0.3 * shares[:, 0] * shares[:, 2] + 0.05 * noise
+        plain = np.array([2.15, 1.0, 0.15]) ** 2
+        share = plain / (plain.sum() + 0.3**2 / 12)
+        found = Chaos.fit(shares, y[:, None])
+        held.append(np.abs(found.indices[0, :, 0] - share) <= found.error[0, :, 0])
+    assert np.mean(held) >= 0.9
+
+
+@pytest.mark.slow
+def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
+    """Jansen's estimators (1999) on runs of their own: two matrices of samples and their mixtures."""
+    file = robot(
+        friction__mu_t={"kind": "uniform", "low": 0.03, "high": 0.08},
+        actuator__bend_rad={"kind": "normal", "sd": 0.15},
+        geometry__rigid_gap_m={"kind": "uniform", "low": 0.01, "high": 0.025},
+    )
+    found = load_scenario("gen2_straight", set={"duration_s": 3.0})
+    document = {**found.document, "robot": file.model_dump(mode="json")}
+    from srs_twin.scenario import parse_scenario
+
+    study = Study(parse_scenario(document, name="brute"), Priors.of(file), ("analytical",), samples=512)
+    spread = study.run(tmp_path, local(2)).plants["analytical"]["com_speed_m_s"]
+    rng, priors = np.random.default_rng(0), study.priors
+    a, b = rng.random((2, 1000, 3))
+    mixed = [np.where(np.arange(3) == i, b, a) for i in range(3)]
+
+    def speeds(shares: np.ndarray) -> np.ndarray:
+        from dataclasses import replace
+
+        from srs_twin import AnalyticalSnake, Gait, rollout
+        from srs_twin.comparison.metrics import plant_metrics
+
+        out, spec = [], study.scenario.robot
+        for row in priors.at(shares):
+            at = dict(zip(priors.paths, row, strict=True))
+            one = replace(
+                spec,
+                friction=replace(spec.friction, mu_t=at["friction.mu_t"]),
+                geometry=replace(spec.geometry, rigid_gap=at["geometry.rigid_gap_m"]),
+                actuator=replace(spec.actuator, gain=at["actuator.bend_rad"] / 48263.299),
+            )
+            plant = AnalyticalSnake(one, supply_pa=study.scenario.supply_pa)
+            out.append(plant_metrics(rollout(plant, Gait(2.0), 3.0))["com_speed_m_s"])
+        return np.array(out)
+
+    of_a, of_b, of_mixed = speeds(a), speeds(b), [speeds(each) for each in mixed]
+    for i, each in enumerate(of_mixed):
+
+        def indices(rows: np.ndarray, each: np.ndarray = each) -> np.ndarray:
+            one, other, both = of_a[rows], of_b[rows], each[rows]
+            apart = np.array([((other - both) ** 2).mean(), ((one - both) ** 2).mean()])
+            return np.array([1, 0]) + np.array([-1, 1]) * apart / (2 * np.concatenate([one, other]).var())
+
+        again = [indices(rng.integers(0, len(a), len(a))) for _ in range(200)]
+        errors = np.std(again, axis=0)
+        assert errors.max() < 0.06
+        found = np.array([spread.first[i], spread.total[i]])
+        assert (np.abs(found - indices(np.arange(len(a)))) < 3 * errors + spread.doubt[:, i]).all()
+
+
+def test_a_costly_result_follows_from_a_cheap_one_and_few_of_its_own():
+    """Both known functions: quantiles of 2,048 from 64 of the costly one, within 3 % of the interval."""
+
+    def cheap(u: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(u[:, 0]) + u[:, 1] * u[:, 2] + 0.2 * u[:, 3])
+
+    def costly(u: np.ndarray) -> np.ndarray:
+        return np.asarray(0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.1 * u[:, 4] * u[:, 0])
+
+    shares = stats.qmc.Sobol(5, rng=3).random(2048)
+    found, _ = corrected(shares, cheap(shares), costly(shares[:64]))
+    ends, expected = (np.quantile(each, [0.025, 0.975]) for each in (found, costly(shares)))
+    assert np.abs(ends - expected).max() < 0.03 * np.ptp(expected)
+    assert found == pytest.approx(costly(shares), abs=0.05)
+    alone = np.quantile(costly(shares[:64]), [0.025, 0.975])
+    assert np.abs(ends - expected).max() < 0.5 * np.abs(alone - expected).max()
+
+
+@pytest.fixture
+def short(tmp_path) -> Callable[..., Path]:
+    """Return what writes a short scenario with two uncertain numbers and an expectation."""
+
+    def make(**changes: Any) -> Path:
+        data: dict[str, Any] = {
+            "title": "Short",
+            "robot": robot(
+                friction__mu_t={"kind": "uniform", "low": 0.03, "high": 0.06},
+                bending__stiffness_nm_per_rad={"kind": "lognormal", "factor": 1.3},
+            ).model_dump(mode="json", exclude_none=True),
+            "duration_s": 2.0,
+            "controller": {"kind": "gait", "frequency_hz": 2.0, "offset": 0.0},
+            "plants": {"analytical": {"model": "compliant", "friction": "wheel"}},
+            "expect": [
+                {"metric": "com_speed_m_s", "plant": "analytical", "published": 0.19, "within": "interval_95"}
+            ],
+        } | changes
+        path = tmp_path / "short.yaml"
+        path.write_text(dump_yaml(data), "utf-8")
+        return path
+
+    return make
+
+
+def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_changes(
+    srs_twin, short, tmp_path
+):
+    path = short()
+    without = srs_twin("run", str(path), "--check", cwd=tmp_path)
+    assert without.returncode == 1
+    assert "no interval is kept" in without.stdout
+    done = srs_twin(
+        "uncertainty", str(path), "--samples", "64", "--workers", "1", "--write", "--json", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    speed = found["plants"]["analytical"]["com_speed_m_s"]
+    low, high = speed["interval_95"]
+    assert low < speed["interval_50"][0] < speed["interval_50"][1] < high
+    assert set(speed["sensitivity"]) == {"friction.mu_t", "bending.stiffness_nm_per_rad"}
+    assert speed["published"] == 0.19
+    assert found["measure_next"][0]["parameter"] in speed["sensitivity"]
+    kept = json.loads((tmp_path / "calibration/intervals/short.json").read_text("utf-8"))
+    assert kept["plants"]["analytical"]["com_speed_m_s"]["interval_95"] == pytest.approx(
+        [low, high], rel=1e-5
+    )
+    judged = srs_twin("run", str(path), "--check", "--json", cwd=tmp_path)
+    (row,) = json.loads(judged.stdout)["expectations"]
+    assert row["met"] == (low <= 0.19 <= high)
+    assert judged.returncode == (0 if row["met"] else 1)
+    assert row["error"] == pytest.approx(row["value"] - 0.19)
+    assert row["largest"] in ("u_num", "u_input", "u_d")
+    # Another law, seen in the value; another scenario.
+    kept["plants"]["analytical"]["com_speed_m_s"]["value"] += 0.011 * (high - low)
+    (tmp_path / "calibration/intervals/short.json").write_text(json.dumps(kept), "utf-8")
+    moved = srs_twin("run", str(path), "--check", cwd=tmp_path)
+    short(duration_s=2.5)
+    stale = srs_twin("run", str(path), "--check", cwd=tmp_path)
+    for each, why in ((moved, "stale: the value was"), (stale, "of another robot or scenario")):
+        assert each.returncode == 1
+        assert why in (said := " ".join(each.stdout.split()))
+        assert "srs-twin uncertainty" in said.replace("srs- twin", "srs-twin")
+
+
+def test_a_second_start_runs_nothing_and_says_the_same(short, tmp_path):
+    found = load_scenario(short())
+    study = Study(
+        found, Priors.of(RobotFile.model_validate(found.document["robot"])), ("analytical",), samples=32
+    )
+    first = study.run(tmp_path / "out", local(1)).document()
+    seen: list[tuple[str, int]] = []
+    second = study.run(tmp_path / "out", local(1), lambda part, count: seen.append((part, count))).document()  # type: ignore[arg-type,func-returns-value]
+    assert seen == []
+    assert first == second
+
+
+def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
+    """The number that it names, measured wherever in its prior: the mean width comes within 20 %."""
+    found = load_scenario(short())
+    file = RobotFile.model_validate(found.document["robot"])
+    study = Study(found, Priors.of(file), ("analytical",), samples=128)
+    before = study.run(tmp_path / "before", local(2))
+    best = before.measure_next()[0]
+    section, key = best["parameter"].split(".")
+    (prior,) = (each for each in study.priors.each if each.path == best["parameter"])
+    widths = []
+    for k, centre in enumerate(prior.at(np.array([0.2, 0.5, 0.8]))):
+        data = file.model_dump(mode="json", exclude_none=True)
+        data[section][key] |= {
+            "value": float(centre),
+            "uncertain": {"kind": "normal", "sd": 0.1 / 1.96 * float(centre)},
+        }
+        measured = load_scenario(short(robot=data))
+        after = Study(
+            measured,
+            Priors.of(RobotFile.model_validate(measured.document["robot"])),
+            ("analytical",),
+            samples=128,
+        )
+        spread = after.run(tmp_path / f"after{k}", local(2)).plants["analytical"]["com_speed_m_s"]
+        widths.append(np.ptp(spread.interval("interval_95")))
+    assert np.mean(widths) == pytest.approx(best["width"], rel=0.2)
+    assert best["width"] < 0.9 * best["width_now"]
