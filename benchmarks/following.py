@@ -49,6 +49,12 @@ def run(order: Order) -> dict[str, Any]:
     name, follower, plant, seed = order
     document = copy.deepcopy(dict(load_scenario(name).document)) | {"expect": [], "seed": seed}
     document["duration_s"] = LONGEST_S
+    ours = parse_scenario(document, name=name).planner
+    assert ours is not None, "it follows"
+    if "margin_probability" in document["planner"]:
+        # That is of our follower; the text's is bound to the same plan.
+        del document["planner"]["margin_probability"]
+        document["planner"]["margin_m"] = round(ours.margin.path, 4)
     controller = document["controller"]
     controller["follower"] = follower
     if follower == "bearing":

@@ -135,6 +135,15 @@ def test_a_goal_missed_and_the_heading_without_the_swing():
     assert metrics["arrival_heading_error_rad"] == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.parametrize(("deep", "reached"), [(-0.01, 1), (0.0005, 1), (0.01, 0)])
+def test_a_goal_is_not_reached_through_an_obstacle(deep, reached):
+    run = STILL.trajectory()
+    x, y = run.com[-1]
+    beside = (x, y + WIDTH / 2 + 0.1 - deep, 0.1)
+    metrics = following_metrics(followed(run, [plan([line()])], goal=(x, y, None, 0.05), circles=[beside]))
+    assert metrics["clearance_m"] == pytest.approx(-deep, abs=1e-6) and metrics["goal_reached"] == reached
+
+
 def test_no_plan_at_all():
     run = followed(STILL.trajectory(), [plan([], outcome="unreachable")])
     metrics = following_metrics(run)

@@ -39,14 +39,19 @@ def steady(crawl: Crawl, run: Trajectory | None = None) -> SteadyPath:
 
 
 def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float, float]:
-    """Return left, right, ahead and behind of a swaying bar that touches its circle in the middle."""
+    """Return left, right, ahead and behind of a swaying bar that touches its circle in the middle.
+
+    Its ends are round: half discs beyond its middle line.
+    """
     half, half_length = crawl.geometry.width / 2, crawl.geometry.body_length / 2
     ahead, aside = crawl.sway
     if curvature == 0:
-        return half + aside, half + aside, half_length + ahead, half_length + ahead
+        return half + aside, half + aside, half_length + half + ahead, half_length + half + ahead
     radius = 1 / abs(curvature)
     inner, outer = half + aside, math.hypot(half_length, radius + half + aside) - radius
-    reach = radius * math.atan2(half_length, radius - half)
+    corner = math.atan2(half_length, radius - half)
+    disc = math.atan2(half_length, radius) + math.asin(half / math.hypot(half_length, radius))
+    reach = radius * max(corner, disc)
     return (inner, outer, reach, reach) if curvature > 0 else (outer, inner, reach, reach)
 
 

@@ -27,13 +27,14 @@ if TYPE_CHECKING:
     from srs_twin.planning import Plan, Problem
     from srs_twin.scenario import Scenario
 
-PLAN, PICTURE = "plan.json", "plan.png"
+PLAN, PICTURE, SEARCH, RECORDING = "plan.json", "plan.png", "search.png", "search.rrd"
 
 
 def plan(
     scenario: ScenarioArgument,
     out: OneOutOption = None,
     check: Annotated[bool, option("--check")] = False,
+    search: Annotated[bool, option("--search")] = False,
     changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -42,6 +43,7 @@ def plan(
 
     Options:
         check: Exit with 1 when an expectation of the plan fails, or no plan is found.
+        search: Also a picture and a recording of what the search explored and rejected.
     """
     from srs_twin.cli.table import WORDS
     from srs_twin.comparison.following import plan_metrics
@@ -53,17 +55,20 @@ def plan(
     if loaded.planner is None:
         raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
     folder = Path(out) if out else RUNS / loaded.name
-    open_folder(folder, (PLAN, PICTURE))
+    files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
+    open_folder(folder, files)
     with loaded.named_in_errors():
-        found = loaded.planner.plan()
+        found = loaded.planner.plan_anew(keep=True) if search else loaded.planner.plan()
     metrics = plan_metrics(found.found, found.segments, found.expanded)
     checked = _checked(loaded, metrics)
     _write(folder, loaded, loaded.planner.problem, found, metrics)
+    if search:
+        _write_search(folder, loaded.title, found)
     if as_json:
         print((folder / PLAN).read_text("utf-8"), end="")
     elif not quiet:
         _show(loaded, found)
-    say(f"files in {shown(folder)}: {PLAN}, {PICTURE}", quiet=quiet)
+    say(f"files in {shown(folder)}: {', '.join(files)}", quiet=quiet)
     missed = [each for each in checked if verdict(each) == "missed"]
     for each in checked if not quiet else missed if check else ():
         (say if as_json else print)(
@@ -83,11 +88,28 @@ def _checked(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]
 def _show(scenario: Scenario, found: Plan) -> None:
     print(f"{scenario.name}: {found.outcome.value}: {found.reason}")
     if found.found:
+        quality = _quality(found)
         print(
             f"length {found.length:.3f} m, {found.duration:.1f} s at the footprint's speeds, "
             f"{len(found.segments)} segments, kink {found.kink:.3g} rad"
         )
+        print(
+            f"{quality['length_over_least']:.2f} of the least length round the obstacles, "
+            f"{1000 * quality['clearance_m']:.0f} mm of room beside the swept area, margin included"
+        )
     print(f"{found.expanded} nodes, {1000 * found.seconds:.1f} ms")
+
+
+def _quality(found: Plan) -> dict[str, float]:
+    """Return how long a path is, as a multiple of the shortest line, and what room it leaves, m."""
+    from srs_twin.planning.collision import Checker
+
+    assert found.problem is not None, "a planner's answer"
+    checker = Checker(found.problem.world, found.problem.footprint)
+    return {
+        "length_over_least": found.length / max(found.least_length, 1e-9) if found.length else 1.0,
+        "clearance_m": checker.clearance(found.segments),
+    }
 
 
 def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
@@ -103,9 +125,26 @@ def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metr
         "start": asdict(problem.start),
         **about,
         "segments": [asdict(each) for each in found.segments],
+        "quality": _quality(found) if found.found else None,
         "metrics": metrics,
     }
     figure = plan_plot(about, found.segments, problem.footprint, f"{scenario.title}: {found.outcome.value}")
     with replaced(folder, (PLAN, PICTURE)) as fresh:
         (fresh / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
         figure.savefig(fresh / PICTURE, format="png", dpi=150)
+
+
+def _write_search(folder: Path, title: str, found: Plan) -> None:
+    """Write what the search has seen as a picture and as a recording."""
+    from srs_twin.io.files import replaced
+    from srs_twin.planning.explored import explored
+    from srs_twin.viewing.plots.plan_view import search_plot
+    from srs_twin.viewing.rerun.recording import write_search
+
+    assert found.problem is not None, "a planner's answer"
+    problem, seen = found.problem, explored(found.trees, found.problem)
+    about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    figure = search_plot(about, found.segments, problem.footprint, seen)
+    with replaced(folder, (SEARCH, RECORDING)) as fresh:
+        figure.savefig(fresh / SEARCH, format="png", dpi=150)
+        write_search(fresh / RECORDING, found, seen, title)

@@ -34,6 +34,8 @@ TEXT_HALF_WIDTH, TEXT_SHIFT, TEXT_TIGHTEST = 0.025, 0.01, math.pi / 3 / 0.2
 
 TOUCH_N = 1e-3
 """Forces below are none."""
+OVERLAP = 1e-3
+"""Deeper in an obstacle than contacts ever are, m."""
 _APART_S = 0.1
 """Touches closer together in time are one contact."""
 
@@ -99,9 +101,9 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
       beyond the end, where head or tail may be, the path goes on straight with the edges of going straight.
     - ``inside_50mm_share``: the same of the text's box of 50 mm.
 
-    At its end: ``goal_reached`` (1 or 0: the centre of mass within the goal's radius),
-    ``arrival_error_m``, ``arrival_heading_error_rad`` (period mean, carried on to the end; None without a
-    heading to arrive with).
+    At its end: ``goal_reached`` (1 or 0: the centre of mass within the goal's radius, and the body never in
+    an obstacle, as only the analytical plants can be), ``arrival_error_m``, ``arrival_heading_error_rad``
+    (period mean, carried on to the end; None without a heading to arrive with).
 
     ``contacts`` and ``contact_time_s`` count forces of obstacles (None where there is nothing to touch),
     ``clearance_m`` is the least distance of the hull that the twin collides from obstacles, at the samples; 0
@@ -113,12 +115,13 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
     if about is None:
         return dict.fromkeys(FOLLOWING_UNITS)
     first = about["plans"][0]
+    clearance = _clearance(trajectory, about["world"])
     return {
         **plan_metrics(first["outcome"] == "found", segments_of(first), first["nodes"]),
-        **_arrival(trajectory, about),
+        **_arrival(trajectory, about, overlapped=clearance is not None and clearance < -OVERLAP),
         **_deviation(trajectory, about),
         **_contacts(trajectory),
-        "clearance_m": _clearance(trajectory, about["world"]),
+        "clearance_m": clearance,
         "following_time_s": float(trajectory.time[-1] - trajectory.time[0]),
         "replans": len(about["plans"]) - 1,
     }
@@ -137,14 +140,14 @@ def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict
     }
 
 
-def _arrival(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, Any]:
+def _arrival(trajectory: Trajectory, about: Mapping[str, Any], *, overlapped: bool) -> dict[str, Any]:
     goal = about["goal"]
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
     heading = None
     if goal["heading"] is not None:
         heading = abs(math.remainder(_mean_heading(trajectory) - goal["heading"], 2 * math.pi))
     return {
-        "goal_reached": int(error <= goal["radius"]),
+        "goal_reached": int(error <= goal["radius"] and not overlapped),
         "arrival_error_m": error,
         "arrival_heading_error_rad": heading,
     }
@@ -163,33 +166,49 @@ def _mean_heading(trajectory: Trajectory) -> float:
 
 
 def _deviation(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, Any]:
+    parts = list(_about_paths(trajectory))
+    if not parts:
+        return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
+    deviation, outline, curvature = (np.concatenate(each) for each in zip(*parts, strict=True))
+    shift = TEXT_SHIFT * np.clip(-curvature / TEXT_TIGHTEST, -1, 1)
+    return {
+        "cross_track_rms_m": rms(deviation),
+        "cross_track_max_m": float(np.abs(deviation).max()),
+        "inside_share": float((beyond(trajectory) <= 0).mean()),
+        "inside_50mm_share": float((np.abs(outline - shift) <= TEXT_HALF_WIDTH).all(axis=1).mean()),
+    }
+
+
+def beyond(trajectory: Trajectory) -> np.ndarray:
+    """Return how far the body reaches beyond the planned footprint's edges, shape (samples,), m.
+
+    Below 0: what is left to them. They are those of the recorded footprint, as of `inside_share`.
+    """
+    about = following(trajectory)
+    assert about is not None, "a run that followed a plan"
+    footprint = footprint_of(about)
+    found = [np.empty(0)]
+    for _, n, curvature in _about_paths(trajectory):
+        left, right = (
+            np.interp(curvature, footprint.curvatures, edge) for edge in (footprint.left, footprint.right)
+        )
+        found.append(np.maximum(n - left, -n - right).max(axis=1))
+    return np.concatenate(found)
+
+
+def _about_paths(trajectory: Trajectory) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield, for each plan, how far left of its path centre of mass and body are, and its curvature there."""
     from srs_twin.planning.route import Route
 
-    footprint, outline = footprint_of(about), body_points(trajectory)
-    aside, inside, text = [], [], []
+    outline = body_points(trajectory)
     for leg in legs(trajectory):
         route = Route(leg.segments)
-        aside.append(route.places(trajectory.com[leg.samples])[1])
         points = outline[leg.samples]
         s, n = (each.reshape(points.shape[:2]) for each in route.places(points.reshape(-1, 2)))
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
-        here = np.where(s < 0, 0.0, here)
-        edges = (footprint.left, footprint.right)
-        left, right = (np.interp(here, footprint.curvatures, edge) for edge in edges)
-        inside.append(((n <= left) & (n >= -right)).all(axis=1))
-        shift = TEXT_SHIFT * np.clip(-here / TEXT_TIGHTEST, -1, 1)
-        text.append((np.abs(n - shift) <= TEXT_HALF_WIDTH).all(axis=1))
-    if not aside:
-        return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
-    deviation = np.concatenate(aside)
-    return {
-        "cross_track_rms_m": rms(deviation),
-        "cross_track_max_m": float(np.abs(deviation).max()),
-        "inside_share": float(np.concatenate(inside).mean()),
-        "inside_50mm_share": float(np.concatenate(text).mean()),
-    }
+        yield route.places(trajectory.com[leg.samples])[1], n, np.where(s < 0, 0.0, here)
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:

@@ -170,7 +170,7 @@ plan_found: 1 where a path was found, else 0
 plan_length_m: length of the planned path
 plan_nodes: nodes that the search expanded
 plan_kink_rad: largest change of direction between two parts of the path
-goal_reached: 1 where the snake came to its goal, else 0
+goal_reached: 1 where the snake came to its goal, and not through an obstacle, else 0
 arrival_error_m: distance from the goal at the end
 arrival_heading_error_rad: angle between heading and goal at the end
 cross_track_rms_m: RMS distance of the centre of mass from the planned path

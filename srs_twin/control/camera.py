@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.memory import Remembers, names
 from srs_twin.world import Pose
 
 if TYPE_CHECKING:
@@ -37,13 +38,27 @@ class Camera:
     heading_noise: float = 0.0
 
 
-class CameraFrames:
+class CameraFrames(Remembers):
     """The frames of one run."""
+
+    memory = names("_taken", "_noise")
 
     def __init__(self, camera: Camera, seed: int) -> None:
         self._camera = camera
         self._rng = np.random.default_rng((seed, 0x5EE))
         self._taken = 0
+
+    def begin(self) -> None:
+        """Have a frame due at time 0 again."""
+        self._taken = 0
+
+    @property
+    def _noise(self) -> dict[str, Any]:
+        return dict(self._rng.bit_generator.state)
+
+    @_noise.setter
+    def _noise(self, state: dict[str, Any]) -> None:
+        self._rng.bit_generator.state = state
 
     def take(self, state: SnakeState) -> Pose | None:
         """Return the pose of the centre of mass where a frame is due; None between frames."""
@@ -61,7 +76,7 @@ class CameraFrames:
         )
 
 
-class PeriodMean:
+class PeriodMean(Remembers):
     """Running mean of poses over one period, exact for what is linear between frames.
 
     Attributes:
@@ -69,6 +84,8 @@ class PeriodMean:
         pose: the mean; None before the first frame.
         whole: whether a whole period has been seen.
     """
+
+    memory = names("_sums", "_last", "middle", "pose", "whole")
 
     def __init__(self, period: float) -> None:
         self._period = period

@@ -2,15 +2,16 @@
 
 Camera → mean over a gait period → prediction (`Predictor`) → steering law (`Steering`) → offset, which
 arrives after the command delay → gait or ILC, which knows nothing of all this. It ends at the goal; where it
-cannot get there it ends as well and says why (`ENDINGS`). A snake that strays from its path too far gets a
-new plan, if there is somebody to plan.
+cannot get there it ends as well and says why (`ENDINGS`). A snake that strays from its path too far, or
+whose body is about to come near to something, gets a new plan, if there is somebody to plan: with the margin
+of the plan, or with a part of it where there is no such plan.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.control.steering import Predictor, Steering, SteeringInput
 from srs_twin.errors import InputError
+from srs_twin.memory import names
+from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import Plan
 from srs_twin.planning.route import PathPoint, Route
@@ -53,7 +56,17 @@ _WINDOW = 0.3
 
 _NOWHERE = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, math.nan, math.nan)
 
-Replan = Callable[[Pose], Plan]
+Replan = Callable[[Pose, float], Plan]
+"""Pose and share of the margin → plan."""
+
+_HORIZON = 0.6
+"""How far ahead the body is looked after, m."""
+_PIECES = 8
+_RESERVE = 0.3
+"""Of the margin: nearer than that the body is not to come."""
+_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+_GOING_ON = ("close", "run_up")
+"""Reasons for a new plan without which the snake goes on along the old one."""
 
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")  # of a world: its floor is the plants'
@@ -69,6 +82,8 @@ class Conditions:
         settle: ℓ, path over which a new offset takes hold, m.
         stray: distance from the path at which a new plan is made, m; None: never.
         replans: how often a new plan is asked for at most.
+        run_up: of the first path, m: from its end the way is planned anew from where the snake is, if there
+            are new plans.
     """
 
     camera: Camera
@@ -76,6 +91,7 @@ class Conditions:
     settle: float = 0.0
     stray: float | None = None
     replans: int = 3
+    run_up: float = 0.0
 
 
 @dataclass(eq=False)
@@ -101,6 +117,10 @@ class Follower(Controller):
     """
 
     kind = "follow"
+    memory = names(
+        *("gait", "_frames", "_mean", "_predictor", "law", "plans", "ending", "_s", "_here", "_moving_at"),
+        *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_events"),
+    )
 
     gait: Controller
     law: Steering
@@ -118,6 +138,7 @@ class Follower(Controller):
             raise InputError(f"controller '{self.gait.kind}' has no offset to steer by; gait and ilc have")
         self.frequency, self.layouts = self.gait.frequency, self.gait.layouts
         self._low, self._high = self.footprint.offsets[0], self.footprint.offsets[-1]
+        self._tightest = self.footprint.curvatures[0], self.footprint.curvatures[-1]
         self.plans: list[tuple[float, Plan]] = [(0.0, self.plan)]
         self.ending: str | None = None
 
@@ -136,8 +157,13 @@ class Follower(Controller):
         self._commanded = 0.0
         self._here = _NOWHERE
         self._tries, self._not_before = 0, 0.0
+        self._running_up = self.conditions.run_up > 0 and self.conditions.stray is not None
         self._events: list[Event] = []
         self.finished, self.ending, self.plans = False, None, []
+        body, own = (self.body or self.footprint).at(0.0), self.footprint.at(0.0)
+        self._reserve = _RESERVE * max(body.left - own.left, 0.0)
+        self._checker = Checker(self.world, self.footprint)
+        self._s = 0.0
         self._take(0.0, self.plan)
 
     def step(self, state: SnakeState) -> np.ndarray:
@@ -153,6 +179,14 @@ class Follower(Controller):
         if self.gait.finished and self.ending is None:
             self._end(time, "gait_ended")
         return valves
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """See `Remembers`; the law begins the last plan's path before it is told where it is on it."""
+        segments = memory["plans"][-1][1].segments
+        if segments:
+            self._route = Route(segments)
+            self.law.begin(self._route)
+        super().recall(memory)
 
     def signals(self) -> dict[str, Any]:
         """Return those of the gait, and what the follower sees and commands; NaN before the first frame."""
@@ -200,7 +234,8 @@ class Follower(Controller):
             return
         law, later = self.law, time + self.conditions.delay
         pose = predictor.predict(mean.middle, mean.pose, later) if law.predicts else mean.pose
-        wanted = law.offset(SteeringInput(pose, self._near(pose), predictor.turning, predictor.disturbance))
+        turning = predictor.turning, predictor.disturbance, predictor.gain
+        wanted = law.offset(SteeringInput(pose, self._near(pose), *turning))
         wanted = min(max(wanted, self._low), self._high)
         # At its bounds an offset is sent however little it changes.
         if abs(wanted - self._commanded) >= _SENT or wanted in (self._low, self._high):
@@ -222,25 +257,54 @@ class Follower(Controller):
                 self._end(time, "goal_reached")
             else:
                 self._again(time, here, "goal_missed")
-        elif stray is not None and abs(place.n) > stray:
-            self._again(time, here, "strayed")
+        elif self._running_up and place.s >= self.conditions.run_up:
+            self._running_up = False
+            self._predictor.forget()
+            self._again(time, here, "run_up")
+        elif stray is not None and time >= self._not_before:
+            if abs(place.n) > stray:
+                self._again(time, here, "strayed")
+            elif self._endangered(here, place):
+                self._again(time, here, "close")
+
+    def _endangered(self, here: Pose, place: PathPoint) -> bool:
+        """Say whether the body comes too near to something on its way back to the path."""
+        if not self.world.solid or self._reserve == 0:
+            return False
+        slope = math.remainder(here.heading - place.heading, 2 * math.pi)
+        piece = min(_HORIZON, max(self._route.length - place.s, 1e-3)) / _PIECES
+        for k in range(_PIECES):
+            on = self._route.pose(place.s + k * piece)
+            beside, then = (self.law.beside(place.n, slope, (k + i) * piece) for i in (0, 1))
+            heading = on.heading + math.atan2(then - beside, piece)
+            x, y = on.x - beside * math.sin(on.heading), on.y + beside * math.cos(on.heading)
+            curvature = min(
+                max(self._route.curvature(place.s + k * piece), self._tightest[0]), self._tightest[1]
+            )
+            if not self._checker.free(Pose(x, y, heading), curvature, piece, (self._reserve, self._reserve)):
+                return True
+        return False
 
     def _again(self, time: float, pose: Pose, why: str) -> None:
-        """Plan anew from a pose; without a new plan, a snake that strayed goes on along the old one."""
-        if time < self._not_before and why == "strayed":
-            return
+        """Plan anew from a pose; without a new plan, a snake that still has one goes on along it."""
         if self.replan is None or self._tries >= self.conditions.replans:
-            self._end(time, why)
+            if why not in _GOING_ON:
+                self._end(time, why)
+            elif self._tries == self.conditions.replans:
+                self._tries += 1  # said once
+                text = f"{why}: going on along the old one, all {self.conditions.replans} new plans are used"
+                self._events.append(Event(time, "no_new_plan", text))
             return
-        self._tries += 1
-        plan, reason = _new_plan(self.replan, pose)
+        self._tries += why != "run_up"
+        self._not_before = time + PATIENCE_PERIODS * self._period
+        plan, reason, share = _new_plan(self.replan, pose)
         if plan is not None:
-            text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why})"
+            margin = "" if share == 1 else f", {share:.0%} of the margin"
+            text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why}{margin})"
             self._events.append(Event(time, "replanned", text))
             self._take(time, plan)
-        elif why == "strayed":
-            self._not_before = time + PATIENCE_PERIODS * self._period
-            self._events.append(Event(time, "no_new_plan", f"going on along the old one: {reason}"))
+        elif why in ("strayed", *_GOING_ON):
+            self._events.append(Event(time, "no_new_plan", f"{why}: going on along the old one, {reason}"))
         else:
             self._end(time, why, f"{ENDINGS[why]}; no new plan: {reason}")
 
@@ -265,13 +329,19 @@ class Follower(Controller):
         self.gait.offset = offset  # type: ignore[attr-defined]  # checked when made
 
 
-def _new_plan(replan: Replan, pose: Pose) -> tuple[Plan | None, str]:
-    """Return a plan from a pose, or None and why there is none."""
-    try:
-        plan = replan(pose)
-    except InputError as error:
-        return None, str(error)
-    return (plan, "") if plan.segments else (None, plan.reason)
+def _new_plan(replan: Replan, pose: Pose) -> tuple[Plan | None, str, float]:
+    """Return a plan from a pose, or None and why there is none with the whole margin; and its share."""
+    reasons = []
+    for share in _SHARES:
+        try:
+            plan = replan(pose, share)
+        except InputError as error:
+            reasons.append(str(error))
+            continue
+        if plan.segments:
+            return plan, "", share
+        reasons.append(plan.reason)
+    return None, reasons[0], 0.0
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, Any]:

@@ -4,10 +4,10 @@ A mean over a gait period is T/2 old, and a command takes a delay to arrive. Ove
 snake on (a Smith predictor): a unicycle whose curvature follows the footprint's for the commanded offset
 with a first-order lag over a length ℓ of path, the measured transient,
 
-$$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v κ . $$
+$$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed is the measured one. What the snake turns besides, per metre of path, is measured as well and
-counted as a disturbance, which takes up what the footprint has wrong.
+The speed is the measured one. What a snake with modules of its own turns otherwise than its footprint, the
+gain g and the disturbance d per metre of path, a Kalman filter finds on the way.
 
 `BearingLaw`, Section 5.2.2: the nodes of the plan are gone to one after the other. The offset is
 proportional to the bearing of the next node less the heading, saturated; when the snake is within a
@@ -22,8 +22,8 @@ $$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
 
 makes n die out over the length L like a second-order system with damping ζ. A new offset takes hold over a
 length ℓ like a first-order lag, the measured transient: the plan's curvature is looked up ahead by ℓ, and the
-rate of the error, which the model knows without noise, undoes the lag in the feedback. d is the predictor's
-disturbance, and the footprint gives the offset for κ.
+rate of the error, which the model knows without noise, undoes the lag in the feedback. d and g are the
+predictor's, and the footprint gives the offset for κ/g.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from srs_twin.memory import Remembers, names
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.route import PathPoint, Route
 from srs_twin.world import Pose
@@ -45,25 +46,35 @@ _SPEED_SHARE = (0.2, 5.0)
 
 _DISTURBANCE_SHARE = 0.5
 """Of the tightest curvature: a larger disturbance is not taken up."""
+_GAINS = (0.4, 2.5)
 
-_LEARNING_PERIODS = 2.0
-"""Over which the disturbance follows what is measured."""
+_DOUBT = np.array([0.2, 0.3])
+"""Standard deviations of d, in tightest curvatures, and of g at the start: docs/following.md."""
+_WANDER = np.array([0.1, 0.1])
+"""Their random walk, a square root of a gait period."""
+_SEEN = 0.02
+"""Error of a measured curvature, in tightest ones, over a gait period."""
 
 _KEPT_PERIODS = 2.5
 
-_Moment = tuple[float, float, float, float]  # time, x, y, heading
+_Moment = tuple[float, ...]  # time, x, y, heading; of the model also what it turned without disturbance
 _time = itemgetter(0)
 
 
-class Predictor:
+class Predictor(Remembers):
     """Model and measurement of one run.
 
     Attributes:
         speed: measured, m/s; the footprint's until a period has been seen twice.
-        disturbance: what the snake turns beside what the model does, 1/m.
-        curvature: of the model now, 1/m.
+        disturbance: d, what the snake turns beside what it is commanded, 1/m.
+        gain: g, of what it is commanded.
+        curvature: of the footprint now, lagged, 1/m.
         moved: way of the means over the last period, m; None until a period has been seen twice.
     """
+
+    memory = names(
+        "speed", "disturbance", "gain", "curvature", "moved", "_doubt", "_learnt", "_model", "_means"
+    )
 
     def __init__(self, footprint: Footprint, period: float, delay: float, settle: float) -> None:
         """Make it.
@@ -78,20 +89,27 @@ class Predictor:
         self._period, self._delay, self._settle = period, delay, settle
         self._tightest = min(footprint.tightest)
         self._nominal = self.speed = float(np.interp(0.0, footprint.offsets, footprint.speeds))
-        self.disturbance = self.curvature = 0.0
+        self.curvature = 0.0
+        self._scale = np.array([self._tightest, 1.0])
+        self.forget()
         self.moved: float | None = None
         self._learnt = 0.0
-        self._model: list[_Moment] = [(0.0, 0.0, 0.0, 0.0)]
+        self._model: list[_Moment] = [(0.0, 0.0, 0.0, 0.0, 0.0)]
         self._means: list[_Moment] = []
+
+    def forget(self) -> None:
+        """Hold nothing for true of what the snake turned so far: its gait was still learning."""
+        self.disturbance, self.gain = 0.0, 1.0
+        self._doubt = np.diag((_DOUBT * self._scale) ** 2)
 
     @property
     def turning(self) -> float:
-        """Curvature of the snake's path when a command of now arrives: the model's and the disturbance."""
-        return self.curvature + self.disturbance
+        """Curvature of the snake's path when a command of now arrives, 1/m."""
+        return self.gain * self.curvature + self.disturbance
 
     def command(self, time: float, offset: float) -> None:
         """Move the model on to a time under the offset commanded from now on; it runs ahead by the delay."""
-        before, x, y, heading = self._model[-1]
+        before, x, y, heading, turned = self._model[-1]
         step = time - before
         if step <= 0:
             return
@@ -100,13 +118,15 @@ class Predictor:
         kept = math.exp(-way / self._settle) if self._settle > 0 else 0.0
         mean = wanted + (self.curvature - wanted) * (kept if self._settle > 0 else 1.0)
         self.curvature = wanted + (self.curvature - wanted) * kept
-        turn = way * ((mean + self.curvature) / 2 + self.disturbance)
+        wished = way * (mean + self.curvature) / 2
+        turn = self.gain * wished + way * self.disturbance
         middle = heading + turn / 2
-        self._model.append((time, x + way * math.cos(middle), y + way * math.sin(middle), heading + turn))
+        x, y = x + way * math.cos(middle), y + way * math.sin(middle)
+        self._model.append((time, x, y, heading + turn, turned + wished))
         _forget(self._model, time - _KEPT_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
-        """Take the mean pose that belongs to `middle` (s); with whole periods learn speed and disturbance."""
+        """Take the mean pose that belongs to `middle` (s); with whole periods learn speed and turning."""
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
         if not whole:
@@ -122,18 +142,29 @@ class Predictor:
         span = middle - begin
         low, high = (share * self._nominal for share in _SPEED_SHARE)
         self.speed = min(max(self.moved / span, low), high)
-        share = min(1.0, (time - self._learnt) / (_LEARNING_PERIODS * self._period))
+        # What the footprint turned over the same time; the model runs ahead by the delay.
+        wished, way = self._at(middle)[4] - self._at(begin)[4], max(self.moved, 1e-6 + low * span)
+        self._learn((mean.heading - heading) / way, wished / way, (time - self._learnt) / self._period)
         self._learnt = time
-        # What the model turned over the same time; it runs ahead by the delay.
-        modelled = self._at(middle)[3] - self._at(begin)[3]
-        missed = (mean.heading - heading - modelled) / max(self.moved, 1e-6 + low * span)
-        most = _DISTURBANCE_SHARE * self._tightest
-        self.disturbance = min(max(self.disturbance + share * missed, -most), most)
+
+    def _learn(self, seen: float, wished: float, periods: float) -> None:
+        """Take a curvature that was seen where the footprint has another, both 1/m, after so many periods."""
+        if periods <= 0:
+            return
+        self._doubt += np.diag((_WANDER * self._scale) ** 2 * periods)
+        parts = np.array([1.0, wished])
+        # Frames of one period overlap: together they weigh as one measurement.
+        spread = self._doubt @ parts
+        weights = spread / (parts @ spread + (_SEEN * self._tightest) ** 2 / periods)
+        off, most = seen - self.disturbance - self.gain * wished, _DISTURBANCE_SHARE * self._tightest
+        self.disturbance = min(max(self.disturbance + float(weights[0]) * off, -most), most)
+        self.gain = min(max(self.gain + float(weights[1]) * off, _GAINS[0]), _GAINS[1])
+        self._doubt -= np.outer(weights, spread)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
         """Return where a snake with this mean pose at `middle` (s) is at a time, a delay from now at most."""
-        _, x0, y0, heading0 = self._at(middle)
-        _, x, y, heading = self._at(time)
+        _, x0, y0, heading0, _ = self._at(middle)
+        _, x, y, heading, _ = self._at(time)
         turn = mean.heading - heading0
         c, s = math.cos(turn), math.sin(turn)
         dx, dy = x - x0, y - y0
@@ -146,10 +177,9 @@ class Predictor:
         k = bisect_right(model, time, key=_time)
         if k in (0, len(model)):
             return model[0 if k == 0 else -1]
-        begin, x0, y0, heading0 = model[k - 1]
-        end, x, y, heading = model[k]
-        part = (time - begin) / (end - begin)
-        return time, x0 + part * (x - x0), y0 + part * (y - y0), heading0 + part * (heading - heading0)
+        before, after = np.array(model[k - 1]), np.array(model[k])
+        part = (time - before[0]) / (after[0] - before[0])
+        return tuple(before + part * (after - before))
 
 
 def _forget(moments: list[_Moment], before: float) -> None:
@@ -173,21 +203,25 @@ class SteeringInput:
         place: of that pose on the route.
         curvature: of its path then, as the model has it, 1/m.
         disturbance: see `Predictor`, 1/m.
+        gain: see there.
     """
 
     pose: Pose
     place: PathPoint
     curvature: float
     disturbance: float
+    gain: float = 1.0
 
 
-class Steering(ABC):
+class Steering(Remembers, ABC):
     """A steering law; frozen settings make one for every run.
 
     Attributes:
         predicts: whether it wants the pose predicted.
         node: number of the node that the snake heads for, or of the nodes that it has passed.
     """
+
+    memory = names("node")
 
     predicts: bool
     node: int = 0
@@ -199,6 +233,16 @@ class Steering(ABC):
     @abstractmethod
     def offset(self, seen: SteeringInput) -> float:
         """Return the offset, as yet unlimited."""
+
+    def beside(self, n: float, slope: float, ahead: float) -> float:
+        """Return the distance to the left of the path that is to be expected farther on, m.
+
+        Args:
+            n: of now, m.
+            slope: of the heading against the path, rad.
+            ahead: how far on, m.
+        """
+        return n + slope * ahead
 
 
 class BearingLaw(Steering):
@@ -269,4 +313,8 @@ class PathLaw(Steering):
         rate = seen.curvature - seen.place.curvature + math.sin(error) / (2 * DAMPING * self._length)
         back = 2 * DAMPING / self._length * (error - towards + self._settle * rate)
         curvature = ahead / max(1 - ahead * n, 0.5) - back - seen.disturbance
-        return float(np.interp(curvature, self._curvatures, self._offsets))
+        return float(np.interp(curvature / seen.gain, self._curvatures, self._offsets))
+
+    def beside(self, n: float, slope: float, ahead: float) -> float:
+        """See `Steering.beside`; with ζ = 1 the law's n'' = −2 n'/L − n/L²."""
+        return (n + (n / self._length + slope) * ahead) * math.exp(-ahead / self._length)

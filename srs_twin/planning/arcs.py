@@ -62,31 +62,59 @@ def blocked(x, y, heading, curvature, length, ahead, behind, left, right, around
         left, right: edges, m.
         around: circles, sides and bounds, as in `collision.Surroundings`.
     """
-    circles, sides, bounds = around
-    h = (length + ahead + behind) / 2
+    bounds, corner = around[2], around[3]
+    h = (length + ahead + behind) / 2 + MARGIN
     x, y, heading = along(x, y, heading, curvature, (length + ahead - behind) / 2)
-    c, s = np.cos(heading), np.sin(heading)
     left, right = left + MARGIN, right + MARGIN
     reach = h + max(left, right)
     if x - reach < bounds[0] or x + reach > bounds[1] or y - reach < bounds[2] or y + reach > bounds[3]:
         if _outside(x, y, heading, curvature, h, left, right, bounds):
             return True
+    # Long regions in pieces, which reach into fewer cells.
+    count = max(1, int(np.ceil(h / max(corner[2], left + right))))
+    part = h / count
+    for k in range(count):
+        middle = along(x, y, heading, curvature, (2 * k + 1) * part - h)
+        if _touches(*middle, curvature, part, left, right, around):
+            return True
+    return False
+
+
+@compiled
+def _touches(x, y, heading, curvature, h, left, right, around):  # type: ignore[no-untyped-def]
+    """Say whether the region about the middle of an arc, half of it h long, touches a circle or a side."""
+    circles, sides, _, corner, first, lists = around
+    c, s, reach = np.cos(heading), np.sin(heading), h + max(left, right)
     end_u, end_w, end = along(0.0, 0.0, 0.0, curvature, h)
     ec, es = np.cos(end), np.sin(end)
-    for k in range(circles.shape[0]):
-        dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + MARGIN
-        if dx * dx + dy * dy < (reach + radius) * (reach + radius):
-            # The region is its own mirror image across its middle, so u may be taken to be ahead.
-            u, w = abs(c * dx + s * dy), c * dy - s * dx
-            if _distance(u, w, curvature, h, left, right, end_u, end_w, ec, es) < radius:
-                return True
-    for k in range(sides.shape[0]):
-        ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
-        if _from_origin(ax, ay, bx, by) < reach:
-            au, aw, bu, bw = c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx
-            if _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):
-                return True
+    columns = _cells_within(x - corner[0], reach + MARGIN, corner[2], first.shape[0])
+    rows = _cells_within(y - corner[1], reach + MARGIN, corner[2], first.shape[1])
+    for column in range(columns[0], columns[1]):
+        for row in range(rows[0], rows[1]):
+            for item in range(first[column, row, 0], first[column, row, 1]):
+                k = lists[item]
+                if k < circles.shape[0]:
+                    dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + MARGIN
+                    if dx * dx + dy * dy < (reach + radius) * (reach + radius):
+                        # The region is its own mirror image across its middle: u may be taken to be ahead.
+                        u, w = abs(c * dx + s * dy), c * dy - s * dx
+                        if _distance(u, w, curvature, h, left, right, end_u, end_w, ec, es) < radius:
+                            return True
+                    continue
+                k -= circles.shape[0]
+                ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
+                if _from_origin(ax, ay, bx, by) < reach:
+                    au, aw, bu, bw = c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx
+                    if _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):
+                        return True
     return False
+
+
+@compiled
+def _cells_within(at, reach, cell, count):  # type: ignore[no-untyped-def]
+    """Return the first cell of a row that a stretch about a place touches, and the one after the last."""
+    first, last = np.floor((at - reach) / cell), np.floor((at + reach) / cell)
+    return np.int64(min(max(first, 0), count)), np.int64(min(max(last + 1, 0), count))
 
 
 @compiled

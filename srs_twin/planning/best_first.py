@@ -146,6 +146,10 @@ CONNECTED, ARRIVED, PAUSED, EXHAUSTED, FULL = range(5)
 """How `expand` ends: a free Dubins path to the goal, within tolerance, share done, no node open, no room."""
 
 _BETTER = 1e-9
+_RARELY = 4
+"""Nodes to each one that gates are tried from."""
+_REACH = 6.0
+"""Radii of turns from which on a gate is too far to be tried."""
 
 
 class Moves(NamedTuple):
@@ -157,7 +161,9 @@ class Moves(NamedTuple):
         right: edges, m, shape (n,).
         changes: wider left, wider right, length (m) after a change from one to another; row n: from rest;
             shape (n + 1, n, 3).
-        turns: moves of a Dubins path to the right, straight, to the left, shape (3,).
+        arcs: which of them lead to a node's children, shape (m,).
+        eases: how many times wider than the tightest turns those of Dubins paths are, 1 first, shape (k,).
+        turns: moves of such paths to the right, straight, to the left, shape (k, 3).
         length: of an arc, m.
         ahead: of the centre of mass, m.
         behind: of the centre of mass, m.
@@ -167,6 +173,8 @@ class Moves(NamedTuple):
     left: np.ndarray
     right: np.ndarray
     changes: np.ndarray
+    arcs: np.ndarray
+    eases: np.ndarray
     turns: np.ndarray
     length: float
     ahead: float
@@ -208,6 +216,7 @@ class Search(NamedTuple):
         sector: its width in heading, rad; a whole number of them is a full turn.
         weight: w.
         guide: `guide.NO_GUIDE`, or what may lengthen the bound in the key; not where nodes are dropped.
+        gates: poses to connect to as well, and how far straight on from there, as `gates.gates_of` has them.
     """
 
     moves: Moves
@@ -217,6 +226,7 @@ class Search(NamedTuple):
     sector: float
     weight: float
     guide: Guide
+    gates: np.ndarray
 
 
 @compiled
@@ -252,7 +262,8 @@ def expand(frontier, search, best, share):  # type: ignore[no-untyped-def]
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
-        if frontier.counts[NODES] + moves.curvatures.shape[0] > frontier.nodes.shape[0]:
+        children = moves.arcs.shape[0] + moves.turns.shape[0] * search.gates.shape[0]
+        if frontier.counts[NODES] + children > frontier.nodes.shape[0]:
             return FULL, -1
         node = pop(frontier)
         x, y, heading, cost, bound = frontier.nodes[node, :5]
@@ -264,15 +275,20 @@ def expand(frontier, search, best, share):  # type: ignore[no-untyped-def]
             return ARRIVED, node
         if _connects(frontier, node, search, best):
             return CONNECTED, node
-        for move in range(moves.curvatures.shape[0]):
+        for move in moves.arcs:
             _try(frontier, node, move, search, best)
+        # A gate is far more work than an arc.
+        every = search.gates.shape[0] if frontier.counts[EXPANDED] % _RARELY == 1 else 0
+        for gate in range(every):
+            for ease in range(moves.turns.shape[0]):
+                _try_gate(frontier, node, gate, ease, search, best)
     return EXHAUSTED, -1
 
 
 @compiled
 def _try(frontier, node, move, search, best):  # type: ignore[no-untyped-def]
     """Make a child if it is the first or nearest in its cell, may beat the best plan, and its arc is free."""
-    way, cost = _way_from(frontier, node)
+    way, cost = _way_from(frontier, node, search)
     length = search.moves.length
     to_x, to_y, to_heading = along(way[0], way[1], way[2], search.moves.curvatures[move], length)
     slot = slot_of(frontier, to_x, to_y, to_heading, search.cell, search.sector)
@@ -292,6 +308,40 @@ def _try(frontier, node, move, search, best):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _try_gate(frontier, node, gate, ease, search, best):  # type: ignore[no-untyped-def]
+    """Make a child behind a gap, as `_try` does, if a Dubins path leads into it.
+
+    Its move is −1 − gate n − ease, with n turns of different tightness.
+    """
+    moves, target, around = search.moves, search.target, search.around
+    way, cost = _way_from(frontier, node, search)
+    gate_x, gate_y, heading, through = search.gates[gate]
+    dx, dy = gate_x - way[0], gate_y - way[1]
+    reach = _REACH * target.turning + 2 * through
+    if dx * dx + dy * dy > reach * reach:
+        return
+    to_x, to_y, to_heading = along(gate_x, gate_y, heading, 0.0, through)
+    slot = slot_of(frontier, to_x, to_y, to_heading, search.cell, search.sector)
+    owner = frontier.owners[slot] - 1
+    path = word(*way[:3], gate_x, gate_y, heading, False, target.turning * moves.eases[ease])
+    cost += path[3] + path[4] + path[5] + through
+    bound = rest(to_x, to_y, to_heading, target)
+    if (owner >= 0 and frontier.nodes[owner, 3] <= cost + _BETTER) or cost + bound >= best:
+        return
+    for piece in range(4):
+        length = through if piece == 3 else path[3 + piece]
+        turn = 0 if piece == 3 else int(path[piece])
+        if length > 0:
+            free, way = one_arc(way, moves.turns[ease, 1 + turn], length, moves, around)
+            if not free:
+                return
+    child = _enter(frontier, slot, to_x, to_y, to_heading, cost, bound, way[4], way[5], way[6])
+    frontier.links[child, 0] = node
+    frontier.links[child, 1] = -1 - gate * moves.turns.shape[0] - ease
+    push(frontier, child, cost + search.weight * max(bound, way_from(search.guide, to_x, to_y)))
+
+
+@compiled
 def _enter(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  # type: ignore[no-untyped-def]
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
@@ -303,10 +353,12 @@ def _enter(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  #
 
 
 @compiled
-def _way_from(frontier, node):  # type: ignore[no-untyped-def]
+def _way_from(frontier, node, search):  # type: ignore[no-untyped-def]
     """Return how the snake comes to a node, as `one_arc` takes it, and the cost of the way, m."""
     x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
-    return (x, y, heading, np.int64(frontier.links[node, 1]), left, right, lasting), cost
+    move = frontier.links[node, 1]  # behind a gate it is straight
+    before = np.int64(move if move >= 0 else search.moves.turns[0, 1])
+    return (x, y, heading, before, left, right, lasting), cost
 
 
 @compiled
@@ -321,7 +373,7 @@ def _arrived(x, y, heading, target):  # type: ignore[no-untyped-def]
 @compiled
 def _connects(frontier, node, search, best):  # type: ignore[no-untyped-def]
     """Say whether the Dubins path from a node to the goal is free and makes a better plan."""
-    way, cost = _way_from(frontier, node)
+    way, cost = _way_from(frontier, node, search)
     target = search.target
     path = word(*way[:3], target.x, target.y, target.heading, target.free, target.turning)
     if cost + path[3] + path[4] + path[5] >= best:
@@ -340,7 +392,7 @@ def passes(way, path, moves, around):  # type: ignore[no-untyped-def]
     """Say whether a Dubins path, as `dubins.word` returns it, is free; `way` as in `one_arc`."""
     for piece in range(3):
         if path[3 + piece] > 0:
-            free, way = one_arc(way, moves.turns[1 + int(path[piece])], path[3 + piece], moves, around)
+            free, way = one_arc(way, moves.turns[0, 1 + int(path[piece])], path[3 + piece], moves, around)
             if not free:
                 return False
     return True
@@ -349,8 +401,6 @@ def passes(way, path, moves, around):  # type: ignore[no-untyped-def]
 @compiled
 def one_arc(way, move, length, moves, around):  # type: ignore[no-untyped-def]
     """Return whether an arc is free, and the way on from its end.
-
-    All along it is as wide as it is anywhere.
 
     Args:
         way: x, y, heading of where the arc begins, the move that led there, and how much wider left and
@@ -366,7 +416,14 @@ def one_arc(way, move, length, moves, around):  # type: ignore[no-untyped-def]
     change = moves.changes[before, move]
     left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
     curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
-    wide = moves.left[move] + left, moves.right[move] + right
-    free = not blocked(x, y, heading, curvature, length, ahead, behind, wide[0], wide[1], around)
-    x, y, heading = along(x, y, heading, curvature, length)
-    return free, (x, y, heading, move, left, right, max(0.0, lasting - length))
+    first = min(lasting, length)
+    free = True
+    if first > 0:
+        wide = moves.left[move] + left, moves.right[move] + right
+        free = not blocked(x, y, heading, curvature, first, ahead, behind, wide[0], wide[1], around)
+        x, y, heading = along(x, y, heading, curvature, first)
+    if free and first < length:
+        edges = moves.left[move], moves.right[move]
+        free = not blocked(x, y, heading, curvature, length - first, ahead, behind, *edges, around)
+    x, y, heading = along(x, y, heading, curvature, length - first)
+    return free, (x, y, heading, move, left, right, lasting - first)

@@ -16,6 +16,11 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import Segment
 from srs_twin.world import Bounds, Pose, World
 
+MOST_CLEARANCE = 1.0
+"""What is farther away is not looked for, m."""
+_FINENESS = 1e-4
+_MOST_CELLS = 256
+"""Along a side of the grid of things."""
 _ANYWHERE = Bounds((-math.inf, math.inf), (-math.inf, math.inf))
 
 
@@ -26,11 +31,17 @@ class Surroundings(NamedTuple):
         circles: x, y, radius of each, m, shape (n, 3).
         sides: x, y of both ends of each polygon's sides, m, shape (n, 4).
         bounds: lowest x, highest x, lowest y, highest y, m, shape (4,); infinite where there are none.
+        corner: of a grid about all of them, x and y, m, and the side of its cells, m, shape (3,).
+        first: where the list of each cell begins in `lists`, and where it ends, shape (columns, rows, 2).
+        lists: of each cell what reaches into it: circles by their number, sides by theirs after all circles.
     """
 
     circles: np.ndarray
     sides: np.ndarray
     bounds: np.ndarray
+    corner: np.ndarray
+    first: np.ndarray
+    lists: np.ndarray
 
 
 def surroundings(world: World) -> Surroundings:
@@ -40,7 +51,30 @@ def surroundings(world: World) -> Surroundings:
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
     bounds = world.bounds or _ANYWHERE
     limits = np.array([*bounds.x, *bounds.y], dtype=float)
-    return Surroundings(circles, np.array(sides, dtype=float).reshape(-1, 4), limits)
+    lines = np.array(sides, dtype=float).reshape(-1, 4)
+    return Surroundings(circles, lines, limits, *in_cells(circles, lines))
+
+
+def in_cells(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a grid and what reaches into each of its cells, see `Surroundings`."""
+    x, y, radius = circles.T
+    low = np.vstack([np.column_stack([x - radius, y - radius]), np.minimum(sides[:, :2], sides[:, 2:])])
+    high = np.vstack([np.column_stack([x + radius, y + radius]), np.maximum(sides[:, :2], sides[:, 2:])])
+    count = len(low)
+    if count == 0:
+        return np.array([0.0, 0.0, 1.0]), np.zeros((0, 0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+    corner, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
+    cell = max(float(extent.max()) / min(max(math.isqrt(count), 1), _MOST_CELLS), 1e-9)
+    columns, rows = (int(each / cell) + 1 for each in extent)
+    begin, end = ((each - corner) // cell for each in (low, high))
+    listed: list[list[int]] = [[] for _ in range(columns * rows)]
+    for k, (west, south, east, north) in enumerate(np.hstack([begin, end]).astype(int).tolist()):
+        for column in range(west, east + 1):
+            for row in range(south, north + 1):
+                listed[column * rows + row].append(k)
+    ends = np.cumsum([len(each) for each in listed])
+    first = np.stack([np.r_[0, ends[:-1]], ends], axis=-1).reshape(columns, rows, 2)
+    return np.array([*corner, cell]), first, np.array([k for each in listed for k in each], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -93,10 +127,23 @@ class Checker:
             lasting -= first
         return True
 
-    def blocker(self, pose: Pose, length: float = 0.0) -> str:
+    def clearance(self, segments: Sequence[Segment]) -> float:
+        """Return how much wider both edges could be on a free path, m, at most `MOST_CLEARANCE`."""
+        free, touching = 0.0, MOST_CLEARANCE
+        while touching - free > _FINENESS:
+            middle = (free + touching) / 2
+            if Checker(self.world, self.footprint.reduced(margin=middle)).free_path(segments):
+                free = middle
+            else:
+                touching = middle
+        return free
+
+    def blocker(self, pose: Pose, length: float = 0.0, wider: float = 0.0) -> str:
         """Return in words what the body touches that goes straight from a pose (length in m), or nothing."""
         body, motion = self.footprint, self.footprint.at(0.0)
-        edges = body.ahead, body.behind, motion.left, motion.right
+        edges = body.ahead, body.behind, motion.left + wider, motion.right + wider
+        if not blocked(*pose, 0.0, length, *edges, self.surroundings):
+            return ""
         for name, world in _pieces(self.world):
             if blocked(*pose, 0.0, length, *edges, surroundings(world)):
                 return name
@@ -116,6 +163,21 @@ def inside(world: World, x: float, y: float) -> str:
         if any(shapely.Polygon(p.corners).intersects(point) for p in each.polygons):
             return name
     return ""
+
+
+def nearest(world: World, x: float, y: float) -> str:
+    """Return what is nearest to a point: "bounds", "obstacle 2", "polygon 1"; empty where nothing is."""
+    import shapely
+
+    point, found = shapely.Point(x, y), [(math.inf, "")]
+    if world.bounds is not None:
+        (west, east), (south, north) = world.bounds.x, world.bounds.y
+        found.append((min(x - west, east - x, y - south, north - y), "bounds"))
+    for k, circle in enumerate(world.obstacles, start=1):
+        found.append((math.hypot(x - circle.x, y - circle.y) - circle.radius, f"obstacle {k}"))
+    for k, polygon in enumerate(world.polygons, start=1):
+        found.append((shapely.distance(point, shapely.Polygon(polygon.corners)), f"polygon {k}"))
+    return min(found)[1]
 
 
 def _pieces(world: World) -> list[tuple[str, World]]:

@@ -58,6 +58,8 @@ def word(x, y, heading, to_x, to_y, to_heading, free, radius):  # type: ignore[n
     if free:
         c, s = np.cos(heading), np.sin(heading)
         u, w = c * dx + s * dy, c * dy - s * dx
+        if np.sqrt(u * u + w * w) < _ROUNDING:  # it is there already
+            best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for side in (1.0, -1.0):
             best = _to_point(best, side, u, side * w)
     else:
@@ -119,4 +121,4 @@ def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def
 def _turn(angle):  # type: ignore[no-untyped-def]
     """Return an angle in [0, 2 pi); what rounding puts just below a full turn is none."""
     angle = angle - _FULL * np.floor(angle / _FULL)
-    return angle if angle < _FULL - _ROUNDING else 0.0
+    return max(angle, 0.0) if angle < _FULL - _ROUNDING else 0.0

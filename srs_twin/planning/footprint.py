@@ -28,6 +28,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, dump_yaml, load_yaml
 from srs_twin.io.files import atomic_write, find
 from srs_twin.io.validation import Strict, validate
+from srs_twin.planning.margins import ExcursionsFile
 from srs_twin.robot.sourced import Record, Status, between
 
 SMALL_TURN = 1e-9
@@ -348,6 +349,9 @@ class FootprintFile(Strict):
     behind_m: Reach = Field(description="From the centre of mass to the tail along the path, m, 0 to 10.")
     spread: SpreadFile | None = Field(None, description="Repeatability, where measured.")
     transients: TransientsFile | None = Field(None, description="Changes of offset, where measured.")
+    excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = Field(
+        None, description="How far followers left it, where measured, for margins with a probability."
+    )
 
     def footprint(self) -> Footprint:
         """Return the table without its sources."""

@@ -82,7 +82,7 @@ def arc_to(pose: Pose, x: float, y: float) -> tuple[float, float]:
     dx, dy = x - pose.x, y - pose.y
     distance = math.hypot(dx, dy)
     bearing = math.remainder(math.atan2(dy, dx) - pose.heading, 2 * math.pi)
-    if distance == 0 or abs(bearing) < 1e-9:
+    if distance < 1e-12 or abs(bearing) < 1e-9:
         return 0.0, distance
     sine = math.sin(bearing)
     return 2 * sine / distance, distance * bearing / sine if abs(sine) > 1e-9 else math.inf

@@ -93,7 +93,10 @@ def _free(x: np.ndarray, y: np.ndarray, cell: float, world: World, clearance: fl
         free[columns, rows] &= far
     for polygon in world.polygons:
         grown = shapely.Polygon(polygon.corners).buffer(clearance)
-        free &= ~shapely.contains_xy(grown, *np.meshgrid(x, y, indexing="ij"))
+        west, south, east, north = grown.bounds
+        columns = _window(x, (west + east) / 2, (east - west) / 2, cell)
+        rows = _window(y, (south + north) / 2, (north - south) / 2, cell)
+        free[columns, rows] &= ~shapely.contains_xy(grown, *np.meshgrid(x[columns], y[rows], indexing="ij"))
     return free
 
 

@@ -20,6 +20,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.collision import Checker, inside
 from srs_twin.planning.footprint import Footprint, Transient, checked
@@ -58,7 +60,53 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     _compile()
     begun = time.perf_counter()
     answer = PLANNERS[planner](problem, settings or Settings())
-    return replace(answer, seconds=time.perf_counter() - begun)
+    if answer.found and settings and settings.clearance_weight > 0:
+        answer = _roomiest(answer, problem, settings)
+    return replace(answer, seconds=time.perf_counter() - begun, problem=problem)
+
+
+_WIDER = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""Widths of the straight body that edges are moved by in search of a way with more room."""
+_BRIEF = 4000
+_SPACING = 0.02
+
+
+def _roomiest(first: Plan, problem: Problem, settings: Settings) -> Plan:
+    """Return the plan of least cost, see `Settings.clearance_weight`, for the body and for wider ones."""
+    straight = problem.footprint.at(0.0)
+    width = straight.left + straight.right
+    brief, found = replace(settings, nodes=min(settings.nodes, _BRIEF)), [first]
+    for share in _WIDER:
+        wider = replace(problem, footprint=problem.footprint.reduced(margin=share * width))
+        answer = best_first(wider, brief)
+        if not answer.found:
+            break
+        # The wider body's edges are no edges of this one.
+        pieces = [(each.curvature, each.length) for each in answer.segments]
+        found.append(replace(answer, segments=path_of(problem.start, pieces, problem.footprint)))
+    return min(found, key=lambda each: _cost(each, problem, width, settings.clearance_weight))
+
+
+def _cost(found: Plan, problem: Problem, width: float, weight: float) -> float:
+    """Return the length of a path, the nearer it comes to something the more, m."""
+    import shapely
+
+    world, body = problem.world, problem.footprint
+    places, edges, steps = [], [], []
+    for each in found.segments:
+        count = max(math.ceil(each.length / _SPACING), 1)
+        row = body.at(each.curvature)
+        places += [each.pose((k + 0.5) / count * each.length) for k in range(count)]
+        edges += [max(row.left, row.right)] * count
+        steps += [each.length / count] * count
+    points = shapely.points([(pose.x, pose.y) for pose in places])
+    apart = np.full(len(points), np.inf)
+    for circle in world.obstacles:
+        apart = np.minimum(apart, shapely.distance(points, shapely.Point(circle.x, circle.y)) - circle.radius)
+    for polygon in world.polygons:
+        apart = np.minimum(apart, shapely.distance(points, shapely.Polygon(polygon.corners)))
+    room = np.maximum(apart - edges, 0.0)
+    return float(np.dot(steps, 1 + weight * np.exp(-room / width)))
 
 
 @functools.cache

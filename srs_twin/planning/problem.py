@@ -5,14 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, along
 from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.free_space import least_length
 from srs_twin.trajectory import Shown
 from srs_twin.world import Goal, Pose, World
+
+if TYPE_CHECKING:
+    from srs_twin.planning.tree import Tree
 
 _MOST_LEVELS = 5
 
@@ -28,6 +34,9 @@ class Settings:
         weight: of the bound; 1: shortest path first; above 1: fewer nodes, paths up to so many times longer.
         levels: how many resolutions to try, each with half the last one's arcs and cells; 1 to 5.
         smooth: shorten the path afterwards.
+        clearance_weight: extra cost of a metre of way that touches something, m; it falls by e for each
+            width of the straight body that is between. Above 0 wider bodies are planned for as well.
+        keep: the trees of the search, to be shown.
         improve: do not stop at the first plan: look at finer levels for shorter ones while the budget lasts.
     """
 
@@ -37,11 +46,15 @@ class Settings:
     levels: int = 4
     smooth: bool = True
     improve: bool = False
+    clearance_weight: float = 0.0
+    keep: bool = False
 
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
             given = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
             raise InputError(f"planner: {given}: all must be 1 at least")
+        if not 0 <= self.clearance_weight < math.inf:
+            raise InputError(f"planner: clearance_weight {self.clearance_weight:g} must not be below 0")
         if self.levels > _MOST_LEVELS:
             raise InputError(f"planner: levels {self.levels}, {_MOST_LEVELS} at most")
         if self.seconds is not None and not self.seconds > 0:
@@ -125,6 +138,8 @@ class Plan(Shown):
         cell: size of the finest cells of poses looked at, one node in each, (m, rad); None where none were:
             `greedy`, `ompl`, and a proof of every path.
         seconds: wall time; not compared.
+        problem: what was asked.
+        trees: of the last search, for `explored`; empty where none was kept (`Settings.keep`).
     """
 
     outcome: Outcome
@@ -133,6 +148,15 @@ class Plan(Shown):
     expanded: int = 0
     cell: tuple[float, float] | None = None
     seconds: float = field(default=0.0, compare=False)
+    problem: Problem | None = field(default=None, compare=False, repr=False)
+    trees: tuple[Tree, ...] = field(default=(), compare=False, repr=False)
+
+    @cached_property
+    def least_length(self) -> float:
+        """Length that no path of this body is shorter than, by obstacles and bounds but not by turns, m."""
+        assert self.problem is not None, "a planner's answer"
+        asked = self.problem
+        return least_length(asked.start, asked.goal, asked.world, asked.footprint.narrowest)
 
     @property
     def found(self) -> bool:

@@ -11,6 +11,8 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -19,63 +21,16 @@ from srs_twin.planning.arcs import Primitives, along
 from srs_twin.planning.best_first import Moves, Search, at_rest, one_arc, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import Pieces, shortest, word
+from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.gates import NO_GATES, gates_of
 from srs_twin.planning.guide import NO_GUIDE, guide_to
+from srs_twin.planning.pockets import COARSE, FINE, Finely, shut_in
 from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, Settings, path_of
 from srs_twin.planning.tree import Tree, arrivals, moves_of, reversed_moves, target_of, turned
-from srs_twin.world import Goal, Pose, World
+from srs_twin.world import Goal, Pose
 
 Cells = tuple[float, float]
 """Side of a cell of poses, m, and its width in heading, rad."""
-
-_PIECES = 32
-"""A quarter of a circle is replaced by so many chords, inside it: gaps may only look wider than they are."""
-
-
-def disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
-    """Say whether every path from start to goal comes nearer to something than the clearance.
-
-    Let o be a point of an obstacle nearer to a smooth path than the clearance w. If the path's point nearest
-    to o is none of its ends, o lies straight across the path from it, within the edges: a collision. So it is
-    an end, at most w from o, and whatever else of the path is within w of o is within 2 w of that end. Hence
-    a free path lies in what is left when obstacles grow by w and bounds shrink by w, or in discs of 2 w about
-    its ends. If no connected part of that holds start and goal, there is no path, whatever its curvature.
-
-    Args:
-        start: where the path begins.
-        goal: where it may end, within the goal's radius.
-        world: obstacles and bounds.
-        clearance: `Footprint.narrowest`, m.
-    """
-    import shapely
-
-    here, there = shapely.Point(start.x, start.y), shapely.Point(goal.x, goal.y)
-    about = 1 / math.cos(math.pi / (4 * _PIECES))
-    ends = [
-        here.buffer(2 * clearance * about, quad_segs=_PIECES),
-        there.buffer((2 * clearance + goal.radius) * about, quad_segs=_PIECES),
-    ]
-    grown = [shapely.Point(c.x, c.y).buffer(c.radius + clearance, quad_segs=_PIECES) for c in world.obstacles]
-    grown += [shapely.Polygon(p.corners).buffer(clearance, quad_segs=_PIECES) for p in world.polygons]
-    if not grown and world.bounds is None:
-        return False
-    blocked = shapely.union_all(grown)
-    room = _room(world, shapely.union_all([blocked, *ends]).bounds, clearance)
-    free = shapely.union_all([room.difference(blocked), *ends])
-    rooms = list(free.geoms) if free.geom_type == "MultiPolygon" else [free]
-    return not any(each.intersects(here) and each.intersects(there) for each in rooms)
-
-
-def _room(world: World, extent: tuple[float, float, float, float], clearance: float):  # type: ignore[no-untyped-def]
-    """Return the bounds less the clearance, or, where there are none, a way round everything."""
-    import shapely
-
-    if world.bounds is None:
-        west, south, east, north = extent
-        return shapely.box(west - clearance, south - clearance, east + clearance, north + clearance)
-    (west, east), (south, north) = world.bounds.x, world.bounds.y
-    west, east, south, north = west + clearance, east - clearance, south + clearance, north - clearance
-    return shapely.box(west, south, east, north) if west < east and south < north else shapely.Polygon()
-
 
 _ROUNDS = 4
 _WORTH = 1e-4
@@ -216,17 +171,20 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
             best = _finished(ended.path, trees[0].search.moves, problem, settings, checker)
         if ended.final or budget.spent or (best is not None and not settings.improve):
             break
-    expanded = settings.nodes - budget.nodes
+    made: dict[str, Any] = {
+        "expanded": settings.nodes - budget.nodes,
+        "trees": tuple(trees) if settings.keep else (),
+    }
     if best is not None:
-        return Plan(Outcome.FOUND, "a free path", best, expanded, cells)
+        return Plan(Outcome.FOUND, "a free path", best, cell=cells, **made)
     if ended.final:
-        return Plan(Outcome.UNREACHABLE, ended.why, (), expanded)
+        return Plan(Outcome.UNREACHABLE, ended.why, **made)
     at = f"at cells of {1000 * cells[0]:.3g} mm and {math.degrees(cells[1]):.3g} degrees"
     if ended.why:
         reason = f"{ended.why}, {at}; finer ones (more levels) may still find a way"
-        return Plan(Outcome.UNREACHABLE, reason, (), expanded, cells)
-    reason = f"neither a path nor a proof after {expanded} nodes, {at}; give more nodes or seconds"
-    return Plan(Outcome.BUDGET_SPENT, reason, (), expanded, cells)
+        return Plan(Outcome.UNREACHABLE, reason, cell=cells, **made)
+    reason = f"neither a path nor a proof after {made['expanded']} nodes, {at}; give more nodes or seconds"
+    return Plan(Outcome.BUDGET_SPENT, reason, cell=cells, **made)
 
 
 def _resolutions(problem: Problem, levels: int) -> Iterator[tuple[Primitives, Cells]]:
@@ -247,8 +205,12 @@ def _search_level(trees: list[Tree], problem: Problem, budget: _Budget, best: fl
     there for goals that nothing leads to, which it knows at once, and the other tree after all cells. What
     they do not find at once is sought with a guide as well: its path may be longer than need be.
     """
-    share = _SHARE
-    while not budget.spent:
+    proofs = (COARSE, FINE) if prove else ()
+    for turn in count():
+        if budget.spent:
+            break
+        # Easy problems are over before a proof would be: it comes behind the first and the second turn.
+        share = min(_SHARE * 2 ** max(turn - 1, 0), _LARGEST_SHARE)
         for tree in trees:
             before = tree.expanded
             found = tree.grow(max(1, min(share, budget.nodes)), best)
@@ -256,23 +218,33 @@ def _search_level(trees: list[Tree], problem: Problem, budget: _Budget, best: fl
             if found is not None:
                 # What leads back from the goal leads there with its turns exchanged.
                 return _Ended([(-c, length) for c, length in reversed(found)] if tree.backward else found)
-            if tree.exhausted and not prove:
+            if tree.exhausted and turn >= len(proofs):
                 end = "back from the goal" if tree.backward else "on from the start"
                 return _Ended(why=f"no free arc leads {end} to a pose not yet tried")
             if tree.exhausted or budget.spent:
                 break
-        # Easy problems are over before the proof would be.
-        narrowest = problem.footprint.narrowest
-        if prove and disconnected(problem.start, problem.goal, problem.world, narrowest):
-            why = (
-                f"no path of any shape: start and goal are apart by gaps narrower than {2 * narrowest:g} m, "
-                "the footprint's least width; move obstacles, or plan with a narrower footprint"
-            )
+        if turn < len(proofs) and (why := _proof(problem, trees[0].search.around, proofs[turn])):
             return _Ended(why=why, final=True)
-        if share == _SHARE:
+        if turn == 0:
             trees.append(_guided(trees[0].search, problem))
-        prove, share = False, min(2 * share, _LARGEST_SHARE)
     return _Ended()
+
+
+def _proof(problem: Problem, around: Surroundings, how: Finely) -> str:
+    """Return why there is no path at all, or nothing where so fine a proof does not say so."""
+    start, goal, body = problem.start, problem.goal, problem.footprint
+    if how is COARSE and disconnected(start, goal, problem.world, body.narrowest):
+        return (
+            f"no path of any shape: start and goal are apart by gaps narrower than {2 * body.narrowest:g} m, "
+            "the footprint's least width; move obstacles, or plan with a narrower footprint"
+        )
+    end = shut_in(start, goal, body, around, how)
+    if not end:
+        return ""
+    return (
+        f"no path with such turns: where the {end} lies there is no room for one of radius "
+        f"{1 / max(body.tightest):.3g} m; turn the {end} round, or plan with tighter turns"
+    )
 
 
 def _trees(
@@ -281,7 +253,8 @@ def _trees(
     """Return the tree from the start, and that from the goal unless transients make paths one-way."""
     body, start = problem.footprint, problem.start
     moves = moves_of(arcs, body)
-    search = Search(moves, target_of(problem.goal, body), around, *cells, settings.weight, NO_GUIDE)
+    target = target_of(problem.goal, body)
+    search = Search(moves, target, around, *cells, settings.weight, NO_GUIDE, NO_GATES)
     trees = [Tree([start], search)]
     if not body.transients:
         end = turned(start)
@@ -296,8 +269,8 @@ def _guided(search: Search, problem: Problem) -> Tree:
     """Return a tree from the start that follows the guide."""
     body, start = problem.footprint, problem.start
     guide = guide_to(problem.goal, start, problem.world, body.narrowest, 4 / min(body.tightest))
-    weight = max(search.weight, _GUIDED_WEIGHT)
-    return Tree([start], search._replace(guide=guide, weight=weight))
+    weight, gates = max(search.weight, _GUIDED_WEIGHT), gates_of(problem.world, body)
+    return Tree([start], search._replace(guide=guide, weight=weight, gates=gates))
 
 
 def _finished(

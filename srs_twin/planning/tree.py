@@ -32,6 +32,8 @@ _ROOM = 4096
 # the bound must not, so it is that of turns tighter by this share.
 _SLACK = 1e-6
 _SPREAD = (0.0, -0.7, 0.7)
+_EASES = (1.0, 2.0, 5.0)
+"""Times the least radius: small corrections with tight turns have all of their transients."""
 
 
 def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
@@ -42,17 +44,20 @@ def moves_of(primitives: Primitives, footprint: Footprint) -> Moves:
     """
     right, left = footprint.tightest
     both = min(right, left)
-    curvatures = np.unique(np.round([*primitives.curvatures, -right, -both, 0.0, both, left], 12))
+    own = [*primitives.curvatures, -right, -both, 0.0, both, left]
+    gentle = [side * both / ease for ease in _EASES for side in (-1, 1)]
+    curvatures = np.unique(np.round([*own, *gentle], 12))
     # Rounding, which merges equal ones, must not leave the footprint's range.
     curvatures = np.clip(curvatures, -right, left)
     motions = [footprint.at(float(k)) for k in curvatures]
     offsets = [m.offset for m in motions]
     changes = [[footprint.transient(a, b) for b in offsets] for a in offsets]
     changes.append([(0.0, 0.0, 0.0)] * len(offsets))
-    turns = [int(np.argmin(abs(curvatures - k))) for k in (-both, 0.0, both)]
+    arcs = np.unique([np.argmin(abs(curvatures - k)) for k in own])
+    turns = [[np.argmin(abs(curvatures - side * both / ease)) for side in (-1, 0, 1)] for ease in _EASES]
     edges = np.array([m.left for m in motions]), np.array([m.right for m in motions])
     reach = primitives.length, footprint.ahead, footprint.behind
-    return Moves(curvatures, *edges, np.array(changes), np.array(turns), *reach)
+    return Moves(curvatures, *edges, np.array(changes), arcs, np.array(_EASES), np.array(turns), *reach)
 
 
 def target_of(goal: Goal, footprint: Footprint) -> Target:
@@ -67,8 +72,9 @@ def reversed_moves(moves: Moves) -> Moves:
     """Return what the moves are for one that goes the same paths from their end: sides exchanged."""
     last = len(moves.curvatures) - 1
     turned, left, right = (each[::-1].copy() for each in (-moves.curvatures, moves.right, moves.left))
-    changes, turns = np.zeros_like(moves.changes), last - moves.turns[::-1]
-    return Moves(turned, left, right, changes, turns, moves.length, moves.behind, moves.ahead)
+    changes, turns, arcs = np.zeros_like(moves.changes), last - moves.turns[:, ::-1], last - moves.arcs[::-1]
+    reach = moves.length, moves.behind, moves.ahead
+    return Moves(turned, left, right, changes, arcs, moves.eases, turns, *reach)
 
 
 class Tree:
@@ -110,7 +116,15 @@ class Tree:
             heading = None if target.free else target.heading
             pieces = shortest(end, target.x, target.y, heading, target.turning)[::-1]
         while (parent := int(self.frontier.links[node, 0])) >= 0:
-            pieces.append((float(moves.curvatures[self.frontier.links[node, 1]]), moves.length))
+            move = int(self.frontier.links[node, 1])
+            if move >= 0:
+                pieces.append((float(moves.curvatures[move]), moves.length))
+            else:
+                gate, ease = divmod(-1 - move, len(moves.eases))
+                x, y, heading, through = map(float, self.search.gates[gate])
+                begin = Pose(*map(float, self.frontier.nodes[parent, :3]))
+                way = shortest(begin, x, y, heading, target.turning * moves.eases[ease])
+                pieces += [(0.0, through), *way[::-1]]
             node = parent
         return pieces[::-1]
 

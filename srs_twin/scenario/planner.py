@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.planning import Footprint, Outcome, Plan, Primitives, Problem, Segment, Settings, plan
 from srs_twin.planning.collision import Checker
-from srs_twin.planning.footprint import checked
+from srs_twin.planning.footprint import FootprintFile, checked
+from srs_twin.planning.margins import ConditionsFile, Margin, margin
 from srs_twin.planning.planner import plan_shaped
 from srs_twin.planning.problem import path_of
 from srs_twin.scenario.fields import PathOrName, Section, constructor_default, quantity
@@ -42,8 +44,17 @@ class _PlannerFile(Section):
     """What the body sweeps at each offset: a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
     """Share of the tightest turns to plan with; the rest is left to the follower."""
-    margin_m: float = quantity(0.0, 10.0, 0.0)
-    """Added to both edges of the footprint."""
+    margin_m: float | None = quantity(0.0, 10.0, None)
+    """Added to both edges of the footprint (default 0)."""
+    margin_probability: float | None = quantity(0.5, 0.999, None)
+    """Take the margin that a whole run stays within so probably, by the excursions that the footprint file
+    keeps; instead of margin_m."""
+
+    @model_validator(mode="after")
+    def _has_one_margin(self) -> _PlannerFile:
+        if self.margin_m is not None and self.margin_probability is not None:
+            raise ValueError("margin_m and margin_probability both say how wide; take one out")
+        return self
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return where the way is to end.
@@ -56,8 +67,12 @@ class _PlannerFile(Section):
         return goal
 
     @abstractmethod
-    def find(self, problem: Problem) -> Plan:
+    def find(self, problem: Problem, wider: float = 0.0) -> Plan:
         """Return the plan of a problem.
+
+        Args:
+            problem: from where to where.
+            wider: what a straight beginning has to be free of beside the footprint, m.
 
         Raises:
             InputError: start or goal cannot be, or the extra `ompl` is missing.
@@ -71,19 +86,24 @@ class _SearchFile(_PlannerFile):
     """Straight beginning of the path, over which the gait gets going."""
     if TYPE_CHECKING:
         kind: str
+    _keep: bool = PrivateAttr(False)
 
-    def find(self, problem: Problem) -> Plan:
+    def settings(self) -> Settings:
+        """Return how hard to try, and whether to keep the search."""
+        return replace(self.build(), keep=self._keep)
+
+    def find(self, problem: Problem, wider: float = 0.0) -> Plan:
         """See `_PlannerFile.find`."""
         if self.run_up_m == 0:
             return self.search(problem, ())
         (first,) = path_of(problem.start, [(0.0, self.run_up_m)], problem.footprint)
-        if hit := Checker(problem.world, problem.footprint).blocker(problem.start, self.run_up_m):
+        if hit := Checker(problem.world, problem.footprint).blocker(problem.start, self.run_up_m, wider):
             raise InputError(f"the straight beginning of {self.run_up_m:g} m touches {hit}; run_up_m sets it")
         return self.search(replace(problem, start=first.end), (first,))
 
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
         """Return the plan behind a fixed beginning."""
-        found = plan(problem, self.build(), planner=self.kind)
+        found = plan(problem, self.settings(), planner=self.kind)
         return replace(found, segments=(*begin, *found.segments)) if found.found else found
 
 
@@ -102,6 +122,8 @@ class BestFirstFile(_SearchFile):
     """Of the bound; above 1 faster and longer."""
     levels: int = quantity(1, 5)
     """Resolutions to try."""
+    clearance_weight: float = quantity(0.0, 100.0)
+    """How many metres of way a metre beside something is worth; above 0 paths keep away from things."""
     smooth: bool = constructor_default()
     """Shorten the path afterwards."""
     shape_changes: bool = False
@@ -112,7 +134,7 @@ class BestFirstFile(_SearchFile):
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
         """See `_SearchFile.search`."""
         if self.shape_changes:
-            return plan_shaped(problem, self.build(), begin)
+            return plan_shaped(problem, self.settings(), begin)
         return super().search(problem, begin)
 
 
@@ -149,7 +171,7 @@ class GivenFile(_PlannerFile):
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
-    def find(self, problem: Problem) -> Plan:
+    def find(self, problem: Problem, wider: float = 0.0) -> Plan:
         """See `_PlannerFile.find`."""
         return Plan(Outcome.FOUND, "the path is given", self._path(problem.start, problem.footprint))
 
@@ -173,14 +195,23 @@ class RoutePlanner:
         file: how.
         footprint: the robot's, whole: what it can do.
         problem: start, goal, world, and the footprint to plan with.
+        margin: by which that is wider than the robot's.
     """
 
     file: PlannerFile
     footprint: Footprint
     problem: Problem
+    margin: Margin
 
     @classmethod
-    def of(cls, file: PlannerFile, footprint: Footprint, start: Pose, world: World) -> RoutePlanner:
+    def of(
+        cls,
+        file: PlannerFile,
+        footprint: FootprintFile,
+        start: Pose,
+        world: World,
+        conditions: Sequence[ConditionsFile] = (),
+    ) -> RoutePlanner:
         """Return the planner of a section.
 
         Args:
@@ -188,14 +219,20 @@ class RoutePlanner:
             footprint: that it names.
             start: of the snake.
             world: what is in the way, and the goal.
+            conditions: under which the plan is followed, one for each plant.
 
         Raises:
-            InputError: a turn tighter than the footprint has, edges that are too wide, no goal.
+            InputError: a turn tighter than the footprint has, edges that are too wide, no goal, no margin of
+                that probability.
         """
-        reduced = checked(footprint.reduced(file.turn_share, file.margin_m))
+        robot, wider = footprint.footprint(), Margin(file.margin_m or 0.0, file.margin_m or 0.0)
+        if file.margin_probability is not None:
+            wider = margin(footprint.excursions or (), file.margin_probability, conditions)
+        reduced = checked(robot.reduced(file.turn_share, wider.path))
         arcs = getattr(file, "primitives", None)
         goal = file.goal(start, world.goal, reduced)
-        return cls(file, footprint, Problem(start, goal, world, reduced, arcs.build() if arcs else None))
+        problem = Problem(start, goal, world, reduced, arcs.build() if arcs else None)
+        return cls(file, robot, problem, wider)
 
     def plan(self) -> Plan:
         """Return the plan, made once: both plants and the report ask for the same.
@@ -205,14 +242,18 @@ class RoutePlanner:
         """
         return _plan(self)
 
-    def plan_anew(self) -> Plan:
-        """Return the plan, made now: its time is that of this machine now; raises as `plan`."""
-        return self.file.find(self.problem)
+    def plan_anew(self, *, keep: bool = False) -> Plan:
+        """Return the plan, made now, if wanted with its search; raises as `plan`."""
+        file = self.file.model_copy()
+        if isinstance(file, _SearchFile):
+            file._keep = keep
+        return file.find(self.problem, max(self.margin.run_up - self.margin.path, 0.0))
 
-    def plan_from(self, pose: Pose) -> Plan:
-        """Return a plan from another pose, without a run-up; raises as `plan`."""
+    def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
+        """Return a plan from another pose, with a part of the margin and no run-up; raises as `plan`."""
         file = self.file.model_copy(update={"run_up_m": 0.0})
-        return _plan(replace(self, file=file, problem=replace(self.problem, start=pose)))
+        body = checked(self.footprint.reduced(file.turn_share, share * self.margin.path))
+        return _plan(replace(self, file=file, problem=replace(self.problem, start=pose, footprint=body)))
 
 
 @lru_cache(maxsize=16)

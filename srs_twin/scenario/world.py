@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
+from srs_twin.errors import InputError
 from srs_twin.planning.fields import fig54_world, strewn
-from srs_twin.scenario.fields import Section, constructor_default, quantity
+from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
+from srs_twin.scenario.map_file import read_circles, read_map
 from srs_twin.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]
 Radius = Annotated[float, Field(ge=0.001, le=100.0)]
-
-
-class StartFile(Section):
-    """Where the snake lies at first, straight and at rest."""
-
-    constructors = (Pose,)
-
-    x_m: float = quantity(-1000.0, 1000.0, 0.0)
-    """x of the centre of mass."""
-    y_m: float = quantity(-1000.0, 1000.0, 0.0)
-    """y of the centre of mass."""
-    heading_rad: float = quantity(-6.3, 6.3, 0.0)
-    """Mean heading, counter-clockwise from x."""
 
 
 class ObstacleFile(Section):
@@ -168,6 +158,10 @@ class WorldFile(Section):
 
     obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
     """Round obstacles."""
+    circles: FilePath | None = None
+    """CSV file of more: columns x_m, y_m, radius_m; path from the current folder."""
+    map: FilePath | None = None
+    """Occupancy map as ROS has it: YAML file with a PGM or PNG picture; path from the current folder."""
     polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = []
     """Obstacles with straight sides."""
     random: RandomFile | None = None
@@ -181,20 +175,32 @@ class WorldFile(Section):
     goal: GoalFile | None = None
     """Where to arrive."""
 
+    @field_validator("circles", "map")
+    @classmethod
+    def _readable(cls, path: str | None, info: ValidationInfo) -> str | None:
+        try:
+            if path is not None:
+                (read_map if info.field_name == "map" else read_circles)(Path(path))
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return path
+
     def surroundings(self, start: Pose, seed: int) -> World:
         """Return what surrounds a snake that lies at `start`.
 
         Raises:
-            InputError: circles that are to be drawn do not fit.
+            InputError: circles that are to be drawn do not fit, or a file cannot be used.
         """
         goal = self.goal.build() if self.goal else None
         places = [start, goal] if goal else [start]
         drawn = self.random.draw(self.bounds, seed, places) if self.random else ()
+        listed = read_circles(Path(self.circles)) if self.circles else ()
         return World(
-            obstacles=tuple(each.build() for each in self.obstacles) + drawn,
+            obstacles=tuple(each.build() for each in self.obstacles) + listed + drawn,
             bounds=self.bounds.build() if self.bounds else None,
             goal=goal,
-            polygons=tuple(each.build() for each in self.polygons),
+            polygons=tuple(each.build() for each in self.polygons)
+            + (read_map(Path(self.map)) if self.map else ()),
             floor=self.floor.build(),
             steps=tuple(each.build() for each in self.steps),
         )

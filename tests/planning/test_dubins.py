@@ -55,6 +55,7 @@ def test_path_ends_at_the_pose(a, b, radius):
 @given(POSE, PLACE, PLACE, RADIUS)
 @example(Pose(0.0, 0.0, 0.0), 0.0, 7e-17, 1.0)
 @example(Pose(0.3, -0.2, 1.0), 0.3, -0.2 + 1e-17, 0.5)
+@example(Pose(0.0, 0.0, 0.0), 0.0, 6.323302607585437e-11, 1.0)
 def test_path_to_a_point_ends_there_and_no_arrival_heading_is_shorter(a, x, y, radius):
     path = shortest(a, x, y, None, radius)
     end = rolled(a, path)

@@ -127,5 +127,5 @@ def test_a_scenario_asks_for_it():
         for shape in (False, True)
     ]  # fmt: skip
     assert all(answer.found for answer in plans)
-    assert plans[0].segments[0].length == pytest.approx(0.4) and plans[1].segments[0].length < 0.4
+    assert plans[0].segments[0].length == pytest.approx(0.8) and plans[1].segments[0].length < 0.8
     assert len(plans[1].segments) > len(plans[0].segments)

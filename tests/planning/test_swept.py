@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, along, blocked
+from srs_twin.planning.collision import Surroundings, in_cells
 from srs_twin.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
@@ -43,7 +44,19 @@ def drawn(arc) -> shapely.Polygon:
 
 def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
     pose, k, length, ahead, behind, left, right = arc
-    return blocked(*pose, k, length, ahead, behind, left, right, (circles, sides, bounds))
+    around = Surroundings(circles, sides, bounds, *in_cells(circles, sides))
+    return blocked(*pose, k, length, ahead, behind, left, right, around)
+
+
+@given(ARC, st.integers(0, 2**32 - 1))
+def test_many_things_are_hit_as_one_by_one(arc, seed):
+    rng = np.random.default_rng(seed)
+    circles = np.column_stack([rng.uniform(-3, 3, (40, 2)), rng.uniform(0.01, 0.2, 40)])
+    ends = rng.uniform(-3, 3, (40, 2))
+    sides = np.column_stack([ends, ends + rng.uniform(-0.4, 0.4, (40, 2))])
+    alone = [touches(arc, circles=circles[k : k + 1]) for k in range(40)]
+    alone += [touches(arc, sides=sides[k : k + 1]) for k in range(40)]
+    assert touches(arc, circles=circles, sides=sides) == any(alone)
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(-2, 2))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from os.path import commonprefix
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from shapely import LineString
@@ -20,6 +22,7 @@ from srs_twin.viewing.plots.style import GOAL_COLOR, PLUS_COLOR, STYLES, Style, 
 
 if TYPE_CHECKING:
     from srs_twin.planning import Footprint, Segment
+    from srs_twin.planning.explored import Explored
     from srs_twin.recordings.inspection import Scene
 
 
@@ -171,6 +174,29 @@ def plan_plot(
     """
     figure, axes = _sheet(about, segments, footprint)
     axes.set_title(title, fontsize=10)
+    return figure
+
+
+_EXPLORED, _REJECTED, _GATE = "0.72", "#d8746a", "#3a7d44"
+
+
+def search_plot(
+    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, seen: Explored
+) -> Figure:
+    """Return a plan with the search that found it, or did not; arguments as `plan_plot`."""
+    figure, axes = _sheet(about, segments, footprint)
+    counts = Counter(seen.reasons).most_common(3)
+    told = ", ".join(f"{count} at {name}" for name, count in counts)
+    rejected = f"{len(seen.rejected)} rejected arcs" + (f": {told}" if told else "")
+    for lines, color, zorder, label in (
+        (seen.arcs, _EXPLORED, 0.5, f"arcs to {seen.nodes} nodes"),
+        (seen.rejected, _REJECTED, 0.6, rejected),
+        (seen.gates, _GATE, 0.7, f"{len(seen.gates)} ways through gaps"),
+    ):
+        drawn = LineCollection(list(lines), colors=color, linewidths=0.5, zorder=zorder, label=label)
+        axes.add_collection(drawn, autolim=False)
+    axes.legend(loc="best", fontsize=8, frameon=False)
+    axes.set_title("The search: explored, rejected, and what came of it", fontsize=10)
     return figure
 
 

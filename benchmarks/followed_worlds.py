@@ -1,0 +1,151 @@
+"""Plans that are followed: worlds with a way through, six kinds, by snakes with unequal modules.
+
+    uv run python benchmarks/followed_worlds.py [--worlds 100] [--spread 0.1] [--robots gen2 gen4]
+
+Each world has another seed, which draws the modules, the noise of the camera (twice the scenario's) and the
+world. A run has succeeded that reached the goal and touched nothing: by MuJoCo's contacts on the twin, and on
+both plants by polygons made of the recorded connectors here. A refused plan has failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from grid import table
+from witnessed_worlds import KINDS, Witnessed, drawn
+
+from srs_twin.comparison.following import beyond, following_metrics
+from srs_twin.parallel import each
+from srs_twin.rollout import rollout
+from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.trajectory import Trajectory
+
+SCENARIOS = {"gen2": "follow_fig57", "gen4": "follow_gen4_a"}
+PLANTS = ("analytical", "twin")
+Order = tuple[str, str, int, float]
+
+
+def run(order: Order) -> dict[str, Any]:
+    """Follow one world."""
+    robot, plant, seed, spread = order
+    document = copy.deepcopy(dict(load_scenario(SCENARIOS[robot]).document))
+    document |= {"expect": [], "seed": seed, "start": {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0}}
+    document["robot"]["modules"]["gain_spread"]["value"] = spread
+    for key in ("position_noise_m", "heading_noise_rad"):
+        document["controller"]["camera"][key] *= 2
+    planner = parse_scenario(document).planner
+    assert planner is not None, "it follows"
+    kind = list(KINDS)[seed % len(KINDS)]
+    run_up = getattr(planner.file, "run_up_m", 0.0)
+    case = drawn(kind, seed, planner.problem.footprint, run_up, planner.margin.run_up - planner.margin.path)
+    document["world"] = _world(case)
+    scenario = parse_scenario(document)
+    found = {"order": order, "kind": kind, "ending": "no_plan", "succeeded": False, "touched": False}
+    assert scenario.planner is not None, "it follows"
+    plan = scenario.planner.plan()
+    if not plan.found:
+        return found
+    duration = float(math.ceil(20 + 2 * plan.length / min(planner.footprint.speeds)))
+    way = rollout(
+        scenario.build_plant(plant), scenario.build_controller(), duration,
+        pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
+    )  # fmt: skip
+    metrics = following_metrics(way)
+    touched = touches(way, case) or bool(metrics["contacts"])
+    # Over the run-up nothing can be steered: it has a margin of its own.
+    begun = [e.time for e in way.events if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text]
+    later = way.time >= (begun[0] if begun else math.inf if run_up else 0.0)
+    return found | {
+        "ending": way.metadata["control"]["following"]["ending"] or "time_out",
+        "touched": touched,
+        "succeeded": bool(metrics["goal_reached"]) and not touched,
+        "inside": bool((beyond(way)[later] <= 0).all()),
+        "clearance_m": metrics["clearance_m"],
+        "replans": metrics["replans"],
+        "realtime": way.metadata.get("realtime_factor"),
+    }
+
+
+def _world(case: Witnessed) -> dict[str, Any]:
+    world, goal = case.problem.world, case.problem.goal
+    assert world.bounds is not None, "drawn with bounds"
+    return {
+        "bounds": {"x_m": list(world.bounds.x), "y_m": list(world.bounds.y)},
+        "obstacles": [{"x_m": c.x, "y_m": c.y, "radius_m": c.radius} for c in world.obstacles],
+        "polygons": [{"corners_m": [list(corner) for corner in p.corners]} for p in world.polygons],
+        "goal": {
+            "x_m": goal.x, "y_m": goal.y, "heading_rad": math.remainder(goal.heading or 0.0, 2 * math.pi),
+            "radius_m": max(goal.radius, 0.05), "heading_tolerance_rad": goal.heading_tolerance,
+        },
+    }  # fmt: skip
+
+
+def touches(way: Trajectory, case: Witnessed) -> bool:
+    """Say whether the body, straight from connector to connector, ever lies in an obstacle."""
+    body = shapely.buffer(
+        shapely.linestrings(way.position), way.metadata["body_width_m"] / 2 - 1e-3, cap_style="flat"
+    )
+    things = [shapely.Point(c.x, c.y).buffer(c.radius) for c in case.problem.world.obstacles]
+    things += [shapely.Polygon(p.corners) for p in case.problem.world.polygons]
+    return bool(shapely.intersects(body, shapely.union_all(things)).any())
+
+
+def main() -> None:
+    """Follow and print."""
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--worlds", type=int, default=100)
+    words.add_argument("--first", type=int, default=0)
+    words.add_argument("--spread", type=float, default=0.1)
+    words.add_argument("--robots", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
+    words.add_argument("--plants", nargs="+", choices=PLANTS, default=PLANTS)
+    words.add_argument("--json", type=Path, metavar="FILE", help="also write every run there")
+    given = words.parse_args()
+    seeds = range(given.first, given.first + given.worlds)
+    orders = [(r, p, seed, given.spread) for r in given.robots for p in given.plants for seed in seeds]
+    rows: list[dict[str, Any]] = []
+    for done in each(run, orders):
+        if done.result is None:
+            raise SystemExit(f"{orders[done.number]}: {done.error}")
+        rows.append(done.result)
+    lines = []
+    for robot in given.robots:
+        for plant in given.plants:
+            some = [row for row in rows if row["order"][:2] == (robot, plant)]
+            lines.append([robot, plant, *summary(some)])
+    print(table(HEADINGS, lines))
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+
+
+HEADINGS = (
+    "robot", "plant", "reached, nothing touched", "touched", "no plan", "other endings", "inside the margin",
+    "new plans, median", "least clearance, mm",
+)  # fmt: skip
+
+
+def summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Return one line of the table."""
+    ran = [row for row in rows if row["ending"] != "no_plan"]
+    known = [row["clearance_m"] for row in ran if row["clearance_m"] is not None]
+    return [
+        f"{sum(row['succeeded'] for row in rows)} of {len(rows)}",
+        str(sum(row["touched"] for row in rows)),
+        str(len(rows) - len(ran)),
+        str(sum(row["ending"] != "goal_reached" for row in ran)),
+        f"{sum(row['inside'] for row in ran)} of {len(ran)}",
+        f"{np.median([row['replans'] for row in ran]):g}",
+        f"{1000 * min(known):.0f}",
+    ]
+
+
+if __name__ == "__main__":
+    import followed_worlds
+
+    followed_worlds.main()  # of the module: workers import `run` from there

@@ -1,0 +1,88 @@
+"""Proofs that there is no way: never where there is one, and fast where there is none.
+
+    uv run python benchmarks/proofs.py [--worlds 28]
+
+Worlds of six kinds with a way that was drawn first, for six footprints, are given to the proofs alone, at
+both of their resolutions. Impossible ones are pockets to be faced outwards and rooms that are shut; the
+planner answers those as it would anybody.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from grid import table
+from witnessed_worlds import KINDS, bodies, drawn
+
+from srs_twin.planning import Footprint, Problem, load_footprint, plan
+from srs_twin.planning.collision import surroundings
+from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.pockets import COARSE, FINE, shut_in
+from srs_twin.world import Polygon, Pose, World
+
+
+def false_proofs(case: Problem) -> int:
+    """Return how many of the proofs say that there is no way in a world that has one."""
+    body, around = case.footprint, surroundings(case.world)
+    shut = disconnected(case.start, case.goal, case.world, body.narrowest)
+    return shut + sum(bool(shut_in(case.start, case.goal, body, around, how)) for how in (COARSE, FINE))
+
+
+def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:
+    """Yield a pocket to be faced outwards, and a goal behind walls all round."""
+    case = drawn("pockets", seed, body).problem
+    goal = case.goal
+    assert goal.heading is not None, "drawn with one"
+    yield "pocket", replace(case, goal=replace(goal, heading=goal.heading + math.pi))
+    half = 3 * (body.ahead + max(body.left) + goal.radius)
+    c, s = math.cos(0.3 * seed), math.sin(0.3 * seed)
+
+    def wall(ax: float, ay: float, bx: float, by: float) -> Polygon:
+        corners = ((ax, ay), (bx, ay), (bx, by), (ax, by))
+        return Polygon(tuple((goal.x + c * x - s * y, goal.y + s * x + c * y) for x, y in corners))
+
+    far = half + 0.03
+    walls = (
+        wall(-far, half, far, far), wall(-far, -far, far, -half),
+        wall(half, -far, far, far), wall(-far, -far, -half, far),
+    )  # fmt: skip
+    away = Pose(goal.x + 3 * far, goal.y, 0.0)
+    yield "room", replace(case, start=away, world=World((), None, None, walls))
+
+
+def main() -> None:
+    """Prove and print."""
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--worlds", type=int, default=28, help="of each kind and footprint")
+    words.add_argument("--first", type=int, default=0)
+    given = words.parse_args()
+    seeds = range(given.first, given.first + given.worlds)
+    kinds = [(body, kind) for body in bodies().values() for kind in KINDS]
+    wrong = [false_proofs(drawn(kind, seed, body).problem) for body, kind in kinds for seed in seeds]
+    print(f"{len(wrong)} worlds with a way: {sum(map(bool, wrong))} false proofs\n")
+    planned = bodies() | {"gen2_gait": load_footprint("gen2_gait").reduced(turn_share=0.3, margin=0.04)}
+    lines = []
+    for name, body in planned.items():
+        for kind in ("pocket", "room"):
+            seconds, proven = [], 0
+            for seed in seeds:
+                case = dict(impossible(seed, body))[kind]
+                begin = time.process_time()
+                answer = plan(case)
+                spent = time.process_time() - begin
+                proven += answer.proven and spent <= 0.2
+                seconds.append(spent)
+            lines.append([
+                name, kind, f"{proven} of {len(seconds)}", f"{1e3 * np.median(seconds):.0f}",
+                f"{1e3 * np.quantile(seconds, 0.9):.0f}",
+            ])  # fmt: skip
+    print(table(["footprint", "impossible", "proven within 200 ms", "median, ms", "90 %, ms"], lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,365 @@
+"""Worlds with a way through by construction: a path is drawn first, then obstacles beside it.
+
+The path is made of arcs that the body can follow, and is checked against the finished world by sampling
+(`deepest`), which shares no code with the planner. `drawn` has six kinds, `KINDS`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from plan_sampling import deepest, depth_in, swept_points
+
+from srs_twin.planning import Footprint, Outcome, Plan, Problem, load_footprint
+from srs_twin.planning.problem import path_of
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+
+Pieces = list[tuple[float, float]]
+
+
+def bodies() -> dict[str, Footprint]:
+    """Return six footprints: the shipped ones, and generation 4's as its scenarios plan with it."""
+    names = ("gen2_gait", "gen2_section52", "gen4_ilc", "gen4_table8", "gen4_table9")
+    found = {name: load_footprint(name) for name in names}
+    return found | {"gen4_ilc_half": found["gen4_ilc"].reduced(turn_share=0.5, margin=0.05)}
+
+
+@dataclass(frozen=True)
+class Witnessed:
+    """A problem and a way that solves it.
+
+    Attributes:
+        problem: from where to where, among what.
+        witness: a plan that is free by sampling.
+        width: of the straight body, m.
+        gap: of the narrowest gap, in such widths; infinite where there is none.
+    """
+
+    problem: Problem
+    witness: Plan
+    width: float
+    gap: float = math.inf
+
+
+def _settled(body: Footprint) -> float:
+    """Return the length after which no change of offset is felt, m."""
+    return max((each.length for each in body.transients), default=0.0)
+
+
+def walls(seed: int, body: Footprint, ratio: float, count: int) -> Witnessed:
+    """Return walls from bound to bound, each with one gap of so many widths of the straight body."""
+    return _first(seed, lambda rng: _walls(rng, body, ratio, count))
+
+
+def drawn(kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: float = 0.0) -> Witnessed:
+    """Return a world of a kind.
+
+    Args:
+        kind: of `KINDS`.
+        seed: of all that is drawn.
+        body: that is to get through, margin included.
+        run_up: length of the straight beginning, m.
+        room: that it has beside the body, m.
+    """
+    start = _Start(body, run_up, room)
+    return _first(seed, lambda rng: KINDS[kind](rng, start))
+
+
+def _first(seed: int, make: Callable[[np.random.Generator], Witnessed | None]) -> Witnessed:
+    for attempt in range(400):
+        if (found := make(np.random.default_rng([seed, attempt]))) is not None:
+            return found
+    raise RuntimeError("no world was drawn")
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A body and the straight beginning of its way."""
+
+    body: Footprint
+    run_up: float
+    room: float
+
+    def way(self, rng: np.random.Generator, length: float) -> Pieces:
+        """Return a straight beginning, and arcs behind it."""
+        low, high = self.body.curvatures[0], self.body.curvatures[-1]
+        pieces, left = [(0.0, self.run_up + 0.05)], length
+        while left > 0:
+            piece = float(rng.uniform(0.3, 0.8))
+            pieces.append((float(rng.uniform(0.9 * low, 0.9 * high)) * (rng.random() < 0.7), piece))
+            left -= piece
+        return pieces
+
+    def finished(
+        self, pieces: Pieces, circles: list[Circle], polygons: list[Polygon], gap: float = math.inf
+    ) -> Witnessed | None:
+        """Return the world with such obstacles, if the way is free of them, and the run-up with its room."""
+        start = Pose(0.0, 0.0, 0.0)
+        path = path_of(start, pieces, self.body)
+        corners = [(c.x + sx * c.radius, c.y + sx * c.radius) for c in circles for sx in (-1, 1)]
+        corners += [corner for each in polygons for corner in each.corners]
+        corners += [(each.start.x, each.start.y) for each in path] + [(path[-1].end.x, path[-1].end.y)]
+        far = self.body.ahead + self.body.behind + 3 * (self.body.at(0.0).left + self.room)
+        x, y = zip(*corners, strict=True)
+        bounds = Bounds((min(x) - far, max(x) + far), (min(y) - far, max(y) + far))
+        world = World(tuple(circles), bounds, None, tuple(polygons))
+        straight = self.body.at(0.0)
+        beginning = swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.01, (self.room, self.room))
+        if depth_in(beginning, world) >= 0:
+            return None
+        width = straight.left + straight.right
+        return _checked(start, pieces, path[-1].end, world, self.body, width, gap)
+
+    def swept(self, pieces: Pieces) -> np.ndarray:
+        """Return points of all that the way covers, the room of the run-up included."""
+        path = path_of(Pose(0.0, 0.0, 0.0), pieces, self.body)
+        points = [
+            swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.02, (self.room, self.room)),
+            *(swept_points((*each.start,), each.curvature, each.length, self.body, 0.02) for each in path),
+        ]
+        return np.vstack(points)
+
+
+def _circles(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    pieces = start.way(rng, float(rng.uniform(1.5, 3.0)))
+    return start.finished(pieces, _strewn(rng, start, pieces), [])
+
+
+def _polygons(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    pieces = start.way(rng, float(rng.uniform(1.5, 3.0)))
+    found = []
+    for circle in _strewn(rng, start, pieces):
+        angles = (np.arange(6) + rng.uniform(0, 0.9, 6)) * math.pi / 3
+        radii = circle.radius * rng.uniform(0.5, 1.0, 6)
+        corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
+        found.append(Polygon(tuple((float(x), float(y)) for x, y in corners)))
+    return start.finished(pieces, [], found)
+
+
+def _strewn(rng: np.random.Generator, start: _Start, pieces: Pieces) -> list[Circle]:
+    """Return circles beside a way, many of them close to it."""
+    swept = start.swept(pieces)
+    low, high = swept.min(axis=0) - 0.3, swept.max(axis=0) + 0.3
+    found: list[Circle] = []
+    for _ in range(600):
+        x, y = rng.uniform(low, high)
+        near = float(np.min(np.hypot(swept[:, 0] - x, swept[:, 1] - y))) - 0.012
+        apart = min((math.hypot(c.x - x, c.y - y) - c.radius for c in found), default=math.inf)
+        radius = min(near, apart, float(rng.uniform(0.05, 0.25)))
+        if radius > 0.03 and len(found) < 25:
+            found.append(Circle(float(x), float(y), radius))
+    return found
+
+
+def _gaps(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    ratio, count = float(rng.uniform(1.1, 1.8)), int(rng.integers(1, 4))
+    return _walls(rng, start.body, ratio, count, start.run_up, start.room)
+
+
+def _corridor(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    pieces = start.way(rng, float(rng.uniform(1.2, 2.5)))
+    return start.finished(pieces, [], _sides(start, pieces[1:], pieces[:1], float(rng.uniform(1.1, 1.6))))
+
+
+def _sides(start: _Start, pieces: Pieces, before: Pieces, ratio: float) -> list[Polygon]:
+    """Return walls along both sides of a part of a way, so many times the body's half widths from it."""
+    body, thick = start.body, 0.03
+    left, right = max(body.left), max(body.right)
+    for each in body.transients:
+        left, right = max(left, max(body.left) + each.left), max(right, max(body.right) + each.right)
+    path = path_of(path_of(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
+    poses = [each.pose(s) for each in path for s in np.arange(0.0, each.length, 0.08)] + [path[-1].end]
+    found = []
+    for near in (ratio * left, -ratio * right):
+        far = near + math.copysign(thick, near)
+        rows = [
+            [(p.x - n * math.sin(p.heading), p.y + n * math.cos(p.heading)) for n in (near, far)]
+            for p in poses
+        ]
+        found += [Polygon((*a, *reversed(b))) for a, b in zip(rows, rows[1:], strict=False)]
+    return [each for each in found if _convex(each)]
+
+
+def _convex(polygon: Polygon) -> bool:
+    """Say whether a strip's corners did not cross, as they do inside of a turn tighter than it is far."""
+    corners = np.array(polygon.corners)
+    side, after = (
+        np.roll(corners, -1, axis=0) - corners,
+        np.roll(corners, -2, axis=0) - np.roll(corners, -1, axis=0),
+    )
+    cross = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
+    return bool((cross > 1e-9).all() or (cross < -1e-9).all())
+
+
+def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    body, ratio = start.body, float(rng.uniform(1.1, 1.5))
+    depth = max(2 * (body.ahead + body.behind), 2 * body.at(0.0).left)
+    pieces = [*start.way(rng, float(rng.uniform(1.0, 2.0))), (0.0, _settled(body) + body.behind + depth)]
+    walls = _sides(start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio)
+    end = path_of(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
+    ahead, half = body.ahead + 0.03, ratio * max(*body.left, *body.right)
+    c, s = math.cos(end.heading), math.sin(end.heading)
+    corners = [(ahead, half), (ahead + 0.03, half), (ahead + 0.03, -half), (ahead, -half)]
+    walls.append(Polygon(tuple((end.x + c * u - s * n, end.y + s * u + c * n) for u, n in corners)))
+    return start.finished(pieces, [], walls)
+
+
+def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    body, columns, rows = start.body, 3, 2
+    cell = 2.2 / min(body.tightest) + 2 * _settled(body)
+    entry = start.run_up + _settled(body) + body.ahead + start.room
+    # A spanning tree by walking at random, and the way through it.
+    at, seen, opened = (0, 0), {(0, 0)}, set()
+    trail = [at]
+    before: dict[tuple[int, int], tuple[int, int]] = {}
+    while trail:
+        at = trail[-1]
+        near = [(at[0] + i, at[1] + j) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        fresh = [n for n in near if 0 <= n[0] < columns and 0 <= n[1] < rows and n not in seen]
+        if not fresh:
+            trail.pop()
+            continue
+        after = fresh[int(rng.integers(len(fresh)))]
+        before[after], seen = at, seen | {after}
+        opened.add(frozenset((at, after)))
+        trail.append(after)
+    cells = [(columns - 1, int(rng.integers(rows)))]
+    while cells[0] in before:
+        cells.insert(0, before[cells[0]])
+    moves = [(1, 0), *((b[0] - a[0], b[1] - a[1]) for a, b in zip(cells, cells[1:], strict=False)), (1, 0)]
+    if moves[-2] == (-1, 0):
+        return None
+    settle = _settled(body)
+    pieces = [(0.0, entry)]
+    for (ax, ay), (bx, by) in zip(moves, moves[1:], strict=False):
+        turn = ax * by - ay * bx
+        radius = cell / 2 - settle
+        bend = [(turn / radius, radius * math.pi / 2)] if turn else [(0.0, cell - 2 * settle)]
+        pieces += [(0.0, settle), *bend, (0.0, settle)]
+    pieces.append((0.0, body.behind + 0.05))
+    walls, (x0, y0), thick = [], (entry, -cell / 2), 0.02
+
+    def wall(ax: float, ay: float, bx: float, by: float) -> None:
+        low, high = (min(ax, bx) - thick, min(ay, by) - thick), (max(ax, bx) + thick, max(ay, by) + thick)
+        walls.append(Polygon(((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))))
+
+    ends = {((-1, 0), (0, 0)), (cells[-1], (columns, cells[-1][1]))}
+    for i in range(columns + 1):
+        for j in range(rows):
+            sides = (i - 1, j), (i, j)
+            if frozenset(sides) not in opened and sides not in ends:
+                wall(x0 + i * cell, y0 + j * cell, x0 + i * cell, y0 + (j + 1) * cell)
+    for i in range(columns):
+        for j in range(rows + 1):
+            if frozenset(((i, j - 1), (i, j))) not in opened:
+                wall(x0 + i * cell, y0 + j * cell, x0 + (i + 1) * cell, y0 + j * cell)
+    return start.finished(pieces, [], walls)
+
+
+KINDS = {
+    "circles": _circles, "polygons": _polygons, "walls": _gaps, "corridors": _corridor, "pockets": _pocket,
+    "mazes": _maze,
+}  # fmt: skip
+"""Name → what draws one."""
+
+
+def _walls(
+    rng: np.random.Generator, body: Footprint, ratio: float, count: int, first: float = 0.0, room: float = 0.0
+) -> Witnessed | None:  # fmt: skip
+    straight = body.at(0.0)
+    width, thick = straight.left + straight.right, float(rng.uniform(0.02, 0.08))
+    run_up, run_out = _settled(body) + body.ahead + 0.01, body.behind + 0.01
+    pieces, heading, places = [(0.0, 0.5 * width + first)], 0.0, []
+    for _ in range(count):
+        pieces += _bend(rng, body, heading, float(rng.uniform(-0.5, 0.5)))
+        heading = sum(k * length for k, length in pieces)
+        pieces.append((0.0, run_up + thick))
+        places.append(len(pieces))
+        pieces.append((0.0, thick + run_out + float(rng.uniform(0.0, width))))
+    start = Pose(0.0, 0.0, 0.0)
+    ends = [start]
+    for k, length in pieces:
+        ends.append(path_of(ends[-1], [(k, length)], body)[-1].end)
+    x, y = [each.x for each in ends], [each.y for each in ends]
+    room = 3 * width + body.ahead + body.behind
+    bounds = Bounds((min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room))
+    polygons: list[Polygon] = []
+    circles: list[Circle] = []
+    for place in places:
+        if rng.random() < 0.3:
+            circles += _row(rng, ends[place], straight.left, straight.right, ratio, bounds)
+        else:
+            polygons += _wall(rng, ends[place], straight.left, straight.right, ratio, thick, bounds)
+    world = World(tuple(circles), bounds, None, tuple(polygons))
+    if depth_in(swept_points((0.0, 0.0, 0.0), 0.0, first, body, 0.01, (room, room)), world) >= 0:
+        return None
+    return _checked(start, pieces, ends[-1], world, body, width, ratio)
+
+
+def _bend(rng: np.random.Generator, body: Footprint, heading: float, to: float) -> Pieces:
+    """Return arcs that end with another heading, some aside."""
+    low, high = body.curvatures[0], body.curvatures[-1]
+    share = float(rng.uniform(0.4, 0.95))
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    first = side * float(rng.uniform(0.1, 0.6))
+    pieces = []
+    for turn in (first, to - heading - first):
+        tightest = high if turn > 0 else low
+        pieces.append((share * tightest, abs(turn / (share * tightest))))
+    return pieces
+
+
+def _wall(
+    rng: np.random.Generator, at: Pose, left: float, right: float, ratio: float, thick: float, bounds: Bounds
+) -> list[Polygon]:  # fmt: skip
+    """Return both sides of a wall across a path, its gap about the body's middle, slightly aslant."""
+    tilt = float(rng.uniform(-0.1, 0.1))
+    half = ratio * (left + right) / 2 / math.cos(tilt) + thick / 2 * math.tan(abs(tilt))
+    along = at.heading + math.pi / 2 + tilt
+    middle = (left - right) / 2
+    x, y = at.x - middle * math.sin(at.heading), at.y + middle * math.cos(at.heading)
+    (west, east), (south, north) = bounds.x, bounds.y
+    far = math.hypot(east - west, north - south)
+    c, s = math.cos(along), math.sin(along)
+    across = (s * thick / 2, -c * thick / 2)
+    made = []
+    for sign in (1.0, -1.0):
+        near, end = sign * half, sign * far
+        corners = [(near, 1.0), (end, 1.0), (end, -1.0), (near, -1.0)]
+        made.append(
+            Polygon(tuple((x + c * u + w * across[0], y + s * u + w * across[1]) for u, w in corners))
+        )
+    return made
+
+
+def _row(
+    rng: np.random.Generator, at: Pose, left: float, right: float, ratio: float, bounds: Bounds
+) -> list[Circle]:
+    """Return circles in a row across a path, as a wall with a gap."""
+    half, along = ratio * (left + right) / 2, at.heading + math.pi / 2 + float(rng.uniform(-0.1, 0.1))
+    middle = (left - right) / 2
+    x, y = at.x - middle * math.sin(at.heading), at.y + middle * math.cos(at.heading)
+    made = []
+    for sign in (1.0, -1.0):
+        place = half
+        while place < math.hypot(bounds.x[1] - bounds.x[0], bounds.y[1] - bounds.y[0]):
+            radius = float(rng.uniform(0.2, 0.6)) * (left + right)
+            place += radius
+            made.append(
+                Circle(x + sign * place * math.cos(along), y + sign * place * math.sin(along), radius)
+            )
+            place += radius
+    return made
+
+
+def _checked(
+    start: Pose, pieces: Pieces, end: Pose, world: World, body: Footprint, width: float, gap: float = math.inf
+) -> Witnessed | None:
+    """Return the world if the way through is free."""
+    goal = Goal(end.x, end.y, end.heading, 0.02 + 0.1 * width, 0.1)
+    problem = Problem(start, goal, world, body)
+    witness = Plan(Outcome.FOUND, "drawn first", path_of(start, pieces, body))
+    return Witnessed(problem, witness, width, gap) if deepest(witness, problem) < 0 else None

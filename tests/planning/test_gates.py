@@ -1,0 +1,86 @@
+"""Narrow gaps: where they are, and that the planner gets through those hardly wider than the body."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plan_sampling import TOUCH, deepest, misses
+from witnessed_worlds import bodies, walls
+
+from srs_twin.planning import load_footprint, plan
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.best_first import at_rest, one_arc
+from srs_twin.planning.collision import Checker, surroundings
+from srs_twin.planning.gates import gates_of
+from srs_twin.planning.problem import path_of
+from srs_twin.planning.tree import moves_of
+from srs_twin.world import Bounds, Circle, Polygon, Pose, World
+
+BODY = load_footprint("gen4_table8")
+
+
+def square(x: float, y: float, side: float) -> Polygon:
+    return Polygon(((x, y), (x + side, y), (x + side, y + side), (x, y + side)))
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        World((Circle(0.0, 0.5, 0.35), Circle(0.0, -0.5, 0.35))),
+        World(polygons=(square(-0.1, 0.15, 0.2), square(-0.1, -0.35, 0.2))),
+        World((Circle(0.0, -0.5, 0.35),), polygons=(square(-0.1, 0.15, 0.2),)),
+        World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15))),
+    ],
+    ids=["circles", "polygons", "both", "bounds"],
+)
+def test_a_gate_leads_straight_through_the_middle_of_a_gap(world):
+    gates = gates_of(world, BODY)
+    assert len(gates)
+    straight = BODY.at(0.0)
+    for x, y, heading, through in gates:
+        assert math.remainder(heading, math.pi) == pytest.approx(0.0, abs=1e-6)
+        along = math.cos(heading)
+        assert y + along * (straight.left - straight.right) / 2 == pytest.approx(0.0, abs=1e-6)
+        assert x * along < 0 < x * along + through
+        assert Checker(world, BODY).free_path(path_of(Pose(x, y, heading), [(0.0, through)], BODY))
+
+
+def test_gaps_that_are_too_narrow_wide_or_filled_have_no_gate():
+    def pair(gap: float, *more: Circle) -> World:
+        return World((Circle(0.0, gap / 2 + 0.3, 0.3), Circle(0.0, -gap / 2 - 0.3, 0.3), *more))
+
+    assert len(gates_of(pair(0.3), BODY))
+    assert not len(gates_of(pair(0.19), BODY)) and not len(gates_of(pair(0.6), BODY))
+    assert not len(gates_of(pair(0.3, Circle(0.01, 0.0, 0.05)), BODY))
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 1000), st.integers(0, 4), st.integers(0, 4), st.floats(0.05, 1.0))
+def test_an_arc_of_the_search_is_as_wide_as_the_checker_has_it(seed, one, other, length):
+    """The change of offset is felt on the first part of an arc only."""
+    body, rng = load_footprint("gen4_ilc"), np.random.default_rng(seed)
+    moves = moves_of(Primitives(5, 0.5, 0.25), body)
+    world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))
+    way, pieces = at_rest(0.0, 0.0, 0.0, moves), []
+    for move in moves.arcs[[one, other]]:
+        free, way = one_arc(way, move, length, moves, surroundings(world))
+        pieces.append((float(moves.curvatures[move]), length))
+        assert (
+            free == Checker(world, body).free_path(path_of(Pose(0.0, 0.0, 0.0), pieces, body)) or one == other
+        )
+        if not free:
+            break
+
+
+@pytest.mark.parametrize("ratio", [1.05, 1.3])
+@pytest.mark.parametrize("name", bodies())
+def test_ways_through_narrow_gaps_are_found(name, ratio):
+    """Two walls from bound to bound, each with one gap, 1.05 or 1.3 times as wide as the straight body."""
+    case = walls(2, bodies()[name], ratio, 2)
+    answer = plan(case.problem)
+    assert answer.found, answer.reason
+    assert deepest(answer, case.problem) <= TOUCH and not misses(answer, case.problem)

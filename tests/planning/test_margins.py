@@ -1,0 +1,72 @@
+"""Margins with a probability: the quantile holds as often as it says, and only where it was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srs_twin.errors import InputError
+from srs_twin.planning.footprint import load_footprint_file, save_footprint
+from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, margin, quantile
+
+CONDITIONS = {
+    "plant": "twin", "follower": "path", "gain_spread": 0.1, "turn_share": 0.5, "delay_s": 0.1,
+    "position_noise_m": 0.002, "heading_noise_rad": 0.01, "run_up_m": 0.4,
+}  # fmt: skip
+
+
+def conditions(**other: object) -> ConditionsFile:
+    return ConditionsFile.model_validate(CONDITIONS | other)
+
+
+def tried(path: list[float], **other: object) -> ExcursionsFile:
+    return ExcursionsFile(conditions=conditions(**other), source="drawn", path_m=path, run_up_m=path)
+
+
+@pytest.mark.parametrize("draw", ["lognormal", "uniform", "standard_cauchy"])
+@pytest.mark.parametrize("probability", [0.5, 0.9, 0.95])
+def test_a_new_run_stays_within_as_often_as_it_says(draw, probability):
+    """Whatever the distribution: over many sets of 39 runs, at least p and at most p + 1/40 of new ones."""
+    rng = np.random.default_rng(7)
+    kept = [getattr(rng, draw)(size=40) + 100.0 for _ in range(4000)]
+    held = np.mean([each[-1] <= quantile(each[:-1].tolist(), probability) for each in kept if each[-1] > 0])
+    noise = 3 * np.sqrt(probability * (1 - probability) / 4000)
+    assert probability - noise <= held <= probability + 1 / 40 + noise
+
+
+def test_too_few_runs_and_lost_ones_give_no_margin():
+    with pytest.raises(InputError, match="takes 19 runs or more, not 18"):
+        quantile([0.01] * 18, 0.95)
+    with pytest.raises(InputError, match="too many runs did not arrive"):
+        quantile([0.01] * 90 + [LOST_M] * 10, 0.95)
+    assert quantile([0.01] * 98 + [LOST_M] * 2, 0.95) == 0.01
+    assert quantile([-0.02] * 19, 0.95) == 0.0
+
+
+def test_margins_hold_under_conditions_no_harder_than_measured():
+    blocks = [tried([0.03] * 20), tried([0.06] * 20, gain_spread=0.2), tried([0.02] * 20, plant="analytical")]
+    wanted = [conditions(gain_spread=0.05), conditions(plant="analytical", delay_s=0.05)]
+    assert margin(blocks, 0.9, wanted).path == 0.03
+    assert margin(blocks, 0.9, [conditions(gain_spread=0.15)]).path == 0.06
+    # Of several the nearest, not the luckiest: harder conditions that went well by chance do not count.
+    luckier = [*blocks, tried([0.01] * 20, gain_spread=0.3)]
+    assert margin(luckier, 0.9, wanted[:1]).path == 0.03
+    for other in ({"gain_spread": 0.3}, {"delay_s": 0.2}, {"run_up_m": 0.3}, {"tau_spread": 0.1}):
+        with pytest.raises(InputError, match="no excursions were measured for"):
+            margin(blocks, 0.9, [conditions(**other)])
+
+
+def test_excursions_survive_their_file(tmp_path):
+    file = load_footprint_file("gen4_ilc").model_copy(update={"excursions": [tried([0.01, 0.02])]})
+    save_footprint(file, tmp_path / "kept.yaml")
+    again = load_footprint_file(tmp_path / "kept.yaml")
+    assert again.excursions == file.excursions
+    assert again.footprint() == file.footprint()
+
+
+@pytest.mark.parametrize("name", ["gen2_gait", "gen4_ilc"])
+def test_shipped_footprints_keep_a_hundred_runs_on_each_plant(name):
+    kept = load_footprint_file(name).excursions
+    assert {each.conditions.plant for each in kept} == {"analytical", "twin"}
+    for each in kept:
+        assert len(each.path_m) == 100 and each.path_m == sorted(each.path_m)

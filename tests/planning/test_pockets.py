@@ -1,0 +1,111 @@
+"""Pockets: what is proven impossible is, and what has a way never is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plan_sampling import TOUCH, deepest, misses
+from witnessed_worlds import KINDS, bodies, drawn
+
+from srs_twin.planning import Problem, load_footprint, plan
+from srs_twin.planning.arcs import along
+from srs_twin.planning.collision import surroundings
+from srs_twin.planning.pockets import COARSE, FINE, _moves, shut_in
+from srs_twin.world import Bounds, Goal, Polygon, Pose, World
+
+BODY = load_footprint("gen4_table8")
+
+
+def pocket(half: float, depth: float = 0.8, thick: float = 0.05) -> World:
+    """Return walls about the origin that are open to the left."""
+    top = Polygon(((-depth, half), (depth, half), (depth, half + thick), (-depth, half + thick)))
+    end = Polygon(
+        ((depth, -half - thick), (depth + thick, -half - thick), (depth + thick, half), (depth, half))
+    )
+    below = Polygon(tuple((x, -y) for x, y in top.corners))
+    return World(bounds=Bounds((-4.0, 3.0), (-3.0, 3.0)), polygons=(top, end, below))
+
+
+def problem(world: World, heading: float) -> Problem:
+    return Problem(Pose(-3.0, 0.0, 0.0), Goal(0.0, 0.0, heading, 0.02, 0.1), world, BODY)
+
+
+def test_a_pocket_is_entered_facing_in_and_proven_shut_facing_out():
+    inwards, outwards = (plan(problem(pocket(0.12), heading)) for heading in (0.0, math.pi))
+    assert inwards.found
+    assert outwards.proven and "where the goal lies there is no room" in outwards.reason
+
+
+def test_a_dead_end_is_proven_at_the_start():
+    out = problem(pocket(0.12), 0.0)
+    back = Problem(Pose(0.0, 0.0, 0.0), Goal(-3.0, 0.0, 0.0, 0.02, 0.1), out.world, BODY)
+    answer = plan(back)
+    assert answer.proven and "where the start lies" in answer.reason
+
+
+def test_a_pocket_with_room_to_turn_is_no_proof():
+    wide = problem(pocket(1.7), math.pi)
+    answer = plan(wide)
+    assert answer.found and deepest(answer, wide) < TOUCH and not misses(answer, wide)
+
+
+def test_a_goal_without_heading_in_a_pocket_is_reached():
+    free = problem(pocket(0.12), 0.0)
+    free = replace(free, goal=replace(free.goal, heading=None))
+    assert plan(free).found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", bodies())
+def test_nothing_that_has_a_way_is_proven_shut(kind, name):
+    body = bodies()[name]
+    for seed in range(100, 103):
+        case = drawn(kind, seed, body).problem
+        for how in (COARSE, FINE):
+            assert shut_in(case.start, case.goal, body, surroundings(case.world), how) == ""
+
+
+# gen2_gait turns in little more than its width; gen4_ilc takes more cells than there are.
+PROVEN = [each for each in bodies() if each not in ("gen2_gait", "gen4_ilc")]
+
+
+@pytest.mark.parametrize("name", PROVEN)
+def test_pockets_faced_outwards_are_proven(name):
+    body = bodies()[name]
+    for seed in range(3):
+        case = drawn("pockets", seed, body).problem
+        goal = replace(case.goal, heading=case.goal.heading + math.pi)
+        around = surroundings(case.world)
+        assert "goal" in [shut_in(case.start, goal, body, around, how) for how in (COARSE, FINE)]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    tight=st.floats(0.5, 20.0),
+    turn=st.floats(0.05, 0.5),
+    shares=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=12),
+)
+def test_every_path_of_a_step_ends_in_the_box_of_its_turn(tight, turn, shares):
+    """Arcs laid end to end, against the bounds that come from turning one way and then the other."""
+    step, sector = turn / tight, 0.1 * turn
+    moves = _moves(tight, step, sector)
+    x = y = heading = 0.0
+    for share in shares:
+        x, y, heading = along(x, y, heading, share * tight, step / len(shares))
+    for begin in (-0.49, 0.0, 0.49):  # of a sector
+        turned = math.floor((begin + 0.5) + heading / sector)
+        (row,) = moves[moves[:, 0] == turned]
+        assert row[1] <= x <= row[2] and row[3] <= y <= row[4]
+    way, at = [(0.0, 0.0, 0.0)], (0.0, 0.0, 0.0)
+    for share in shares:
+        for _ in range(10):
+            at = along(*at, share * tight, step / len(shares) / 10)
+            way.append(at)
+    places = np.array(way)[:, :2]
+    chord = np.linspace(0.0, 1.0, len(places))[:, None] * [x, y]
+    assert np.hypot(*(places - chord).T).max() <= tight * step**2 / 8 + 1e-9
