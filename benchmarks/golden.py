@@ -43,7 +43,7 @@ FITS = {
     "friction": "pulls.csv --validate {0}/pulls_check.csv --robot gen2",
     "actuator": f"steps.csv --validate {{0}}/steps_check.csv --robot gen2 --head snake:1a --find {_FIND}",
     "locomotion": "walk_straight.csv --validate {0}/walk_check.csv --robot gen2 --starts 1 "
-    "--find geometry.rigid_gap_m",
+    "--find geometry.rigid_gap_m,bending.stiffness_nm_per_rad",
 }
 
 

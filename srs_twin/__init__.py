@@ -16,6 +16,7 @@ _HOME = {
     "TwinBatch": "srs_twin.plants.batch",
     "Plant": "srs_twin.plants.base",
     "SnakeState": "srs_twin.plants.base",
+    "SavedState": "srs_twin.memory",
     "Controller": "srs_twin.control.base",
     "Gait": "srs_twin.control.gait",
     "rollout": "srs_twin.rollout",

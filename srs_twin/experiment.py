@@ -22,9 +22,9 @@ from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import open_folder, replaced, shown
+from srs_twin.io.files import data_root, open_folder, replaced, shipped_names, shown
 from srs_twin.plants.base import Plant
-from srs_twin.provenance import versions
+from srs_twin.provenance import judged_digest, versions
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
@@ -190,7 +190,10 @@ class PreparedRun:
         # What was said of a plant that the scenario names and nobody asked to run is not missed.
         there = {*trajectories, *(["comparison"] if comparison else ())}
         asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]
+        if any(each.within for each in asked):
+            metrics["intervals"] = kept_intervals(scenario)
         metrics["expectations"] = [each.check(metrics) for each in asked]
+        metrics.get("intervals", {}).pop("plants", None)
         metrics["versions"] = versions()
         # The plants' own robot: a scenario may have taken its gaps away.
         spec = [plant.spec for plant, _ in self.parts.values()][-1]
@@ -213,6 +216,31 @@ class PreparedRun:
         write_report(fresh / REPORT, scenario_title=title, metrics=metrics, attribution=attribution, **shared)
         write_recording(fresh / RECORDING, title=title, world=self.scenario.world, **shared)
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
+
+
+INTERVALS = Path("calibration/intervals")
+
+
+def kept_intervals(scenario: Scenario) -> dict[str, Any]:
+    """Return what `srs-twin uncertainty SCENARIO --write` kept: in the current folder, else what is shipped.
+
+    Returns:
+        The file's document, with "stale": why it does not hold, None where robot and scenario are still those
+        that it was made from; "renew": the command that renews it.
+    """
+    given = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
+    name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {given} --write`"
+    path = next((p for p in (INTERVALS / name, data_root() / INTERVALS / name) if p.is_file()), None)
+    if path is None:
+        return {"stale": f"no interval is kept; {renew} makes one"}
+    try:
+        found = json.loads(path.read_text("utf-8"))
+        kept, plants = found["digest"], found["plants"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return {"stale": f"{shown(path)} cannot be read ({error}); {renew} makes it anew"}
+    if kept != judged_digest(scenario.document):
+        return {"stale": f"stale: {shown(path)} is of another robot or scenario; {renew} renews it"}
+    return {"stale": None, "file": shown(path), "renew": renew, "plants": plants}
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:

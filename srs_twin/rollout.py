@@ -18,14 +18,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.memory import SavedState
 from srs_twin.parallel import Stopped, Workers
-from srs_twin.plants.base import Plant, Pose, SnakeState, check_commands, check_plausible
+from srs_twin.plants.base import Plant, PlantState, Pose, SnakeState, check_commands, check_plausible
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 
 Observer = Callable[[SnakeState], None]
+Begin = Callable[[Plant, int], SnakeState]
 
 
 def rollout(
@@ -43,13 +45,15 @@ def rollout(
     duration: float,
     *,
     pose: Pose = (0.0, 0.0, 0.0),
+    begin: Begin | None = None,
+    resume: tuple[PlantState, SavedState] | None = None,
     seed: int = 0,
     record_hz: float = 100,
     until: Callable[[SnakeState], bool] | None = None,
     observers: Iterable[Observer] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
-    """Run a plant under a controller from rest.
+    """Run a plant under a controller, from rest unless told otherwise.
 
     Where nothing looks on (`until`, `observers`), a controller that does not sense runs its whole script on
     a plant that can follow one; otherwise they meet every tick.
@@ -59,6 +63,8 @@ def rollout(
         controller: what commands its valves.
         duration: s, a multiple of the plant's tick.
         pose: where the snake lies at first: centre of mass x, y (m), mean heading (rad).
+        begin: brings the plant into another first state, from plant and seed, as `Plant.place` does.
+        resume: saved states of plant and controller, from which both go on; the clock goes on, too.
         seed: for plant and controller.
         record_hz: samples a second. Above the tick rate a whole number a tick, else every whole-numbered
             tick.
@@ -67,13 +73,13 @@ def rollout(
         progress: called now and then with the simulated time, s.
 
     Returns:
-        The samples from t = 0 on; where `until` or a controller that has finished ends the run between two,
-        its last state as well. Its metadata say which of them did (``ended_by``, None at the full duration),
-        and what the controller says of itself (``control``).
+        The samples from the first state on; where `until` or a controller that has finished ends the run
+        between two, its last state as well. Its metadata say which of them did (``ended_by``, None at the
+        full duration), and what the controller says of itself (``control``).
 
     Raises:
         InputError: duration, tick, time step and record_hz do not fit together, or the controller cannot
-            drive these valves.
+            drive these valves, or a state that does not belong to them.
         DivergedError: the plant or the controller diverged; the error's `trajectory` holds what was recorded
             until then.
     """
@@ -84,11 +90,16 @@ def rollout(
             f"controller '{controller.kind}' drives valves of layout {', '.join(controller.layouts)}; "
             f"the {plant.name} plant has {plant.layout} (layout in_out can hold, 3/2 cannot)"
         )
-    state = plant.reset(pose=pose, seed=seed)
+    state = plant.reset(pose=pose, seed=seed) if begin is None else begin(plant, seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
+    if resume is not None:
+        state = plant.restore(resume[0])
+        controller.restore(resume[1])
     recorder.add(state)
-    watchers = tuple(observers)
-    script = None if until is not None or watchers else controller.script(ticks * plant.tick)
+    watchers, passed = tuple(observers), float(state.time)
+    script = None if until is not None or watchers else controller.script(passed + ticks * plant.tick)
+    if script is not None and passed:
+        script = script.part(passed, passed + ticks * plant.tick)
     try:
         if script is None or not _play_script(recorder, script, ticks, progress):
             _step_ticks(recorder, state, ticks, until, watchers, progress)
@@ -284,6 +295,7 @@ class Job:
         pose: where the snake lies at first: centre of mass x, y (m), mean heading (rad).
         seed: for plant and controller.
         record_hz: samples a second.
+        begin: brings the plant into another first state.
     """
 
     plant: Plant | Callable[[], Plant]
@@ -292,6 +304,7 @@ class Job:
     pose: Pose = (0.0, 0.0, 0.0)
     seed: int = 0
     record_hz: float = 100
+    begin: Begin | None = None
 
 
 def run_many(
@@ -324,8 +337,10 @@ def run_many(
         job = jobs[k]
         try:
             controller = job.controller if isinstance(job.controller, Controller) else job.controller()
-            start: dict[str, Any] = {"pose": job.pose, "seed": job.seed, "record_hz": job.record_hz}
-            return rollout(_plant(job, here), controller, job.duration, **start, progress=go_on)
+            return rollout(
+                _plant(job, here), controller, job.duration,
+                pose=job.pose, begin=job.begin, seed=job.seed, record_hz=job.record_hz, progress=go_on,
+            )  # fmt: skip
         except DivergedError as error:
             return error.with_traceback(None)  # its frames hold the plant
         except InputError as error:

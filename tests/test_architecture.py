@@ -21,6 +21,7 @@ ORDER = (
         "compiled",
         "arrays",
         "io",
+        "memory",
         "parallel",
         "robot",
         "geometry",
@@ -38,8 +39,9 @@ ORDER = (
         "experiment",
         "attribution",
         "sweep",
+        "uncertainty",
     ),
-    *("reproduction", "envs", "doctor", "cli"),
+    *("reproduction", "envs", "live", "doctor", "cli"),
 )
 STEP = {name: i for i, name in enumerate(ORDER)}
 
@@ -50,6 +52,7 @@ RESERVED = {
     "gymnasium": {"envs"},
     "rerun": {"viewing"},
     "ray": {"sweep"},
+    "paho": {"live"},
 }
 
 SOURCES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

@@ -60,7 +60,7 @@ def test_a_resolved_scenario_can_be_changed_again():
         ("robot.bending.stiffness=1", "unknown key; did you mean stiffness_nm_per_rad?"),
         ("robot.friction.mu_t=-1", "robot.friction.mu_t: must be a number from 0 to 10, not -1"),
         ("robot=gen9", "unknown robot 'gen9'"),
-        ("expect[40].near=1", "expect[40]: there are 6 entries, from 0"),
+        ("expect[40].near=1", "expect[40]: there are 7 entries, from 0"),
         ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
         ("supply.pressure_kpa=0.0483", "not 0.0483; did you mean 48.3?"),
         ("start.heading_rad=90", "did you mean 1.571?"),

@@ -13,6 +13,7 @@ from snakes import robot
 from srs_twin import Gait, InputError, TwinSnake
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.pneumatics import make_pneumatics
+from srs_twin.pneumatics.recorded import RecordedPressures
 
 pytestmark = pytest.mark.fast
 
@@ -66,12 +67,14 @@ def test_regulated_chambers_are_those_made_for_that_pressure_bit_for_bit():
 
 
 def test_a_supply_that_cannot_be_is_refused():
-    chambers = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
-    for pressure in (-1.0, 60.1e3, math.nan):
-        with pytest.raises(InputError, match="it must be 0 to 60000 Pa, which these chambers were made for"):
-            chambers.regulate(pressure)
-    with pytest.raises(InputError, match="'orifice' has no supply that could be regulated; 'lag' has"):
-        make_pneumatics("orifice", SPEC, supply_pa=60e3, layout="3/2").regulate(1e3)
+    for kind in ("lag", "orifice"):
+        chambers = make_pneumatics(kind, SPEC, supply_pa=60e3, layout="3/2")
+        for pressure in (-1.0, 60.1e3, math.nan):
+            with pytest.raises(InputError, match="it must be 0 to 60000 Pa, which these chambers were made"):
+                chambers.regulate(pressure)
+    log = RecordedPressures(SPEC, np.array([0.0, 1.0]), np.zeros((2, 4, 2)), supply_pa=60e3)
+    with pytest.raises(InputError, match="'recorded' has no supply that could be regulated"):
+        log.regulate(1e3)
 
 
 def test_a_command_takes_effect_on_gait_and_supply():

@@ -24,7 +24,7 @@ BY_PATH = {page.path: page for page in PAGES}
 COMMANDS = [(page, line) for page in PAGES for line in (*page.commands, *page.mentions)]
 BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
 # What else a reader types. A new program here needs a look at whether it can be checked.
-OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python"}
+OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python", "mosquitto"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
 SCENARIO = set(ScenarioFile.model_fields)
 FRAGMENT = {"robot": "gen2", "duration_s": 5.0, "controller": {"kind": "gait", "frequency_hz": 2.0}}

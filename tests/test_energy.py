@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -200,9 +201,11 @@ def test_twins_power_is_the_compliant_models():
     assert compliant[0] > 1.25 * complete[0]
 
 
-def test_twins_torques_give_its_work():
+@pytest.mark.parametrize("drag", [0.0, 0.08])
+def test_twins_torques_give_its_work(drag):
     """Where bends are smooth: with kinks or stiff bends recorded torques are of first order in the step."""
     spec = robot()
+    spec = replace(spec, friction=replace(spec.friction, drag=drag))
 
     def ratio(timestep: float) -> float:
         plant = TwinSnake(spec, timestep=timestep, pneumatics=Wave(spec, bias=0.1, rise=0.4))

@@ -16,7 +16,7 @@ Schema = Mapping[str, Any]
 
 _HEAD = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|"
 _SUFFIX = {"": "", "a list of ": "[]", "names, each with ": ".NAME"}
-_RECORD = ("value", "unit", "status", "source")
+_RECORD = ("value", "unit", "status", "source", "uncertain")
 
 
 def scenario() -> str:
@@ -31,7 +31,10 @@ def sweep() -> str:
 
 def robot() -> str:
     """Return the keys of robot files."""
-    return Blocks(RobotFile.model_json_schema()).markdown("robot")
+    blocks = Blocks(RobotFile.model_json_schema())
+    spread = blocks.root["$defs"]["Uncertain"]
+    # A key of records, which have no section of their own.
+    return "\n\n".join([blocks.markdown("robot"), *blocks._section("robot", "uncertain", spread)])
 
 
 @dataclass

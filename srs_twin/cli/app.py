@@ -13,16 +13,17 @@ from srs_twin.cli import DEBUG, calibrate, models
 from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor import doctor
+from srs_twin.cli.emulate import emulate
 from srs_twin.cli.inspect import inspect
 from srs_twin.cli.options import option, with_options
 from srs_twin.cli.plan import plan
-from srs_twin.cli.play import play
 from srs_twin.cli.render import render
 from srs_twin.cli.replay import replay
 from srs_twin.cli.reproduce import reproduce
 from srs_twin.cli.run import compare, run
 from srs_twin.cli.sweep import sweep
-from srs_twin.cli.view import view
+from srs_twin.cli.uncertainty import uncertainty
+from srs_twin.cli.view import play, view
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -41,9 +42,11 @@ verbs = (
     plan,
     replay,
     sweep,
+    uncertainty,
     reproduce,
     view,
     play,
+    emulate,
     render,
     diff,
     schema,

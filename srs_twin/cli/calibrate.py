@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import interruptible, say
+from srs_twin.cli import console, interruptible, new_table, say
 from srs_twin.cli.fitting import NOTHING_WRITTEN, FitDestination, checked_name, names_in, print_table
 from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
     FilesArgument,
     FindOption,
     FitOptions,
     FloorOption,
     FrequencyOption,
+    JobsOption,
     JsonOption,
     OffsetOption,
     OverwriteOption,
@@ -25,11 +28,13 @@ from srs_twin.cli.options import (
     ReadingOptions,
     RobotArgument,
     RobotOption,
+    ScenarioArgument,
     ValidateOption,
     ValvesOption,
     argument,
     at_once,
     option,
+    plants_of,
     print_json,
     with_options,
 )
@@ -47,7 +52,7 @@ if TYPE_CHECKING:
 
 FOOTPRINTS = "calibration/footprints"
 
-_LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m"
+_LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
 _FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
 _AS_FOUND, _BESIDE = ReadingOptions(), FitOptions()
 
@@ -104,6 +109,57 @@ def friction(
     with place.searching() as watch:
         found = fit_coasting(throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch)
     place.finish(found, "coasting", f"Friction of {spec.name} from throws", throws, held)
+
+
+@app.command()
+@with_options
+def design(
+    robot: RobotArgument,
+    want: Annotated[str, option("--want NAMES")],
+    as_json: JsonOption = False,
+) -> None:
+    """Choose what to record, as a sheet for the lab.
+
+    Candidates are pulls, weighing, markers, held pressures, steps and walks.
+
+    Options:
+        want: Numbers and half of their 95 % intervals, as friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
+    """
+    import numpy as np
+
+    from srs_twin.cli import console, new_table
+    from srs_twin.identification.design import design as designed
+    from srs_twin.robot.file import load_robot_file
+    from srs_twin.robot.spec import load_robot
+    from srs_twin.uncertainty import Priors
+
+    wanted = {}
+    for text in want.split(","):
+        name, _, share = text.strip().partition("=")
+        try:
+            wanted[name] = float(share.removesuffix("%") or 10) / 100
+        except ValueError:
+            raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%") from None
+    file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
+    doubted = any(record.uncertain for record in file.records().values())
+    priors = Priors.of(file).each if doubted else ()
+    known = {prior.path: (prior.value, float(prior.at(shares).std())) for prior in priors}
+    with interruptible("nothing was chosen"):
+        found = designed(load_robot(robot), known, wanted)
+    if as_json:
+        print_json(found.document())
+        return
+    lines = new_table("half of the 95 % interval", "min", *(name.partition(".")[2] for name in wanted))
+    lines.add_row("as the file knows them", "", *(f"{100 * each:.0f} %" for each in found.before.values()))
+    for k, each in enumerate(found.chosen):
+        after = (f"{100 * row[k]:.1f} %" for row in found.after.values())
+        lines.add_row(f"after {k + 1}", f"{each.minutes:g}", *after)
+    console().print(lines)
+    for k, each in enumerate(found.chosen, start=1):
+        print(f"{k}. {each.what}")
+    print("The model is taken to be right.")
+    for name in found.unmet:
+        print(f"{name}: no further recording of these kinds narrows it to {100 * wanted[name]:g} %")
 
 
 @app.command()
@@ -186,22 +242,31 @@ def locomotion(
 ) -> None:
     """Find friction, gap, masses or stiffness from crawling runs.
 
+    The rigid gap (or the length of a segment) is measured from markers where there are any.
+
     Options:
         plant: Stands for the robot: analytical or twin.
-        model: Analytical model. [default: complete]
+        model: Analytical model. [default: compliant]
         against: What is compared: averages, shapes or both.
         starts: Searches. [default: 3; 1 where the twin's shapes lead]
     """
     place = FitDestination.of(context, "locomotion", robot, fit)
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
-    from srs_twin.identification.takes import gait_run, starts_at_rest
+    from srs_twin.identification.takes import gait_run, measured_length, starts_at_rest
+    from srs_twin.identification.unknowns import with_values
     from srs_twin.robot.spec import load_robot
 
-    spec, kept = load_robot(robot), validate or []
+    spec, kept, names = load_robot(robot), validate or [], names_in(find) or []
     stands = PlantModel(plant, _plant_settings(plant, model, law))
     how = markers.reader(offset_s=offset, gait_frequency_hz=frequency)
     supply = _supply(spec, pressure)
-    takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
+    with interruptible(NOTHING_WRITTEN):
+        takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
+        known = measured_length([take for _, take in takes[: len(files)]], spec, names)
+        if known is not None:  # bends and centre of mass, too, are those of a body with this length
+            spec = with_values(spec, {known.name: known.value or 0.0})
+            takes = _takes([*files, *kept], valves, how, spec, quiet=True)
+            known = measured_length([take for _, take in takes[: len(files)]], spec, names)
     for path, take in takes:
         if not starts_at_rest(take):
             warning = f"warning: {path}: it begins while chambers fill; the plants begin with empty ones"
@@ -209,9 +274,10 @@ def locomotion(
     runs = [gait_run(take, path, supply) for path, take in takes]
     fitted, held = runs[: len(files)], runs[len(files) :]
     starts = starts or (1 if plant == "twin" and against != "averages" else 3)
-    fit_runs = partial(fit_locomotion, fitted, spec, names_in(find) or [], model=stands, against=against)
+    fit_runs = partial(fit_locomotion, fitted, spec, names, model=stands, against=against)
+    better, lengths = (None if plant == "twin" else PlantModel("twin")), ([known] if known else [])
     with place.searching() as watch:
-        found = fit_runs(validation=held, starts=starts, watch=watch)
+        found = fit_runs(validation=held, starts=starts, watch=watch, reference=better, known=lengths)
     place.finish(found, "locomotion", f"Locomotion of {spec.name} against the {plant} plant", fitted, held)
 
 
@@ -285,7 +351,7 @@ def _supply(spec: RobotSpec, pressure_kpa: float | None) -> float:
 def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
     """Return the settings of the plant that stands for the robot."""
     if plant == "analytical":
-        return {"model": model or "complete", "friction": law or "wheel"}
+        return {"model": model or "compliant", "friction": law or "wheel"}
     _needless(model, "--model", "it belongs to --plant analytical")
     _needless(law, "--law", "it belongs to --plant analytical")
     return {}
@@ -361,6 +427,64 @@ def footprint(
         _show(measured)
     save_footprint(file, path, header=header(study, robot, called, versions()))
     say(f"footprint in {shown(path)}", quiet=quiet)
+
+
+@app.command()
+@with_options
+def margin(
+    scenario: ScenarioArgument,
+    runs: Annotated[int, option("--runs N", min=20, max=10_000)] = 100,
+    plants: Annotated[str | None, option("--plants LIST")] = None,
+    jobs: JobsOption = None,
+    out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
+    changes: ChangeOptions = NO_CHANGES,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how far a follower leaves its footprint.
+
+    Random ways are followed under the conditions of a scenario. The excursions go into the footprint's file,
+    where planner.margin_probability finds them.
+
+    Options:
+        runs: On each plant.
+        plants: analytical, twin or both. [default: the scenario's]
+        out: Folder of the footprint's file.
+    """
+    from srs_twin.io.documents import Change
+    from srs_twin.io.files import find, open_folder, read_text
+    from srs_twin.planning.footprint import load_footprint_file, save_footprint
+    from srs_twin.planning.margins import quantile
+    from srs_twin.scenario import load_scenario
+    from srs_twin.uncertainty.excursions import excursions
+
+    # Whatever margin the scenario wants, it is not what is measured.
+    none = Change("a margin to be measured", ("planner", "margin_probability"), None)
+    found = load_scenario(scenario, set=[*changes.changes(), none])
+    chosen = plants_of(plants) or list(found.plants)
+    assert found.file.planner is not None, "a margin of it was set"
+    place = find("footprint", found.file.planner.footprint)
+    with interruptible(NOTHING_WRITTEN), Counting(found.name, runs * len(chosen), quiet=quiet) as counting:
+        measured = [
+            excursions(found, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
+            for plant in chosen
+        ]
+    file = load_footprint_file(place)
+    path = Path(out) / f"{file.name}.yaml"
+    open_folder(path.parent, (path.name,))
+    fresh = [each.conditions for each in measured]
+    kept = [each for each in file.excursions or () if each.conditions not in fresh]
+    comments = [line[2:] for line in read_text(place).splitlines() if line.startswith("# ")]
+    save_footprint(file.model_copy(update={"excursions": [*kept, *measured]}), path, header=comments)
+    if as_json:
+        print_json([each.model_dump(mode="json", exclude_none=True) for each in measured])
+    elif not quiet:
+        table = new_table("plant", "half of the runs", "90 %", "95 %", "all, mm")
+        for each in measured:
+            shares = [quantile(each.path_m, share) for share in (0.5, 0.9, 0.95)] + [each.path_m[-1]]
+            table.add_row(each.conditions.plant, *(f"{1000 * value:.0f}" for value in shares))
+        console().print(table)
+    say(f"excursions in {shown(path)}", quiet=quiet)
 
 
 def _numbers(text: str) -> list[float]:

@@ -86,6 +86,8 @@ def show(
         if isinstance(value, Mapping):
             unit = "" if value["unit"] == "1" else f" {value['unit']}"
             text = f"{dotted(loc)}: {_words(value['value'])}{unit}; {value['status']}: {value['source']}"
+            if doubt := {k: v for k, v in value.get("uncertain", {}).items() if k != "source"}:
+                text += f"; uncertain: {' '.join(_words(each) for each in doubt.values())}"
         for line in textwrap.wrap(printable(text), width, subsequent_indent="    ", break_long_words=False):
             print(line)
 

@@ -24,7 +24,7 @@ def doctor(
     out: Annotated[str, option("--out DIR")] = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Say what works on this machine, and what to do about the rest.
+    """Say what works on this machine, and how to mend the rest.
 
     Options:
         out: Where results would go, to see if they can.

@@ -66,8 +66,17 @@ def show(estimate: Estimate) -> None:
     table = parameter_table(estimate.parameters)
     print_table(table.headings[:-1], (row[:-1] for row in table.rows), left=(0, 3, 4))
     terminal = console()
-    reasons = (f"{each.name}: {each.why}" for each in estimate.parameters if each.why)
-    for line in (*reasons, *correlations(estimate), *cancelling(estimate), _residuals(estimate)):
+    whys = dict.fromkeys(each.why for each in estimate.parameters if each.why)
+    reasons = (
+        f"{', '.join(each.name for each in estimate.parameters if each.why == why)}: {why}" for why in whys
+    )
+    for line in (
+        *reasons,
+        *correlations(estimate),
+        *cancelling(estimate),
+        _residuals(estimate),
+        *estimate.misfit,
+    ):
         terminal.print(line, soft_wrap=True)  # a path that is cut is no path
     if not estimate.converged:
         terminal.print("the search did not come to an end")

@@ -56,10 +56,10 @@ def replay(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive both plants as the robot was driven, beside what it did.
+    """Drive both plants with a recording's valve commands.
 
-    How far each is from it is measured. The folder's scenario.resolved.yaml is the same replay as a
-    scenario, for `srs-twin run`.
+    Measures how far each is from what the robot did. The folder's scenario.resolved.yaml is the same replay
+    as a scenario, for `srs-twin run`.
 
     Options:
         motion: What cameras saw, or bends on a bench.

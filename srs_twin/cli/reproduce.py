@@ -32,10 +32,11 @@ def reproduce(
     jobs: JobsOption = None,
     no_figures: Annotated[bool, option("--no-figures")] = False,
     write_baseline: Annotated[bool, option("--write-baseline")] = False,
+    scorecard: Annotated[bool, option("--scorecard")] = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Judge every claim of the dissertation for each plant.
+    """Judge the claims of the dissertation on both plants.
 
     Runs what the claims need, judges every row, and compares what comes out with the baseline.
 
@@ -45,7 +46,11 @@ def reproduce(
         out: Folder of the results and of the runs that are kept.
         no_figures: Draw no figures, and run nothing for them.
         write_baseline: Let what comes out be the baseline of later runs.
+        scorecard: Only grade what is kept, after NASA-STD-7009, and run nothing.
     """
+    if scorecard:
+        _show_scorecard(as_json=as_json)
+        return
     from srs_twin.parallel import start_server
 
     # First of all: it loads what workers need while this process loads what it needs itself.
@@ -77,6 +82,30 @@ def reproduce(
     if changes:
         say("explain the change, then let --write-baseline write it")
         raise typer.Exit(CHANGED)
+
+
+def _show_scorecard(*, as_json: bool) -> None:
+    """Print the grade of every capability, with the figure behind it."""
+    from dataclasses import asdict
+
+    from srs_twin.cli.fitting import print_table
+    from srs_twin.cli.options import print_json
+    from srs_twin.reproduction import load_baseline, load_claims
+    from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED
+    from srs_twin.reproduction.scorecard import scorecard as graded
+
+    found = graded(load_claims(), load_baseline())
+    if as_json:
+        print_json(
+            {name: {factor: asdict(grade) for factor, grade in row.items()} for name, row in found.items()}
+        )
+        return
+    for name, row in found.items():
+        lines = (
+            (each, str(row[each].grade), row[each].why.removesuffix(f"; {UNVALIDATED}")) for each in FACTORS
+        )
+        print_table((name, "grade", "because"), lines, left=(0, 2))
+    print(f"Grades 0 to 4 after NASA-STD-7009. Everything here is {UNVALIDATED}.")
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.memory import Remembers, SavedState, names
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 
-class Controller(ABC):
+class Controller(Remembers, ABC):
     """Maps what can be sensed to valve commands, once a tick.
 
     Controllers read `SnakeState.sensed` and what a camera would give, never `bend`.
@@ -27,6 +28,8 @@ class Controller(ABC):
         layouts: the valve layouts that it can drive, of `LAYOUTS`.
         finished: whether it has nothing more to do; a rollout ends after the tick in which this turns True.
     """
+
+    memory = names("finished")
 
     kind: str
     frequency: float | None = None
@@ -49,6 +52,29 @@ class Controller(ABC):
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valves for the coming tick, (segments, 2) or (slots, segments, 2), int8."""
+
+    def save(self) -> SavedState:
+        """Return all that decides what comes next, for `restore` here or in another process.
+
+        Raises:
+            InputError: a controller that does not say what it remembers (`memory`).
+        """
+        self.check_memory(Controller, f"controller '{self.kind}'")
+        return SavedState(self.identity(), self.remembered())
+
+    def restore(self, state: SavedState) -> None:
+        """Go on from a saved state: after `reset`, with its robot and tick, which only prepares here.
+
+        Raises:
+            InputError: a state of another controller, or no `reset` before.
+        """
+        self.check_memory(Controller, f"controller '{self.kind}'")
+        state.check(f"controller '{self.kind}'", self.identity())
+        self.recall(state.content)
+
+    def identity(self) -> dict[str, Any]:
+        """Return what a saved state must share with the controller, JSON values."""
+        return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
         """Return what it will command over the coming run whatever it senses; None from one that senses.
@@ -77,7 +103,7 @@ LARGEST_READING = 2 * math.pi
 """No segment bends further, rad: a reading beyond is a lost one."""
 
 
-class Readings:
+class Readings(Remembers):
     """The sensed bends of a controller, tick by tick.
 
     A reading that is not finite, or larger than a full turn, is a lost one: the last good one stands for it
@@ -87,6 +113,8 @@ class Readings:
         value: the last good readings, shape (segments,), rad.
         lost: whose last reading was lost, shape (segments,).
     """
+
+    memory = names("value", "lost")
 
     def __init__(self, segments: int) -> None:
         """Make the readings of so many segments, none of them read yet."""

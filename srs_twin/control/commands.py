@@ -12,6 +12,7 @@ from srs_twin.control.base import Controller
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC
 from srs_twin.errors import InputError
+from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics import Pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -73,13 +74,15 @@ class GaitLimits:
         return GaitCommand(*(min(max(value, low), high) for value, (low, high) in parts))
 
 
-class CommandedGait:
+class CommandedGait(Remembers):
     """A gait and its supply, both of which obey commands.
 
     Attributes:
         gait: for what is to be known of it.
         command: the one that holds.
     """
+
+    memory = names("gait", "command")
 
     def __init__(self, spec: RobotSpec, tick: float, pneumatics: Pneumatics, command: GaitCommand) -> None:
         """Begin a gait.
@@ -124,6 +127,8 @@ class Steered(Controller):
     Attributes:
         changes: (time in s, offset) of each change, in order of time.
     """
+
+    memory = names("_inner", "_done", "_events")
 
     def __init__(self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]) -> None:
         """Make the controller.

@@ -29,6 +29,7 @@ import math
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.memory import Remembers, names
 from srs_twin.trajectory import Event
 
 LARGEST_OFFSET = 0.3
@@ -67,7 +68,7 @@ LEAST_READINGS = 8
 _ROUNDING = 1e-9  # of a period
 
 
-class Cycles:
+class Cycles(Remembers):
     """Periods and peaks of the chambers of a snake in a travelling wave.
 
     Attributes:
@@ -80,6 +81,11 @@ class Cycles:
         lost: … and the share of its readings that were lost.
         since: … and when it began, s.
     """
+
+    memory = names(
+        *("begins", "number", "peak", "span", "lost", "since"),
+        *("_most", "_least", "_seen", "_missed", "_next"),
+    )
 
     def __init__(self, lag: np.ndarray, frequency: float, tick: float, *, common: bool = False) -> None:
         """Make clocks at time 0.
@@ -165,13 +171,15 @@ WITHIN = 0.05
 _DUTIES_ROUNDING = 1e-12
 
 
-class Duties:
+class Duties(Remembers):
     """Duty of each chamber, and what is worth telling of how it was learnt.
 
     Attributes:
         value: u, shape (segments, 2), from 0 to 1.
         error: e of the last update, same shape, rad; NaN before the first.
     """
+
+    memory = names("value", "error", "_missed", "_bound", "_converged")
 
     def __init__(self, segments: int, gain: float) -> None:
         """Make full duties that learn with k = `gain`, 1/rad."""

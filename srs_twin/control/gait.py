@@ -16,6 +16,7 @@ import numpy as np
 from srs_twin.arrays import check_positive
 from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, whole_steps
+from srs_twin.memory import names
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -35,6 +36,7 @@ class Gait(Controller):
     """
 
     kind = "gait"
+    memory = names("frequency", "_offset", "lag")
     frequency: float
     lag: np.ndarray
     layouts = ("3/2", "in_out")

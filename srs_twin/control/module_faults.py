@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from srs_twin.control.duties import SIDES, Cycles
+from srs_twin.memory import Remembers, names
 from srs_twin.trajectory import Event
 
 STILL_RAD = 0.02
@@ -36,7 +37,7 @@ BENT = 0.5
 """Share of the target from which on a vented segment is bent."""
 
 
-class ModuleFaults:
+class ModuleFaults(Remembers):
     """Watches the segments of a snake, and names what is wrong with them.
 
     Attributes:
@@ -46,6 +47,11 @@ class ModuleFaults:
         testing: whether there are any.
         back: when each came back from its last test, shape (segments,), s.
     """
+
+    memory = names(
+        *("named", "faulty", "tested", "testing", "back", "_weak", "_strong", "_cleared"),
+        *("_since", "_bent", "_rest", "_looks", "_events"),
+    )
 
     def __init__(self, segments: int, period: float) -> None:
         """Make a watch over so many segments with a gait period (s)."""

@@ -9,9 +9,10 @@ import numpy as np
 from srs_twin.arrays import check_positive
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import InputError, whole_steps
+from srs_twin.memory import Remembers, names
 
 
-class PulseWidth:
+class PulseWidth(Remembers):
     """Pulse-width modulation of 3/2 valves: each fills for a share of a carrier period, then vents.
 
     The + chamber's pulse begins its period and the − chamber's ends it, so that two duties that add up to 1
@@ -28,6 +29,8 @@ class PulseWidth:
         period: of the carrier, s.
         duty: of the period that runs, shape (segments, 2).
     """
+
+    memory = names("_ticks", "_running", "duty")
 
     def __init__(
         self,

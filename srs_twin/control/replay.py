@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from srs_twin.control.base import Controller
 from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import InputError, UnknownNameError, whole_steps
+from srs_twin.memory import names
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -28,6 +29,7 @@ class Replay(Controller):
     """
 
     kind = "replay"
+    memory = names()
 
     def __init__(self, schedule: Schedule, frequency: float | None = None) -> None:
         self.schedule, self.frequency = schedule, frequency
@@ -80,6 +82,7 @@ class HoldValves(Controller):
     """
 
     kind = "hold_valves"
+    memory = names()
 
     def __init__(self, plus: str = "fill", minus: str = "vent") -> None:
         """Make the controller.

@@ -55,6 +55,7 @@ from srs_twin.control.base import Controller, Readings
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.reference import Reference
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.memory import Remembers, names
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 
@@ -62,7 +63,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 
-class VelocityFilter:
+class VelocityFilter(Remembers):
     """Second-order differentiating low-pass (module docstring).
 
     Attributes:
@@ -70,6 +71,8 @@ class VelocityFilter:
         rate: v̂, shape (segments,), that unit per s.
         lag: √2/ω_c, s, by which both come late.
     """
+
+    memory = names("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
         """Make a filter that has seen nothing yet.
@@ -126,6 +129,7 @@ class SlidingMode(Controller):
     """
 
     gains: ClassVar[tuple[str, ...]]
+    memory = names("_readings", "_reading", "_cut", "_wanted", "_error", "_sigma", "_events")
 
     reference: Reference
 
@@ -195,6 +199,7 @@ class DirectSMC(SlidingMode):
     """
 
     kind = "direct_smc"
+    memory = names("_filter", "_rate")
     layouts = ("in_out",)
     gains = ("D", "epsilon", "cutoff_hz")
 
@@ -252,6 +257,7 @@ class IterativeSMC(SlidingMode):
     """
 
     kind = "iterative_smc"
+    memory = names("_pulses", "_mu", "_before", "_sum", "_count")
     layouts = ("3/2",)
     gains = ("K", "D")
 

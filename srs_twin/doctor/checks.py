@@ -82,6 +82,7 @@ PURPOSES = {
     "envs": 'environments for agents (`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`)',
     "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
+    "live": "a robot on the air (MQTT), journals",
     "recordings": "recordings in the formats C3D and MCAP",
     "rl": "training a policy (`examples/train_goto.py`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",

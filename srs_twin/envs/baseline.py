@@ -75,7 +75,7 @@ class Pilot:
         whole = load_footprint(FOOTPRINT)
         footprint = whole.reduced(TURN_SHARE, 0.0)
 
-        def way(start: Pose) -> Any:
+        def way(start: Pose, _share: float = 1.0) -> Any:
             return plan(Problem(start, goal, world, footprint), _PATIENCE)
 
         law = PathLaw(whole, LOOKAHEAD_M, SETTLE_M)

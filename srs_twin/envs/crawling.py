@@ -23,6 +23,7 @@ from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
 from srs_twin.errors import InputError
+from srs_twin.memory import names
 from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
@@ -139,6 +140,8 @@ class CrawlEpisode(Episode):
         world: obstacles, room and goal.
     """
 
+    memory = names("_gait", "_frames", "_readings", "_distance")
+
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int
     ) -> None:
@@ -154,6 +157,11 @@ class CrawlEpisode(Episode):
         self._frames, self._readings = frames, Readings(twin.spec.segments)
         self._distance = self._away(state)
         super().__init__(task, twin, state)
+
+    def _placed(self) -> None:
+        """See `Episode._placed`."""
+        self._frames.begin()
+        self._distance = self._away(self.state)
 
     def _valves(self, action: list[float]) -> np.ndarray:
         offset, frequency, kilopascal = action

@@ -143,13 +143,24 @@ class SnakeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; all that is random in it comes from `np_random`, which `seed` sets.
 
+        Args:
+            seed: of what is drawn.
+            options: `state`: what `episode.save()` gave in an episode of the same seed, to go on from; or
+                `snake`: a physical state to begin from, with `yaw_rate` (rad/s).
+
         Raises:
-            InputError: options; there are none.
+            UnknownNameError: another option.
+            InputError: a state that does not belong to this episode.
         """
         super().reset(seed=seed)
-        if options:
-            raise InputError(f"reset takes no options; given: {', '.join(options)}")
+        given = dict(options or {})
+        for name in given.keys() - {"state", "snake", "yaw_rate"}:
+            raise UnknownNameError("option of reset", name, ["state", "snake", "yaw_rate"])
         self.episode = self.task.begin(self.np_random, self.episode)
+        if "state" in given:
+            self.episode.go_on(given["state"])
+        elif "snake" in given:
+            self.episode.place(given["snake"], given.get("yaw_rate", 0.0))
         return self.episode.first.observation, self.episode.first.info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -224,10 +235,10 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
 
         Args:
             seed: of each environment; of one number s they are s, s + 1, …
-            options: there are none.
+            options: of all, as `SnakeEnv.reset` takes them.
 
         Raises:
-            InputError: not one seed an environment, or options.
+            InputError: not one seed an environment, or as `SnakeEnv.reset` raises it.
         """
         if seed is None or isinstance(seed, int | np.integer):
             seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]

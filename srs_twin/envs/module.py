@@ -20,6 +20,7 @@ from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.smc import CARRIER_HZ
 from srs_twin.envs.task import Episode, Signal, Task
 from srs_twin.errors import InputError
+from srs_twin.memory import names
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
 
@@ -83,6 +84,8 @@ class ModuleTask(Task):
 
 class ModuleEpisode(Episode):
     """One try to track."""
+
+    memory = names("_carrier", "_readings", "_duties", "_levels")
 
     def __init__(self, task: ModuleTask, twin: TwinSnake, levels: np.ndarray, seed: int) -> None:
         """Begin with a straight module and empty chambers."""

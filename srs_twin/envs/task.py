@@ -24,6 +24,7 @@ import numpy as np
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, whole_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.unknowns import unknowns, with_values
+from srs_twin.memory import Remembers, SavedState, names
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
@@ -182,8 +183,8 @@ class Task(ABC):
         """
 
 
-class Episode(ABC):
-    """One try.
+class Episode(Remembers, ABC):
+    """One try; `save` and `go_on` branch it.
 
     Attributes:
         twin: what moves.
@@ -192,6 +193,8 @@ class Episode(ABC):
         ending: why it ended, empty while it goes on.
         first: what the agent gets before its first action.
     """
+
+    memory = names("twin", "state", "ending", "_steps", "_seen")
 
     ending = ""
     goal: Goal | None = None
@@ -203,6 +206,37 @@ class Episode(ABC):
         self._bounds = low(task.observations), high(task.observations)
         self._steps, self._most = 0, whole_steps("limit_s", task.limit_s, "step", task.step_s)
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
+
+    def save(self) -> SavedState:
+        """Return all that decides what comes next but the agent, for `go_on`."""
+        return SavedState(self.identity(), self.remembered())
+
+    def go_on(self, state: SavedState) -> None:
+        """Go on from a state that an episode of the same draw was in; it is the first one of this episode.
+
+        Raises:
+            InputError: the state of another task, robot or surroundings.
+        """
+        state.check(f"episode of {self._task.name}", self.identity())
+        self.recall(state.content)
+        self.first = StepResult(self._seen.copy(), 0.0, False, False, self._info())
+
+    def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
+        """Begin from a physical state instead, as `Plant.place` does.
+
+        Raises:
+            InputError: a state that the twin cannot be in.
+        """
+        self.state = self.twin.place(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
+        self._placed()
+        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
+
+    def _placed(self) -> None:
+        """Settle what hangs on the first state."""
+
+    def identity(self) -> dict[str, Any]:
+        """Return what a saved state must share with the episode, JSON values."""
+        return {"task": self._task.name, **self.twin.identity()}
 
     def step(self, action: object) -> StepResult:
         """Let an action hold for a step; one beyond its bounds is brought to them.

@@ -16,11 +16,13 @@ import numpy as np
 
 from srs_twin.arrays import LARGEST, implausible, joined, plausible
 from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.memory import Remembers, SavedState, fingerprint, names
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor, make_sensor
 
 Pose = tuple[float, float, float]
+PlantState = SavedState
 
 BASES = ("free", "clamped")
 """How a chain is held: not at all, or at its head, in the air, as on a bench."""
@@ -90,7 +92,7 @@ class SnakeState:
 _FIELDS = tuple(each.name for each in fields(SnakeState))  # asked for every tick
 
 
-class Plant(ABC):
+class Plant(Remembers, ABC):
     """A snake that obeys valve commands, analytical or in MuJoCo.
 
     Attributes:
@@ -99,6 +101,7 @@ class Plant(ABC):
         tick: control tick, s; a multiple of the plant's time step.
         stretch: how much of a script it likes to follow at a time, s.
         layout: its valves, one of `pneumatics.valves.LAYOUTS`.
+        state: the last moment that it returned; only of plants that can be saved.
     """
 
     name: str
@@ -106,6 +109,7 @@ class Plant(ABC):
     tick: float
     stretch: float = 1.0
     layout: str = "3/2"
+    state: SnakeState
     touches: bool = False
     """Whether there is anything that it can run into."""
     metered: bool = True
@@ -119,6 +123,46 @@ class Plant(ABC):
             pose: centre of mass x, y (m) and mean heading (rad).
             seed: for whatever is random in the plant (sensor noise).
         """
+
+    def save(self) -> PlantState:
+        """Return all that decides what comes next, for `restore` here or in another process.
+
+        Raises:
+            InputError: a plant that does not say what it remembers (`memory`).
+        """
+        self.check_memory(Plant, f"plant '{self.name}'")
+        return PlantState(self.identity(), self.remembered())
+
+    def restore(self, state: PlantState) -> SnakeState:
+        """Go on from a saved state, with the same bits as the plant that it was taken from.
+
+        Returns:
+            The moment at which it was taken.
+
+        Raises:
+            InputError: a state of another plant or robot.
+        """
+        state.check(f"plant '{self.name}'", self.identity())
+        self.recall(state.content)
+        return self.state
+
+    def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
+        """Begin at time 0 from a physical state, which another plant may have been in.
+
+        Args:
+            snake: of it `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and `pressure` count. Where the
+                bends are what the chambers give (`complete`, `simplified`), their rates are, too.
+            yaw_rate: of the mean heading, rad/s.
+            seed: as in `reset`.
+
+        Raises:
+            InputError: a state that this plant cannot be in, or a plant that begins at rest only.
+        """
+        raise InputError(f"plant '{self.name}' begins straight and at rest only")
+
+    def identity(self) -> dict[str, Any]:
+        """Return what a saved state must share with the plant, JSON values."""
+        return {**self.describe(), "robot_digest": fingerprint(self.spec)}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -189,10 +233,14 @@ class PneumaticPlant(Plant):
     Attributes:
         pneumatics: its chambers.
         sensor: of its bends.
+        seed: of its noise.
     """
+
+    memory = names("_ticks", "seed", "pneumatics", "state")
 
     pneumatics: Pneumatics
     sensor: Sensor
+    seed: int
 
     def _equip(
         self, pneumatics: str | Pneumatics, supply_pa: float | None, layout: str, sensor: str | Sensor
@@ -202,17 +250,29 @@ class PneumaticPlant(Plant):
         self.pneumatics = make_pneumatics(pneumatics, self.spec, supply_pa=supply, layout=layout)
         self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, self.spec)
         self.metered = self.pneumatics.metered
+        self._supply = supply
         return supply
+
+    def identity(self) -> dict[str, Any]:
+        """See `Plant.identity`; stuck valves may come and go."""
+        own = super().identity()
+        chambers = {key: value for key, value in own["pneumatics"].items() if key != "stuck_valves"}
+        return own | {"pneumatics": chambers, "supply_pa": self._supply}
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance one tick; see `Plant.advance`."""
         history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
-        return [history.at(k) for k in range(samples)]
+        moments = [history.at(k) for k in range(samples)]
+        self.state = moments[-1]
+        return moments
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
         """Follow a schedule; see `Plant.play`."""
         self.pneumatics.check(schedule.states)
-        return self._follow(schedule, whole_steps("schedule", schedule.span, "tick", self.tick), samples)
+        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        history = self._follow(schedule, ticks, samples)
+        self.state = history.at(-1)
+        return history
 
     def openings(self) -> np.ndarray:
         """Return how often each chamber's inlet has opened, shape (segments, 2)."""

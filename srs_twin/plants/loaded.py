@@ -39,6 +39,7 @@ from numba import types
 
 from srs_twin import friction
 from srs_twin.compiled import compiled, inside
+from srs_twin.memory import Remembers, names
 from srs_twin.mjcf import surroundings
 from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
 from srs_twin.mjcf.wheels import rest_loads, softness, treads
@@ -201,15 +202,22 @@ class Work(NamedTuple):
     direction: np.ndarray
 
 
-class LoadedContact:
+class LoadedContact(Remembers):
     """The contacts of one twin on the loads of its own data.
 
     Attributes:
         feet: what they keep from step to step.
     """
 
+    memory = names("feet")
+
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, spec: RobotSpec, numerics: Numerics
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        spec: RobotSpec,
+        numerics: Numerics,
+        air: np.ndarray | None = None,
     ) -> None:
         """Look up what the loop needs.
 
@@ -218,6 +226,7 @@ class LoadedContact:
             data: what it steps.
             spec: the robot.
             numerics: its law and time step.
+            air: most that the chambers stiffen the joints by, shape (nv, nv); None: not at all.
         """
         # The kernels call the engine by the names of its functions, which are looked up at their first call.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
@@ -226,7 +235,7 @@ class LoadedContact:
         geoms = [model.geom(name) for name in feet + touching]
         body = np.array([geom.bodyid[0] for geom in geoms])
         mass, easy = _reference(model, feet, touching)
-        damping, less = _dampers(model, mass, self._h)
+        damping, less = _dampers(model, mass, self._h, np.zeros((nv, nv)) if air is None else air)
         triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
         spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
         none = np.zeros(len(touching))
@@ -293,6 +302,14 @@ class LoadedContact:
         rest = self._contacts.rest
         self.feet = Feet(np.zeros((len(rest), 3)), np.zeros(len(rest)), rest.copy(), np.zeros(len(rest)))
 
+    def roll(self) -> None:
+        """Let the wheels turn as fast as they move along their headings."""
+        (model, data), contacts, moving = self._kept, self._contacts, np.empty(6)
+        for w in range(contacts.wheels):
+            body = int(contacts.body[w])
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, moving, 1)
+            self.feet.rim[w] = (moving[3:] + np.cross(moving[:3], contacts.place[w]))[0]
+
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, ...]:
         """Make a step for each row of controls.
 
@@ -333,7 +350,9 @@ def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> t
     return mass, np.array(rows)
 
 
-def _dampers(model: mujoco.MjModel, mass: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+def _dampers(
+    model: mujoco.MjModel, mass: np.ndarray, h: float, air: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     r"""Return what the dampers add to A, and by how much the engine's h D + h² K is more, (nv, nv).
 
     The engine's dampers act with the velocity at the end of a step. Taken as
@@ -342,6 +361,10 @@ def _dampers(model: mujoco.MjModel, mass: np.ndarray, h: float) -> tuple[np.ndar
 
     a step with (M + C)(v − v₋) = h (f − D v₋) decays as an exponential does: of second order, and without
     ringing however fast. M is that of the straight snake; any other would do for the order.
+
+    Air that the bends compress is a spring K_a of its own, whose force is that of the middle of the step.
+    With h² K_a/4 in A besides, which changes results in the second order, no step is too long for the
+    fastest of its oscillations, those of a connector between closed chambers.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
@@ -350,6 +373,7 @@ def _dampers(model: mujoco.MjModel, mass: np.ndarray, h: float) -> tuple[np.ndar
     decays = np.maximum(decays, _SLOWEST)
     shapes = mass @ modes
     damping: np.ndarray = (shapes * (decays / -np.expm1(-decays) - 1)) @ shapes.T
+    damping += h**2 / 4 * air
     return damping, np.diag(rates) - damping
 
 

@@ -6,11 +6,15 @@ import copy
 import os
 import threading
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
+from srs_twin.errors import InputError
+from srs_twin.memory import Remembers, names
 from srs_twin.plants.base import Pose
 from srs_twin.plants.loaded import LoadedContact
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
@@ -87,13 +91,16 @@ ENGINE_WARNINGS = EngineWarnings()
 mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_MEMORY = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-class SnakePhysics(dm.Physics):
+class SnakePhysics(dm.Physics, Remembers):
     """dm_control physics of a snake; `step` advances the chambers, then the bodies.
 
     The control is a valve command, held in equal slots over the next `step`.
     """
+
+    memory = names("_floor_force", "_last_push", "_schedule", "loaded")
 
     @classmethod
     def build(
@@ -132,6 +139,9 @@ class SnakePhysics(dm.Physics):
         velocities = [] if loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
+        count = spec.geometry.connectors if self._free and spec.friction.drag > 0.0 else 0
+        drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
+        self._drag_force, self._drag_velocity = (self._columns(names)[:, 0] for names in drags)
         self._attach_hulls(raw, spec)
         # Bends are sums of hinge angles.
         self._angles, self._rates = np.zeros((spec.segments, raw.nq)), np.zeros((spec.segments, raw.nv))
@@ -141,7 +151,8 @@ class SnakePhysics(dm.Physics):
                 self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_push = self._no_force
-        self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics) if loaded else None
+        air = pneumatics.stiffness * self._rates.T @ self._rates
+        self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics, air) if loaded else None
 
     def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
         hulls = hull_names(raw)
@@ -180,6 +191,62 @@ class SnakePhysics(dm.Physics):
         if self._free:
             # At rest every wheel carries its share of the weight, and its preload.
             self._floor_force[..., 2] = self._preload + self._rest_load
+
+    def place(self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """Move a snake that has been laid down; its wheels roll.
+
+        Args:
+            pose: centre of mass x, y (m) and mean heading (rad).
+            velocity: of the centre of mass, world frame (m/s), and of the mean heading (rad/s), shape (3,).
+            bend: shape (segments,), rad.
+            rate: same shape, rad/s.
+
+        Raises:
+            InputError: a snake that is held at its head.
+        """
+        if not self._free:
+            raise InputError("a snake that is held at its head begins at rest only")
+        raw, data = self.model.ptr, self.data.ptr
+        hinges = self._angles.sum(axis=1)
+        data.qpos[:] += ((bend - self.bend_angles()) / hinges) @ self._angles
+        data.qpos[3:7] = 1.0, 0.0, 0.0, 0.0
+        self._turn_to(pose)
+        data.qvel[:] = (rate / hinges) @ self._rates
+        self.refresh()
+        # The chain turns and moves as one with its head, until the means are as asked.
+        data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
+        self.refresh()
+        data.qvel[:2] += velocity[:2] - data.subtree_linvel[0][:2]
+        self.refresh()
+        self._roll_wheels(raw, data)
+        self.refresh()
+
+    def _roll_wheels(self, raw: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Let the wheels turn as fast as what they carry moves along its heading."""
+        if self.loaded is not None:
+            self.loaded.roll()
+        for number in range(1, len(self._spec.axles) + 1):
+            for side in ("left", "right"):
+                joint = mujoco.mj_name2id(raw, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}")
+                if joint < 0:
+                    continue
+                wheel, axis, moving = raw.jnt_bodyid[joint], data.xaxis[joint], np.empty(6)
+                mujoco.mj_objectVelocity(raw, data, mujoco.mjtObj.mjOBJ_BODY, wheel, moving, 0)
+                ahead = np.cross(axis, [0.0, 0.0, 1.0])
+                spin = moving[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
+                data.qvel[raw.jnt_dofadr[joint]] = spin
+
+    def remembered(self) -> dict[str, Any]:
+        """See `Remembers`; the engine's own memory is what it calls the state of integration."""
+        engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _MEMORY))
+        mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _MEMORY)
+        return super().remembered() | {"engine": engine}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """See `Remembers`."""
+        super().recall(memory)
+        mujoco.mj_setState(self.model.ptr, self.data.ptr, memory["engine"], _MEMORY)
+        self.refresh()
 
     def _turn_to(self, pose: Pose) -> None:
         """Put the centre of mass at x, y (m) and the mean heading (rad)."""
@@ -243,6 +310,7 @@ class SnakePhysics(dm.Physics):
             spent = -(earlier * self._at_feet(sensed, self._foot_columns)[..., :2]).sum(axis=(1, 2, 3))
         push = sensed[:, self._hull_force]
         power = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
+        power -= (sensed[:, self._drag_force] * sensed[:, self._drag_velocity]).sum(axis=1)
         bumps = np.einsum("ih,thk->tik", self._owners, push + rubbed)
         self._floor_force, self._last_push = force.mean(axis=0), force[-1]
         return StepBatch(states, force, sensed[:, self._energy_column], bumps, power)
@@ -293,6 +361,14 @@ class SnakePhysics(dm.Physics):
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
+
+    def kinetic_energy(self) -> float:
+        """Return the bodies' kinetic energy, J."""
+        raw, data = self.model.ptr, self.data.ptr
+        mujoco.mj_crb(raw, data)
+        momentum = np.empty(raw.nv)
+        mujoco.mj_mulM(raw, data, momentum, data.qvel)
+        return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
         """Return the bends q_j, shape (segments,), rad."""

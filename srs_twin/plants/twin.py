@@ -9,6 +9,7 @@ import numpy as np
 
 from srs_twin.arrays import joined
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
+from srs_twin.memory import fingerprint, names
 from srs_twin.mjcf.numerics import (
     CONTACTS,
     LAW_OF,
@@ -46,6 +47,7 @@ class TwinSnake(PneumaticPlant):
     """
 
     name = "twin"
+    memory = names("physics", "_spent", "_theta", "_raised")
     stretch = 1.0
 
     def __init__(
@@ -154,6 +156,7 @@ class TwinSnake(PneumaticPlant):
         self.touches, self._uneven = world is not None and world.solid, world is not None and world.uneven
         self._first_step = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.overshoot
+        self._world = fingerprint(world)
         self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, largest, world)
         self.reset()
 
@@ -167,14 +170,34 @@ class TwinSnake(PneumaticPlant):
                 f"a snake begins before the first step, which is at x = {self._first_step:g} m, not at "
                 f"{foremost:.3g} m"
             )
-        self._raised = self._height(physics.center_of_mass())
-        self._ticks, self._seed = 0, seed
-        self._spent = 0.0
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
+        return self._begin(seed, self.pneumatics.resting())
+
+    def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
+        """See `Plant.place`."""
+        x, y = map(float, snake.com)
+        pose = x, y, float(snake.heading)
+        self.reset(pose=pose, seed=seed)
+        bend = np.array(snake.bend, dtype=float)
+        self.pneumatics.place(snake.pressure, bend)
+        self.physics.place(pose, np.array([*snake.com_velocity, yaw_rate]), bend, np.array(snake.bend_rate))
+        return self._begin(seed, self.pneumatics.now())
+
+    def _begin(self, seed: int, trace: Trace) -> SnakeState:
+        """Return the first moment of a run."""
+        physics = self.physics
+        self._raised = self._height(physics.center_of_mass())
+        self._ticks, self.seed = 0, seed
+        self._spent = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
         force, obstacles = np.zeros((1, len(self._theta), 2, 2)), np.zeros((1, len(self._theta), 2))
-        trace = self.pneumatics.resting()
-        return self._observe(np.zeros(1), state, trace, force, obstacles, np.zeros(1)).at(0)
+        work = np.array([physics.kinetic_energy()])
+        self.state = self._observe(np.zeros(1), state, trace, force, obstacles, work).at(0)
+        return self.state
+
+    def identity(self) -> dict[str, Any]:
+        """See `Plant.identity`."""
+        return super().identity() | {"world": self._world}
 
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
@@ -223,7 +246,12 @@ class TwinSnake(PneumaticPlant):
     def _drive(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
         """Advance chambers and bodies; return what the chambers did at the steps' ends, and the bodies."""
         felt = self.pneumatics.felt_s
-        most = max(1, math.floor(felt / self.timestep * (1 + 1e-9))) if self.pneumatics.feels_bend else steps
+        if not self.pneumatics.feels_bend:
+            most = steps
+        elif self.physics.loaded is not None:
+            most = 1  # its closed chambers are stiff springs, stable with the bends of each step
+        else:
+            most = max(1, math.floor(felt / self.timestep * (1 + 1e-9)))
         traces, records = [], []
         for first in range(0, steps, most):
             last = min(first + most, steps)
@@ -273,7 +301,7 @@ class TwinSnake(PneumaticPlant):
             bend_rate=seen.bend_rates,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(seen.bends, times, self._seed),
+            sensed=self.sensor.read(seen.bends, times, self.seed),
             # A tail's second axle comes last: it is the last connector's as well.
             contact_force=np.add.reduceat(force.sum(axis=2), np.arange(theta.shape[1]), axis=1),
             obstacle_force=obstacles,

@@ -25,6 +25,8 @@ _ROUNDED = 1.001
 def check(document: Document, file: ScenarioFile) -> None:
     """Report what in a file contradicts something else in it, whatever the robot."""
     _check_times(document, file)
+    for loc, text in file.start.contradictions():
+        document.report(("start", *loc), text, at_key=True)
     if file.bench:
         _check_bench(document, file)
     _check_floor(document, file)

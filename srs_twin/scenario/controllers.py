@@ -21,12 +21,15 @@ from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.control.steering import BearingLaw, PathLaw, Steering
 from srs_twin.identification.takes import commands
 from srs_twin.planning import Footprint
+from srs_twin.planning.margins import SPREADS, ConditionsFile
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 if TYPE_CHECKING:
     from srs_twin.recordings.recording import Recording
+    from srs_twin.robot.file import RobotFile
+    from srs_twin.scenario.planner import PlannerFile
     from srs_twin.scenario.scenario import Scenario
 
 _KIND = "Which controller."
@@ -404,10 +407,33 @@ class FollowFile(ControllerSection):
             planner.plan(),
             problem.goal,
             body,
-            Conditions(self.camera.build(), self.delay_s, settle, self.replan_beyond_m, self.replans),
+            Conditions(
+                self.camera.build(),
+                self.delay_s,
+                settle,
+                self.replan_beyond_m,
+                self.replans,
+                getattr(planner.file, "run_up_m", 0.0),
+            ),
             body=problem.footprint,
             world=problem.world,
             replan=None if planner.file.kind == "given" else planner.plan_from,
+        )
+
+    def conditions(self, plant: str, robot: RobotFile, planner: PlannerFile) -> ConditionsFile:
+        """Return what makes following hard, as margins with a probability are measured."""
+        spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
+        return ConditionsFile.model_validate(
+            {
+                **{name: each.value for name, each in spreads.items() if each is not None},
+                "plant": plant,
+                "follower": self.follower,
+                "turn_share": planner.turn_share,
+                "delay_s": self.delay_s,
+                "position_noise_m": self.camera.position_noise_m,
+                "heading_noise_rad": self.camera.heading_noise_rad,
+                "run_up_m": getattr(planner, "run_up_m", 0.0),
+            }
         )
 
     def _settle(self, footprint: Footprint) -> float:

@@ -21,6 +21,7 @@ from srs_twin.robot.sourced import in_si, in_unit, split_unit
 
 Line = Annotated[str, Field(min_length=1, max_length=200)]
 PathOrName = Annotated[str, Field(min_length=1, max_length=4096)]
+FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 def quantity(low: float, high: float, default: Any = ..., *, unit: str | None = None) -> Any:

@@ -15,10 +15,11 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import Line, Section, constructor_default, quantity
+from srs_twin.scenario.fields import FilePath, Line, Section, constructor_default, quantity
 from srs_twin.scenario.planner import PlannerFile
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
-from srs_twin.scenario.world import StartFile, WorldFile
+from srs_twin.scenario.start import StartFile
+from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
 
 
@@ -171,9 +172,6 @@ class ComparisonFile(Section):
     gap_factor: bool = False
     """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid
     gaps (Section 3.4.2); the analytical plant must have gaps: false."""
-
-
-FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 class RecordingFile(Section):

@@ -16,7 +16,7 @@ from srs_twin.identification.takes import NO_MARKERS, logs_of, only_bends, press
 from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint import load_footprint_file
 from srs_twin.recordings.logs import on_bench, read_valves
 from srs_twin.recordings.recording import Recording
 from srs_twin.robot.file import PA_PER_KPA, RobotFile, far_off, resolve_robot
@@ -79,7 +79,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     warnings = overpressure(document, robot) if robot else []
     if robot:
         warnings += [f"robot.{dotted(loc)}: {text}" for loc, text in far_off(document.get("robot"))]
-    supply_pa, layout, world, recording, planner = 0.0, "", World(), None, None
+    supply_pa, layout, world, recording, planner, begin = 0.0, "", World(), None, None, None
     if file:
         with document.reporting("world", "random"):
             world = file.world.surroundings(file.start.build(), file.seed)
@@ -93,7 +93,13 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
             supply_pa = supply_kpa(file, robot) * PA_PER_KPA
             layout, more = check_controller(document, file, robot, supply_pa, recording)
             warnings += more
-        planner = _planner(document, file, world)
+        if not document.problems:
+            with document.reporting("start"):
+                begin = file.start.begin(robot.spec(file.seed).segments, supply_pa, file.plants.running)
+        if file.start.run is not None and isinstance(file.controller, FollowFile):
+            text = "a plan begins at one pose; give it by x_m, y_m and heading_rad"
+            document.report(("start", "from"), text, at_key=True)
+        planner = _planner(document, file, robot, world)
     document.finish(foreign)
     assert file is not None and robot is not None, "no problem was reported"
     if file.planner is None and (world.goal or world.bounds):
@@ -113,6 +119,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         record_hz=file.record_hz,
         supply_pa=supply_pa,
         pose=(pose.x, pose.y, pose.heading),
+        begin=begin,
         world=world,
         file=file,
         planner=planner,
@@ -141,7 +148,7 @@ def _resolved(
     """Return plain data of the same scenario with all defaults and the robot written out."""
     # The supply's own allow_overpressure is another name of the scenario's.
     left_out = {"supply": {"allow_overpressure"}} | ({"start": True} if file.bench else {})
-    plain = file.model_dump(mode="json", exclude_none=True, exclude=left_out)
+    plain = file.model_dump(mode="json", exclude_none=True, exclude=left_out, by_alias=True)
     document = plain | {
         "name": name,
         "title": file.title or name,
@@ -152,8 +159,12 @@ def _resolved(
         "sensor": file.sensor.resolved().model_dump(exclude_none=True),
         "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
     }
+    # A run's folder can be read from any other folder.
+    for key in document["world"].keys() & {"map", "circles"}:
+        document["world"][key] = str(Path(document["world"][key]).resolve())
+    if "from" in document.get("start", {}):
+        document["start"] = {"from": str(Path(file.start.run or "").resolve()), "time_s": file.start.time_s}
     if recording is not None:
-        # A run's folder can be read from any other folder.
         for key in document["recording"].keys() & {"motion", "valves"}:
             document["recording"][key] = str(Path(document["recording"][key]).resolve())
         if pressures(recording) is not None:
@@ -208,15 +219,16 @@ def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | No
     return None
 
 
-def _planner(document: Document, file: ScenarioFile, world: World) -> RoutePlanner | None:
+def _planner(document: Document, file: ScenarioFile, robot: RobotFile, world: World) -> RoutePlanner | None:
     """Return what plans the way to follow; report why it cannot be had."""
     if file.planner is None or not isinstance(file.controller, FollowFile) or document.problems:
         return None
     key: tuple[str, ...] = ("planner", "footprint")
     try:
-        footprint = load_footprint(file.planner.footprint)
+        footprint = load_footprint_file(file.planner.footprint)
         key = ("planner",)
-        return RoutePlanner.of(file.planner, footprint, file.start.build(), world)
+        tried = [file.controller.conditions(plant, robot, file.planner) for plant in file.plants.running]
+        return RoutePlanner.of(file.planner, footprint, file.start.build(), world, tried)
     except InputError as error:
         document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])
         return None

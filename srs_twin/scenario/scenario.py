@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from srs_twin.scenario.controllers import ControllerFile
     from srs_twin.scenario.file import ScenarioFile
     from srs_twin.scenario.planner import RoutePlanner
+    from srs_twin.scenario.start import FirstState
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Scenario:
         record_hz: recorded samples a second.
         supply_pa: supply pressure, Pa.
         pose: start: centre of mass x, y (m) and mean heading (rad).
+        begin: brings its plants into their first states; None: they lie straight and at rest at `pose`.
         world: obstacles, bounds, goal.
         file: the sections of the file, all defaults written out.
         planner: what plans the way; None where nothing follows one.
@@ -59,6 +61,7 @@ class Scenario:
     record_hz: float
     supply_pa: float
     pose: tuple[float, float, float]
+    begin: FirstState | None = field(compare=False, repr=False)
     world: World
     file: ScenarioFile
     planner: RoutePlanner | None
@@ -91,7 +94,7 @@ class Scenario:
     @property
     def timing(self) -> dict[str, Any]:
         """The arguments of `rollout` and `Job` that are the scenario's."""
-        names = ("duration", "pose", "seed", "record_hz")
+        names = ("duration", "pose", "begin", "seed", "record_hz")
         return {name: getattr(self, name) for name in names}
 
     @property

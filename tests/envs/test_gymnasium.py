@@ -235,7 +235,7 @@ def test_what_is_done_out_of_turn_is_refused():
     env = SnakeEnv("Module")
     with pytest.raises(InputError, match="reset the environment first"):
         env.step(np.zeros(2))
-    with pytest.raises(InputError, match="no options; given: goal"):
+    with pytest.raises(InputError, match="unknown option of reset 'goal'"):
         env.reset(options={"goal": 1})
     with pytest.raises(InputError, match="unknown task 'Goto'; did you mean GoTo"):
         SnakeEnv("Goto")

@@ -25,10 +25,11 @@ from srs_twin.arrays import check_positive, joined
 from srs_twin.compiled import compiled
 from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.friction import AT_TRACK, LAWS
+from srs_twin.memory import Remembers, fingerprint, names
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
-from srs_twin.plants.analytical.kinematics import Solid, chord_terms
+from srs_twin.plants.analytical.kinematics import ROWS, Solid, chord_terms, pose_body
 from srs_twin.plants.analytical.steps import Steps, advance
 from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
@@ -57,7 +58,7 @@ class Motion(NamedTuple):
     torque: np.ndarray
 
 
-class Body(ABC):
+class Body(Remembers, ABC):
     """The mechanics of an analytical model, driven by what the chambers do.
 
     Attributes:
@@ -66,6 +67,8 @@ class Body(ABC):
         solid: for the kernels.
         floor: for the kernels.
     """
+
+    memory = names("state", "velocity")
 
     state: np.ndarray
     velocity: np.ndarray
@@ -86,6 +89,21 @@ class Body(ABC):
         """Lie straight, at rest, with the centre of mass at x, y (m) and that heading (rad)."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         self.state[:3] = pose
+
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """Move from where `reset` has laid it.
+
+        Args:
+            velocity: of the centre of mass, world frame (m/s), and yaw rate (rad/s), shape (3,).
+            bend: shape (segments,), rad.
+            rate: same shape, rad/s.
+        """
+        (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
+        c, s = math.cos(heading), math.sin(heading)
+        self.state[kernels.STATE_VX], self.state[kernels.STATE_VY] = x, y
+        self.velocity[:3] = c * x + s * y, c * y - s * x, yaw
+        inertia, moment = pose_body(bend, rate, self.solid, np.empty((ROWS, len(self.solid.mass))))
+        self.state[kernels.MOMENT] = inertia * yaw + moment
 
     def _seen(self, marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return room for states and velocities at some marks."""
@@ -114,6 +132,8 @@ class Body(ABC):
 class GivenBends(Body):
     """`complete` and `simplified`: the bends are the free ones of Eq. 14, whatever the load."""
 
+    memory = names("_slope")
+
     def __init__(self, solid: Solid, floor: FloorFriction, *, turning: bool, tolerance: float) -> None:
         super().__init__(solid, floor)
         self._model, self._tolerance = (solid, floor, turning), tolerance
@@ -139,9 +159,11 @@ class GivenBends(Body):
 class ClampedBends(Body):
     """A chain held at its head (module docstring)."""
 
+    memory = names("_head")
+
     def __init__(self, solid: Solid, floor: FloorFriction) -> None:
         # In the air: the floor of the others takes no part.
-        super().__init__(solid, floor._replace(mu_t=0.0, mu_n=0.0))
+        super().__init__(solid, floor._replace(mu_t=0.0, mu_n=0.0, drag=0.0))
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays where it is then."""
@@ -151,6 +173,10 @@ class ClampedBends(Body):
         ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
         x, y, heading = pose
         self._head = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
+
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """See `Body.place`: its head is held."""
+        raise InputError("a snake that is held at its head begins at rest only")
 
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`; `look` finds out where the chain is."""
@@ -241,6 +267,19 @@ class YieldingBends(Body):
         super().reset(pose)
         self.bends()[0][:] = self._bias
 
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """See `Body.place`."""
+        super().place(velocity, bend, rate)
+        self.bends()[0][:], self.velocity[3:] = bend, rate
+        n, size = len(self.solid.mass), len(self.velocity)
+        momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
+        work = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
+        model = self.solid, self._spring, self.floor
+        compliant_kernels.balance(
+            bend, self.velocity, np.zeros(self._segments), 0.0, model, momentum, force, matrix, work
+        )
+        self.state[compliant_kernels.BENDS + self._segments :] = momentum[3:]
+
     def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now, model = (self.state, self.velocity), (self.solid, self._spring, self.floor)
@@ -285,6 +324,7 @@ class AnalyticalSnake(PneumaticPlant):
     """
 
     name = "analytical"
+    memory = names("_body")
     stretch = 10.0
 
     def __init__(
@@ -373,19 +413,33 @@ class AnalyticalSnake(PneumaticPlant):
         lean = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
         x, y, z = world.floor.down
         gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
-        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed, lean, gravity)
+        drag = mu.drag / spec.geometry.connectors
+        self._ground = world.floor
+        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed, lean, gravity, drag)
         self._body = self._make_body()
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
         """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
         self.pneumatics.reset()
-        self._ticks, self._seed = 0, seed
+        self._ticks, self.seed = 0, seed
         self._body.reset(pose)
         body, trace = self._body, self.pneumatics.resting()
         now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
-        resting = self._observe(np.zeros(1), now, trace)
-        return resting.at(0)
+        self.state = self._observe(np.zeros(1), now, trace).at(0)
+        return self.state
+
+    def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
+        """See `Plant.place`."""
+        x, y = map(float, snake.com)
+        self.reset(pose=(x, y, float(snake.heading)), seed=seed)
+        self.pneumatics.place(snake.pressure, snake.bend)
+        body, trace = self._body, self.pneumatics.now()
+        own = (snake.bend, snake.bend_rate) if body.yields else (trace.bend[0], trace.bend_rate[0])
+        body.place(np.array([*snake.com_velocity, yaw_rate]), *(np.array(each, dtype=float) for each in own))
+        now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
+        self.state = self._observe(np.zeros(1), now, trace).at(0)
+        return self.state
 
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
@@ -445,6 +499,10 @@ class AnalyticalSnake(PneumaticPlant):
             | ({} if self.load == "static" else {"load": self.load})
         )
 
+    def identity(self) -> dict[str, Any]:
+        """See `Plant.identity`."""
+        return super().identity() | {"floor": fingerprint(self._ground)}
+
     def _make_body(self) -> Body:
         g = self.spec.geometry
         frozen = 1.0 if self._model == "simplified" else 0.0
@@ -488,7 +546,8 @@ class AnalyticalSnake(PneumaticPlant):
         count, n = len(time), self.spec.geometry.connectors
         position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))
         energy = np.empty(count)
-        kernels.observe(motion, self._body.solid, self._floor, position, theta, force, energy)
+        wheels = self._floor._replace(drag=0.0)
+        kernels.observe(motion, self._body.solid, wheels, position, theta, force, energy)
         return SnakeState(
             time=time,
             com=motion.states[:, kernels.STATE_X : kernels.STATE_Y + 1],
@@ -500,7 +559,7 @@ class AnalyticalSnake(PneumaticPlant):
             bend_rate=motion.bend_rate,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(motion.bend, time, self._seed),
+            sensed=self.sensor.read(motion.bend, time, self.seed),
             contact_force=force,
             obstacle_force=np.zeros_like(force),
             torque=motion.torque,

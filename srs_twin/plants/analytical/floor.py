@@ -46,6 +46,7 @@ class FloorFriction(NamedTuple):
         mu_t: coefficient along.
         mu_n: coefficient across.
         slip: regularisation speed ε, m/s.
+        drag: against the motion of each connector along its heading, N.
         lean: k, by how much of the force across the loads of the wheels shift; 0: they do not.
         down: gravity across the floor, m/s².
         pull_x: gravity along it, world frame, m/s².
@@ -57,6 +58,7 @@ class FloorFriction(NamedTuple):
     mu_t: float
     mu_n: float
     slip: float
+    drag: float
     lean: float
     down: float
     pull_x: float
@@ -114,12 +116,13 @@ def floor_friction(
     slip: float,
     lean: float = 0.0,
     gravity: tuple[float, float, float] = _LEVEL,
+    drag: float = 0.0,
 ) -> FloorFriction:
     """Return a floor with one of `friction.LAWS` and a gravity (m/s², z off it), else as its attributes."""
     contacts = 0 if track == 0.0 else 1 if lean == 0.0 else 2
     case = LAWS.index(law) + len(LAWS) * contacts
     pull_x, pull_y, up = gravity
-    return FloorFriction((None,) * case, track, mu_t, mu_n, slip, lean, -up, pull_x, pull_y)
+    return FloorFriction((None,) * case, track, mu_t, mu_n, slip, drag, lean, -up, pull_x, pull_y)
 
 
 @compiled
@@ -139,6 +142,7 @@ def smoothed(floor, speed):  # type: ignore[no-untyped-def]
         floor.mu_t,
         floor.mu_n,
         slip,
+        floor.drag,
         floor.lean,
         floor.down,
         floor.pull_x,
@@ -162,14 +166,27 @@ def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-u
         Force along (t) and across (n), moment (m); slopes tt, tn, tm, nn, nm, mm.
     """
     contacts, law = _CASES[len(floor.case)]
-    return contacts(law, along, across, spin, weight, floor)
+    return _dragged(contacts(law, along, across, spin, weight, floor), along, floor)
+
+
+@compiled
+def _dragged(found, along, floor):  # type: ignore[no-untyped-def]
+    """Add the drag of tubes and belly to what `connector_friction` returns."""
+    t, n, m, tt, tn, tm, nn, nm, mm = found
+    if floor.drag > 0.0:
+        r = 1 / np.sqrt(along * along + floor.slip * floor.slip)
+        t -= floor.drag * along * r
+        tt -= floor.drag * r * (floor.slip * r) ** 2
+    return t, n, m, tt, tn, tm, nn, nm, mm
 
 
 @overload(connector_friction, jit_options={"forceinline": True})
 def _in_kernels(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Compile for the case of a floor's type: without a branch."""
     contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
-    return lambda along, across, spin, weight, floor: contacts(law, along, across, spin, weight, floor)
+    return lambda along, across, spin, weight, floor: _dragged(
+        contacts(law, along, across, spin, weight, floor), along, floor
+    )
 
 
 @compiled

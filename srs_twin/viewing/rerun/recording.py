@@ -15,7 +15,7 @@ Several recordings in one file lie beneath their names; its blueprint shows them
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +43,9 @@ from srs_twin.viewing.rerun.scene import (
     line_height,
     send_contacts,
     send_obstacles,
+    send_path,
     send_plan,
+    send_search,
     send_snake,
 )
 from srs_twin.viewing.rerun.viewer import verify_recording
@@ -53,6 +55,8 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
     from srs_twin.comparison.compare import Comparison, MeasuredDifference
+    from srs_twin.planning import Plan
+    from srs_twin.planning.explored import Explored
 
 
 APPLICATION = "srs_twin"
@@ -126,6 +130,28 @@ def write_recording(
         for name, error in found.items():
             to = Entities(log, (measured or {})[plant].comparison.time, "measured/")
             to.line(f"{name}/{plant}", error, style_of(plant, index))
+    Path(path).write_bytes(_drained(log, memory))
+
+
+def write_search(path: str | Path, plan: Plan, seen: Explored, title: str) -> None:
+    """Write a recording of a search alone: the world, the plan, what was explored and rejected.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        plan: the planner's answer.
+        seen: of its trees.
+        title: the recording's name in the viewer.
+    """
+    assert plan.problem is not None, "a planner's answer"
+    log = rr.RecordingStream(APPLICATION)
+    memory = log.memory_recording()
+    log.set_log_time_enabled(False)
+    log.set_log_tick_enabled(False)
+    log.send_recording_name(title)
+    to, problem = Entities(log, np.zeros(0), "world/"), plan.problem
+    send_obstacles(to, problem.world)
+    send_path(to, plan.segments, problem.footprint, asdict(problem.goal))
+    send_search(to, seen)
     Path(path).write_bytes(_drained(log, memory))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rerun as rr
@@ -24,6 +24,10 @@ from srs_twin.viewing.plots.signals import (
 from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.world import World
+
+if TYPE_CHECKING:
+    from srs_twin.planning import Footprint, Segment
+    from srs_twin.planning.explored import Explored
 
 METRES_PER_NEWTON = 0.05
 """Length of the arrows, the same in every recording; the lightest robot weighs about 2 N."""
@@ -126,13 +130,29 @@ def send_plan(to: Entities, trajectories: Mapping[str, Trajectory]) -> None:
     about = next((told for run in trajectories.values() if (told := following(run)) is not None), None)
     if about is None:
         return
-    segments, footprint, goal = segments_of(about["plans"][0]), footprint_of(about), about["goal"]
+    send_path(to, segments_of(about["plans"][0]), footprint_of(about), about["goal"])
+
+
+def send_path(
+    to: Entities, segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]
+) -> None:
+    """Log a plan: its path, the edges of what is planned for the body, the goal."""
     if segments:
         swept = [footprint.at(each.curvature) for each in segments]
         pairs = [(s, n) for s, body in zip(segments, swept, strict=True) for n in (body.left, -body.right)]
         to.fixed("plan/path", _strips([segment_points(each) for each in segments], _PATH, 0.002))
         to.fixed("plan/edges", _strips([segment_points(*each) for each in pairs], _EDGE, 0.0015))
     to.fixed("plan/goal", _strips([goal_ring(goal)], _GOAL, 0.002))
+
+
+def send_search(to: Entities, seen: Explored) -> None:
+    """Log what a search has explored, and what it rejected with what was in the way."""
+    to.fixed("search/explored", _strips(list(seen.arcs), (170, 170, 170), 0.0005))
+    to.fixed("search/gates", _strips(list(seen.gates), _GOAL, 0.0015))
+    for reason in sorted(set(seen.reasons)):
+        lines = [line for line, why in zip(seen.rejected, seen.reasons, strict=True) if why == reason]
+        name = reason.replace(" ", "_")
+        to.fixed(f"search/rejected/{name}", _strips(lines, _FORCE, 0.0005))
 
 
 def _strips(lines: Sequence[np.ndarray], color: tuple[int, int, int], radius: float) -> rr.LineStrips3D:

@@ -1,0 +1,90 @@
+"""`srs-twin emulate`: a stand-in for a robot on the air."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Annotated
+
+from srs_twin.cli import say
+from srs_twin.cli.options import JsonOption, QuietOption, RobotArgument, option, print_json
+from srs_twin.errors import InputError
+
+PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
+
+
+def emulate(
+    robot: RobotArgument,
+    mqtt: Annotated[str, option("--mqtt HOST:PORT")] = "127.0.0.1:1883",
+    natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,
+    name: Annotated[str | None, option("--name NAME")] = None,
+    seed: Annotated[int, option("--seed N", min=0)] = 0,
+    fault: Annotated[list[str] | None, option("--fault FAULT")] = None,
+    spread: Annotated[float, option("--gain-spread S", min=0.0, max=0.5)] = 0.1,
+    noise: Annotated[float, option("--noise-rad S", min=0.0, max=1.0)] = 0.02,
+    loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0,
+    jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0,
+    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
+    user: Annotated[str | None, option("--user NAME")] = None,
+    ca: Annotated[Path | None, option("--ca FILE")] = None,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Stand in for a robot, over MQTT and NatNet.
+
+    A twin with modules that differ, chambers of compressible flow, noise and faults obeys commands and tells
+    bends, pressures, valves and poses in real time, as docs/live.md describes the messages. The password of
+    --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+
+    Options:
+        mqtt: The broker.
+        natnet: Address of ours where motion capture is asked for its frames. [default: no motion capture]
+        name: Of the robot in topics. [default: ROBOT]
+        seed: Draws modules, noise and what messages suffer.
+        fault: What breaks, as stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2, starved@4; repeatable.
+        spread: Of the modules' gains.
+        noise: Of the bend sensors, RMS, rad.
+        loss: Share of its messages that is lost.
+        jitter: By how much each of them is late at most.
+        duration: Ends it. [default: Ctrl-C does]
+        user: At the broker.
+        ca: Certificate of who signed the broker's; with it the connection is encrypted.
+    """
+    from srs_twin.live import mqtt as broker
+    from srs_twin.live import natnet as protocol
+    from srs_twin.live.emulator import Air, EmulatedRobot
+    from srs_twin.live.emulator import emulate as live
+    from srs_twin.live.links import address
+    from srs_twin.live.messages import COMMAND
+    from srs_twin.live.optitrack import NatNetServer
+
+    made = EmulatedRobot(robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise)
+    known = name or Path(robot).stem
+    if set(known) & set("/+#"):
+        raise InputError(f"--name {known!r} cannot be part of a topic: it has /, + or #")
+    host, port = address(mqtt, broker.PORT)
+    password = os.environ.get(PASSWORD)
+    over = threading.Event()
+    for ends in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ends, lambda *_: over.set())
+    who = {"user": user, "password": password, "ca": ca, "kinds": (COMMAND,), "speaks": known}
+    with broker.MqttLink(known, made.segments, host, port, **who) as link:  # type: ignore[arg-type]
+        bodies = {i: f"connector_{i}" for i in range(1, made.segments + 2)}
+        capture = None
+        if natnet is not None:
+            at, asked = address(natnet, protocol.COMMAND_PORT)
+            capture = NatNetServer(bodies, host=at, port=asked)
+        if not quiet:
+            seen = f", seen at {natnet}" if natnet else ""
+            say(f"{known} is on the air at {host}:{port}{seen}; Ctrl-C ends it")
+        length = math.inf if duration is None else duration
+        told = live(made, link, capture, air=Air(loss, jitter), duration=length, stop=over.is_set, seed=seed)
+        if capture is not None:
+            capture.close()
+    if as_json:
+        print_json(told)
+    elif not quiet:
+        say(f"{told['ticks']:.0f} ticks of {made.tick:g} s, {told['late']:.0f} of them late")

@@ -1,0 +1,97 @@
+r"""Clocks of senders on our own: what is measured of offset and jitter, and messages in order of time.
+
+A message that was sent at s on the sender's clock and arrives at a on ours has come by d = a − s, the clocks'
+offset and its delay. Delays are never below 0, so the offset is the least d of the last seconds, and what
+others have more is jitter. Clocks of quartz drift by some 50 millionths: half a millisecond in ten seconds.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections import Counter, deque
+
+import numpy as np
+
+from srs_twin.live.messages import Message
+
+WINDOW_S = 10.0
+STEP_S = 1.0
+"""A clock that jumps by more was set, or its sender began anew."""
+KEPT = 5000
+
+
+class SenderClock:
+    """The clock of one sender.
+
+    Attributes:
+        offset: ours less the sender's, with the least delay, s.
+        jumps: how often it was set.
+    """
+
+    def __init__(self) -> None:
+        """Know nothing yet."""
+        self.offset, self.jumps = math.nan, 0
+        self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
+
+    def take(self, sent: float, arrived: float) -> float:
+        """Take a message's times and return when it was sent on our clock, s."""
+        apart = arrived - sent
+        if self._seen and abs(apart - self.offset) > STEP_S:
+            self._seen.clear()
+            self.jumps += 1
+        self._seen.append((arrived, apart))
+        while self._seen[0][0] < arrived - WINDOW_S:
+            self._seen.popleft()
+        self.offset = min(each for _, each in self._seen)
+        return sent + self.offset
+
+    @property
+    def jitter(self) -> float:
+        """RMS of what messages are late by, s."""
+        late = np.array([each for _, each in self._seen]) - self.offset
+        return float(np.sqrt(np.mean(late**2))) if len(late) else math.nan
+
+
+class Inbox:
+    """Messages of all senders in order of when they were sent, on our clock.
+
+    Attributes:
+        clocks: of each source.
+        counts: (source, kind, what) → how many: "taken", "duplicate", "late" ones that came when later ones
+            had been handed out, "bad" ones.
+    """
+
+    def __init__(self, hold_s: float = 0.03) -> None:
+        """Wait for so long (s) for messages that come in disorder."""
+        self.clocks: dict[str, SenderClock] = {}
+        self.counts: Counter[tuple[str, str, str]] = Counter()
+        self._hold, self._handed = hold_s, -math.inf
+        self._waiting: list[tuple[float, int, Message]] = []
+        self._number = itertools.count()
+        self._known: dict[tuple[str, str], deque[float]] = {}
+
+    def put(self, message: Message) -> None:
+        """Take a message, in whatever order."""
+        known = self._known.setdefault((message.source, message.kind), deque(maxlen=200))
+        if message.sent in known:
+            self.counts[message.source, message.kind, "duplicate"] += 1
+            return
+        known.append(message.sent)
+        clock = self.clocks.setdefault(message.source, SenderClock())
+        time = clock.take(message.sent, message.arrived)
+        if time < self._handed:
+            self.counts[message.source, message.kind, "late"] += 1
+            return
+        self.counts[message.source, message.kind, "taken"] += 1
+        heapq.heappush(self._waiting, (time, next(self._number), message))
+
+    def take(self, now: float) -> list[tuple[float, Message]]:
+        """Return what was sent until a little before now (our clock, s), with its time on our clock."""
+        until, found = now - self._hold, []
+        while self._waiting and self._waiting[0][0] <= until:
+            time, _, message = heapq.heappop(self._waiting)
+            found.append((time, message))
+        self._handed = max(self._handed, until)
+        return found

@@ -1,0 +1,278 @@
+"""Emulator: a stand-in for a robot, in a process of its own, that obeys and tells as a real one would.
+
+It is a twin on momentary loads with chambers of compressible flow, modules drawn by a seed that nobody else
+knows, and faults at given times. It takes commands from a broker, tells bends, pressures and valves there,
+and what motion capture sees by NatNet, in real time. Without a command for a fifth of a second it vents all
+chambers, as the electronics of a robot should.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import re
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.control.pwm import PulseWidth
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.live.links import clock
+from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
+from srs_twin.live.mqtt import MqttLink
+from srs_twin.live.natnet import RigidBody
+from srs_twin.live.optitrack import NatNetServer
+from srs_twin.plants.base import SnakeState
+from srs_twin.plants.twin import TwinSnake
+from srs_twin.pneumatics import OrificePneumatics
+from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.scenario import parse_scenario
+
+SILENT_S = 0.2
+"""Without a command for so long all chambers are vented."""
+
+CARRIER_HZ = 60.0
+_LATE_S = 1.0
+_SIDES = {"+": 0, "-": 1}
+_FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
+_FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
+# What a kind is of, and what it may be.
+KINDS: dict[str, tuple[str, dict[str, float]]] = {
+    "stuck_valve": ("chamber", {"open": 1, "closed": -1}),
+    "leak": ("chamber", {"slow": 2, "fast": 8}),
+    "dead_sensor": ("segment", {"silent": 1, "frozen": 0}),
+    "drifting_sensor": ("segment", {"up": 1, "down": -1}),
+    "starved": ("", {"half": 0.5, "empty": 0.1}),
+    "lost_marker": ("connector", {"gone": 1}),
+}
+"""Kinds of faults: what each is of, and how it may be, the first by default; leaks in 1/s of the pressure."""
+
+_DRIFT_RAD_PER_S = 0.1
+_CAMERA_NOISE_M = 0.0003
+_HEIGHT_M = 0.02
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What breaks.
+
+    Attributes:
+        kind: one of `KINDS`.
+        number: of segment or connector, from 1; 0 where it is of none.
+        side: of a chamber, 0 for + and 1 for −.
+        how: the number that belongs to what was said.
+        since: s from the start.
+    """
+
+    kind: str
+    number: int
+    side: int
+    how: float
+    since: float
+
+    @classmethod
+    def of(cls, text: str, segments: int) -> Fault:
+        """Return the fault that a text tells, such as ``stuck_valve:2+@5``.
+
+        Raises:
+            InputError: it tells none, or one of another robot.
+            UnknownNameError: there is no such kind, or not so.
+        """
+        found = _FAULT.fullmatch(text)
+        if found is None:
+            raise InputError(f"{text!r} is no fault; the form is {_FORM}")
+        kind, number, side, how, since = found.groups()
+        if kind not in KINDS:
+            raise UnknownNameError("fault", kind, KINDS)
+        of, ways = KINDS[kind]
+        if how is not None and how not in ways:
+            raise UnknownNameError(f"way of {kind}", how, ways)
+        if (side is not None) != (of == "chamber") or (number is not None) != bool(of):
+            needed = f"is of one {of}" if of else "is of the whole robot"
+            example = f"{kind}:2+@5" if of == "chamber" else f"{kind}:2@5" if of else f"{kind}@5"
+            raise InputError(f"{text!r}: {kind} {needed}; {example} would be one")
+        most = segments + (of == "connector")
+        if number is not None and not 1 <= int(number) <= most:
+            raise InputError(f"{text!r}: there is no {of} {number}; the robot has {most}")
+        way = ways[how] if how is not None else next(iter(ways.values()))
+        return cls(kind, int(number or 0), _SIDES.get(side or "", 0), way, float(since))
+
+
+class EmulatedRobot:
+    """The robot, tick by tick; it knows nothing of clocks and wires.
+
+    Attributes:
+        twin: what moves.
+        state: of it; what only it knows.
+        faults: what breaks, and when.
+    """
+
+    def __init__(
+        self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
+        noise_rad: float = 0.02, tick: float = 0.02,
+    ) -> None:  # fmt: skip
+        """Build it.
+
+        Args:
+            robot: name or path of its file.
+            seed: draws modules and noise.
+            faults: as `Fault.of` takes them.
+            gain_spread: of its modules' gains.
+            noise_rad: of its bend sensors, RMS, rad.
+            tick: s.
+
+        Raises:
+            InputError: no such robot, or no such fault.
+        """
+        asked = parse_scenario(
+            {
+                "robot": {"base": robot, "modules": {"gain_spread": gain_spread}},
+                "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
+                "pneumatics": {"kind": "orifice"}, "plants": {"twin": {"contact": "loaded", "tick_s": tick}},
+            },
+            name=f"emulate {robot}",
+        )  # fmt: skip
+        self.twin = asked.build_plant("twin")
+        assert isinstance(self.twin, TwinSnake) and isinstance(self.twin.pneumatics, OrificePneumatics)
+        self._air: OrificePneumatics = self.twin.pneumatics
+        spec = self.twin.spec
+        self.segments, self.tick = spec.segments, tick
+        self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
+        self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
+        self._supply = asked.supply_pa
+        self._air.stuck = tuple(
+            StuckValve(each.number, each.side, int(each.how), each.since)
+            for each in self.faults if each.kind == "stuck_valve"
+        )  # fmt: skip
+        self._pending = [each for each in self.faults if each.kind in ("leak", "starved")]
+        self._pulses = PulseWidth(CARRIER_HZ, tick, spec.segments, together=True, long_ticks=True)
+        self._frozen = np.full(spec.segments, np.nan)
+        self.state = self.twin.reset(seed=seed)
+
+    def step(self, command: np.ndarray | None) -> SnakeState:
+        """Obey a command for a tick: states of valves, or duties; None vents everything."""
+        now = float(self.state.time)
+        for each in [each for each in self._pending if each.since <= now + 1e-9]:
+            self._pending.remove(each)
+            if each.kind == "leak":
+                self._air.leak(each.number, each.side, each.how)
+            else:
+                self._air.regulate(each.how * self._supply)
+        shape = (self.segments, 2)
+        wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
+        states = np.isin(wanted, (-1.0, 1.0)).all()
+        duties = self._pulses.step(np.where(states, (wanted + 1) / 2, np.clip(wanted, 0.0, 1.0)))
+        self.state = self.twin.step(wanted.astype(np.int8) if states else duties)
+        return self.state
+
+    def bends(self) -> np.ndarray:
+        """Return what its sensors say now, rad; NaN where they say nothing."""
+        time, seen = (
+            float(self.state.time),
+            self.state.bend + self._noise * self._rng.normal(size=self.segments),
+        )
+        for each in self.faults:
+            if each.since > time:
+                continue
+            j = each.number - 1
+            if each.kind == "dead_sensor":
+                self._frozen[j] = seen[j] if np.isnan(self._frozen[j]) else self._frozen[j]
+                seen[j] = math.nan if each.how else self._frozen[j]
+            elif each.kind == "drifting_sensor":
+                seen[j] += each.how * _DRIFT_RAD_PER_S * (time - each.since)
+        return np.asarray(seen)
+
+    def bodies(self) -> dict[int, RigidBody]:
+        """Return where motion capture sees its connectors, from 1 at the head, y up."""
+        time, found = float(self.state.time), {}
+        lost = {e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time}
+        noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
+        for i, (x, y) in enumerate(self.state.position):
+            dx, dy, dz = noise[i].tolist()
+            turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the middle
+            place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)
+            body = RigidBody(place, (0.0, math.sin(turn / 2), 0.0, math.cos(turn / 2)))
+            found[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
+        return found
+
+
+@dataclass(frozen=True)
+class Air:
+    """What messages suffer on their way out.
+
+    Attributes:
+        loss: share that is lost.
+        jitter: by how much each is late at most, uniformly, s.
+    """
+
+    loss: float = 0.0
+    jitter: float = 0.0
+
+
+def emulate(
+    robot: EmulatedRobot,
+    link: MqttLink,
+    capture: NatNetServer | None,
+    *,
+    air: Air = Air(),
+    duration: float = math.inf,
+    stop: Callable[[], bool] = lambda: False,
+    seed: int = 0,
+) -> dict[str, float]:
+    """Let a robot live in real time.
+
+    Args:
+        robot: which.
+        link: its topics, which it hears commands on.
+        capture: who sees it; None: nobody.
+        air: what its messages suffer.
+        duration: s.
+        stop: asked every tick.
+        seed: of the air.
+
+    Returns:
+        ``ticks``, and ``late``: how many began more than a tick late.
+    """
+    rng = np.random.default_rng((seed, 0xA1))
+    waiting: list[tuple[float, int, Callable[[], None]]] = []
+    number = itertools.count()
+    begun, tick, done, late = clock(), robot.tick, 0, 0
+    command, heard = None, -math.inf
+
+    def later(send: Callable[[], None]) -> None:
+        if rng.random() >= air.loss:
+            heapq.heappush(waiting, (clock() + rng.random() * air.jitter, next(number), send))
+
+    def sent() -> None:
+        while waiting and waiting[0][0] <= clock():
+            heapq.heappop(waiting)[2]()
+
+    link.send(STATUS, "running")
+    while done * tick < duration and not stop():
+        for message in link.received():
+            if message.kind == COMMAND:
+                command, heard = message.values, message.arrived
+        now = clock()
+        state = robot.step(command if now - heard <= SILENT_S else None)
+        done += 1
+        due, at = begun + done * tick, clock()
+        told = ((BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, state.valves))
+        for kind, values in told:
+            later(lambda kind=kind, values=values, at=at: link.send(kind, values, at=at))  # type: ignore[misc]
+        if capture is not None:
+            bodies = robot.bodies()
+            later(lambda bodies=bodies, at=at: capture.send(at, bodies))  # type: ignore[misc]
+        late += clock() > due + tick
+        if clock() - due > _LATE_S:
+            begun = clock() - done * tick  # what was missed is not made up for
+        while True:
+            sent()
+            left = due - clock()
+            if left <= 0:
+                break
+            time.sleep(min(left, 0.002) if waiting else left)
+    link.send(STATUS, "stopped")
+    return {"ticks": done, "late": late}

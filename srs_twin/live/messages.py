@@ -1,0 +1,134 @@
+"""Messages: what a robot says and is told, as JSON over MQTT, and where motion capture sees its bodies.
+
+Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
+``status``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused with a reason
+and counted; nothing that arrives raises further than to who decodes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+LARGEST_BYTES = 65_536
+COMMAND, VALVES, PRESSURES, BENDS, STATUS, POSES = (
+    "command", "valves", "pressures", "bends", "status", "poses",
+)  # fmt: skip
+KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS)
+_LATEST = 1e12  # s: no clock shows more
+_PA_PER_KPA = 1000.0
+_BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0)}
+_BEND = 2 * math.pi
+_LONGEST_TEXT = 1000
+
+
+class BadMessageError(ValueError):
+    """What arrived is none of our messages; says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One message.
+
+    Attributes:
+        kind: one of `KINDS`, or `POSES`.
+        source: whose clock `sent` shows: a topic's robot, or a motion capture system.
+        sent: the sender's clock, s.
+        arrived: our monotonic clock, s.
+        values: commands and valves (segments, 2); pressures the same, Pa; bends (segments,), rad, NaN where
+            none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
+        names: of the bodies; of a status its text.
+    """
+
+    kind: str
+    source: str
+    sent: float
+    arrived: float
+    values: np.ndarray = field(default_factory=lambda: np.empty(0))
+    names: tuple[str, ...] = ()
+
+
+def topic(robot: str, kind: str) -> str:
+    """Return the topic of a kind of message."""
+    return f"srs/{robot}/{kind}"
+
+
+def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
+    """Return the JSON of a message.
+
+    Args:
+        kind: one of `KINDS`.
+        time: of our clock, s.
+        values: as in `Message`; of a status its text.
+    """
+    if isinstance(values, str):
+        return json.dumps({"t": time, "text": values}).encode()
+    if kind == BENDS:
+        bends = [None if math.isnan(each) else each for each in np.ravel(values).tolist()]
+        return json.dumps({"t": time, "rad": bends}).encode()
+    sides = np.asarray(values, dtype=float) / (_PA_PER_KPA if kind == PRESSURES else 1.0)
+    plus, minus = (_plain(sides[:, side]) for side in (0, 1))
+    return json.dumps({"t": time, "plus": plus, "minus": minus}).encode()
+
+
+def _plain(values: np.ndarray) -> list[float]:
+    return [int(each) if each == int(each) else round(each, 6) for each in values.tolist()]
+
+
+def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: int) -> Message:
+    """Return the message that a payload is.
+
+    Args:
+        kind: by its topic.
+        payload: as it arrived.
+        source: of it.
+        arrived: our clock, s.
+        segments: of the robot.
+
+    Raises:
+        BadMessageError: it is none, or of another robot.
+    """
+    if kind not in KINDS:
+        raise BadMessageError(f"no kind of message is called {kind!r}")
+    if len(payload) > LARGEST_BYTES:
+        raise BadMessageError(f"{len(payload)} bytes; {LARGEST_BYTES} are allowed")
+    try:
+        document = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise BadMessageError(f"no JSON: {error}") from None
+    if not isinstance(document, Mapping):
+        raise BadMessageError(f"a JSON object is needed, not {type(document).__name__}")
+    sent = _number(document, "t", -_LATEST, _LATEST)
+    if kind == STATUS:
+        text = document.get("text", "")
+        if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
+            raise BadMessageError(f"text is needed, {_LONGEST_TEXT} characters at most")
+        return Message(kind, source, sent, arrived, names=(text,))
+    if kind == BENDS:
+        rad = _numbers(document, "rad", segments, -_BEND, _BEND, gaps=True)
+        return Message(kind, source, sent, arrived, np.array(rad))
+    low, high = _BOUNDS[kind]
+    sides = [_numbers(document, side, segments, low, high) for side in ("plus", "minus")]
+    values = np.array(sides).T * (_PA_PER_KPA if kind == PRESSURES else 1.0)
+    return Message(kind, source, sent, arrived, values)
+
+
+def _number(document: Mapping[str, Any], key: str, low: float, high: float) -> float:
+    given = document.get(key)
+    if isinstance(given, bool) or not isinstance(given, int | float) or not low <= given <= high:
+        raise BadMessageError(f"{key}: a number from {low:g} to {high:g} is needed")
+    return float(given)
+
+
+def _numbers(
+    document: Mapping[str, Any], key: str, count: int, low: float, high: float, *, gaps: bool = False
+) -> list[float]:
+    given = document.get(key)
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != count:
+        raise BadMessageError(f"{key}: a list of {count} numbers is needed, one a segment")
+    return [math.nan if gaps and each is None else _number({key: each}, key, low, high) for each in given]

@@ -1,0 +1,109 @@
+"""MqttLink: a robot's topics at a broker (MQTT)."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.live.links import LOOPBACK, Link, clock
+from srs_twin.live.messages import KINDS, STATUS, BadMessageError, decode, encode, topic
+
+PORT = 1883
+LOST = "lost"
+"""What a broker says of a robot or a shadow whose connection broke off."""
+
+
+class MqttLink(Link):
+    """One robot's topics at a broker.
+
+    Attributes:
+        connected: whether the broker answers now.
+    """
+
+    def __init__(
+        self, robot: str, segments: int, host: str = LOOPBACK, port: int = PORT, *,
+        kinds: Iterable[str] = KINDS, user: str | None = None, password: str | None = None,
+        ca: Path | None = None, wait_s: float = 5.0, speaks: str | None = None,
+    ) -> None:  # fmt: skip
+        """Connect and subscribe.
+
+        Args:
+            robot: whose topics.
+            segments: of the robot.
+            host: of the broker.
+            port: of the broker.
+            kinds: of messages to receive.
+            user: name at the broker; None: without.
+            password: of that user.
+            ca: certificate of who signed the broker's; TLS is used where it is given.
+            wait_s: for how long the broker may be silent at first, s.
+            speaks: whose `status` turns to `LOST` if this connection breaks off; None: nobody's.
+
+        Raises:
+            InputError: paho-mqtt is not installed, or no broker answers or admits us.
+        """
+        super().__init__()
+        try:
+            from paho.mqtt import client as mqtt
+        except ImportError as error:
+            raise InputError("MQTT needs paho-mqtt: pip install 'srs-twin[live]'") from error
+        self._robot, self._segments, self._topics = robot, segments, {topic(robot, k): k for k in kinds}
+        self.connected, self._answered, self._why = False, threading.Event(), ""
+        self._client = client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_message = self._on_message
+        client.reconnect_delay_set(1, 2)
+        if user is not None:
+            client.username_pw_set(user, password)
+        if ca is not None:
+            client.tls_set(str(ca))
+        if speaks is not None:
+            client.will_set(topic(speaks, STATUS), encode(STATUS, 0.0, LOST))
+        try:
+            client.connect(host, port, keepalive=5)
+        except OSError as error:
+            raise InputError(f"no broker answers at {host}:{port}: {error}") from error
+        client.loop_start()
+        if not self._answered.wait(wait_s) or not self.connected:
+            self.close()
+            raise InputError(f"the broker at {host}:{port} does not admit us: {self._why or 'no answer'}")
+
+    def send(self, kind: str, values: np.ndarray | str, *, at: float | None = None) -> None:
+        """Send a message; nothing is kept for a broker that is away.
+
+        Args:
+            kind: one of `KINDS`.
+            values: as `encode` takes them.
+            at: of our clock, s; default now.
+        """
+        self._client.publish(topic(self._robot, kind), encode(kind, clock() if at is None else at, values))
+
+    def close(self) -> None:
+        """See `Link.close`."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        self.connected, self._why = not reason.is_failure, str(reason)
+        if self.connected:
+            self.counts["connected"] += 1
+            if self._topics:
+                client.subscribe([(each, 0) for each in self._topics])
+        self._answered.set()
+
+    def _on_disconnect(self, *_: Any) -> None:
+        self.connected = False
+
+    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+        arrived, kind = clock(), self._topics.get(message.topic, "")
+        try:
+            self._take(
+                decode(kind, message.payload, source=self._robot, arrived=arrived, segments=self._segments)
+            )
+        except BadMessageError as error:
+            self._refuse(error)

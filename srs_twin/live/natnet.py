@@ -1,0 +1,324 @@
+"""NatNet: frames of motion capture as Motive streams them by UDP, to read and, for stand-ins, to write.
+
+Versions 2.6 to 4.2 are read and written; from 4.1 on every list of a frame says how long it is, and what is
+not ours is skipped by that. Rigid bodies and labelled markers are taken, the rest is passed over. Lengths are
+m; axes are Motive's, `turned` brings them to z up.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from srs_twin.live.messages import BadMessageError
+
+CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELDEF, MODELDEF = 0, 1, 2, 3, 4, 5
+FRAME, KEEPALIVE, UNRECOGNIZED = 7, 10, 100
+COMMAND_PORT, DATA_PORT, GROUP = 1510, 1511, "239.255.42.99"
+VERSIONS = ((2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
+_MOST = 10_000  # of anything in a frame
+_TRACKED, _OCCLUDED = 0x01, 0x01
+_NAME = 256
+
+Version = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """One rigid body.
+
+    Attributes:
+        place: m, Motive's axes.
+        turn: quaternion x, y, z, w.
+        error: mean of its markers', m.
+        tracked: whether it was seen.
+    """
+
+    place: tuple[float, ...]
+    turn: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    error: float = 0.0
+    tracked: bool = True
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame.
+
+    Attributes:
+        number: counted by the sender.
+        time: of the sender's clock, s.
+        bodies: by their id.
+        markers: labelled ones that were seen, by their id, m.
+    """
+
+    number: int
+    time: float
+    bodies: Mapping[int, RigidBody] = field(default_factory=dict)
+    markers: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+
+
+class _Reader:
+    """What is left of a packet."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self.at = memoryview(data), 0
+
+    def read(self, form: str) -> tuple[Any, ...]:
+        """Read numbers, by their form in `struct`, little-endian."""
+        try:
+            found = struct.unpack_from("<" + form, self._data, self.at)
+        except struct.error:
+            raise BadMessageError("the packet ends too early") from None
+        self.at += struct.calcsize("<" + form)
+        return found
+
+    def count(self) -> int:
+        """Read how many things follow."""
+        (found,) = self.read("i")
+        if not 0 <= found <= _MOST:
+            raise BadMessageError(f"{found} things in a list of at most {_MOST}")
+        return int(found)
+
+    def listed(self, version: Version) -> tuple[int, int | None]:
+        """Read how many things follow and where they end, where the version says that."""
+        count = self.count()
+        if version < (4, 1):
+            return count, None
+        (size,) = self.read("i")
+        if not 0 <= size <= len(self._data) - self.at:
+            raise BadMessageError(f"a list of {size} bytes does not fit the packet")
+        return count, self.at + size
+
+    def text(self) -> str:
+        """Read a text that ends with a zero."""
+        rest = bytes(self._data[self.at : self.at + _NAME + 1])
+        end = rest.find(b"\0")
+        if end < 0:
+            raise BadMessageError("a name without an end")
+        self.at += end + 1
+        return rest[:end].decode("utf-8", "replace")
+
+
+def opened(packet: bytes) -> tuple[int, bytes]:
+    """Return a packet's kind and content.
+
+    Raises:
+        BadMessageError: no packet, or cut off.
+    """
+    if len(packet) < 4:
+        raise BadMessageError("no packet: fewer than 4 bytes")
+    kind, size = struct.unpack_from("<HH", packet)
+    if len(packet) - 4 < size:
+        raise BadMessageError(f"{len(packet) - 4} bytes of {size}")
+    return kind, packet[4 : 4 + size]
+
+
+def closed(kind: int, content: bytes = b"") -> bytes:
+    """Return a packet."""
+    return struct.pack("<HH", kind, len(content)) + content
+
+
+def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
+    """Return the version of a server's frames, and group and port where it says that it multicasts.
+
+    Raises:
+        BadMessageError: no such content.
+    """
+    packet = _Reader(content)
+    packet.at = _NAME + 4
+    major, minor, _, _ = packet.read("4B")
+    if (major, minor) < VERSIONS[0]:
+        raise BadMessageError(f"NatNet {major}.{minor}; {VERSIONS[0][0]}.{VERSIONS[0][1]} or later is read")
+    if (major, minor) < (3, 0) or len(content) - packet.at < 15:
+        return (major, minor), None
+    _, port, multicast, *group = packet.read("QH?4B")
+    return (major, minor), (".".join(map(str, group)), int(port)) if multicast else None
+
+
+def write_server(version: Version, *, group: str | None = None, port: int = DATA_PORT) -> bytes:
+    """Return a server's answer to `CONNECT`."""
+    content = b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*version, 0, 0])
+    if version >= (3, 0):
+        octets = map(int, (group or "0.0.0.0").split("."))
+        content += struct.pack("<QH?4B", 10**9, port, group is not None, *octets)
+    return closed(SERVER_INFO, content)
+
+
+def read_models(content: bytes, version: Version) -> dict[int, str]:
+    """Return the names of rigid bodies by their id; what follows the first thing that is none is left out.
+
+    Raises:
+        BadMessageError: no such content.
+    """
+    packet, found = _Reader(content), dict[int, str]()
+    for _ in range(packet.count()):
+        (kind,) = packet.read("i")
+        end = None
+        if version >= (4, 1):
+            (size,) = packet.read("i")
+            end = packet.at + size
+        if kind == 0:
+            packet.text()
+            for _ in range(packet.count()):
+                packet.text()
+        elif kind == 1:
+            name = packet.text()
+            number, _, *_ = packet.read("ii3f" + ("4f" if version >= (4, 2) else ""))
+            found[number] = name
+            if version >= (3, 0):
+                count = packet.count()
+                packet.read("3f" * count + "i" * count)
+                for _ in range(count if version >= (4, 0) else 0):
+                    packet.text()
+        elif end is None:
+            break
+        packet.at = packet.at if end is None else end
+    return found
+
+
+def write_models(names: Mapping[int, str], version: Version) -> bytes:
+    """Return the descriptions of rigid bodies without markers of their own."""
+    content = struct.pack("<i", len(names))
+    for number, name in names.items():
+        turn = struct.pack("<4f", 0, 0, 0, 1) if version >= (4, 2) else b""
+        markers = struct.pack("<i", 0) if version >= (3, 0) else b""
+        body = name.encode() + b"\0" + struct.pack("<ii3f", number, -1, 0, 0, 0) + turn + markers
+        size = struct.pack("<i", len(body)) if version >= (4, 1) else b""
+        content += struct.pack("<i", 1) + size + body
+    return closed(MODELDEF, content)
+
+
+def read_frame(content: bytes, version: Version) -> Frame:
+    """Return a frame.
+
+    Raises:
+        BadMessageError: no such content.
+    """
+    packet = _Reader(content)
+    (number,) = packet.read("i")
+    for read_one in (_marker_set, _place):  # unlabelled markers have no name
+        _skip(packet, version, read_one)
+    bodies = dict(_all(packet, version, _body))
+    for read_one, since in ((_skeleton, (2, 1)), (_asset, (4, 1))):
+        if version >= since:
+            _skip(packet, version, read_one)
+    markers = {key: place for key, place in _all(packet, version, _labelled) if place is not None}
+    for since in ((2, 9), (2, 11)):  # force plates, devices
+        if version >= since:
+            _skip(packet, version, _channels)
+    packet.read("II")
+    (time,) = packet.read("d" if version >= (2, 7) else "f")
+    if not math.isfinite(time):
+        raise BadMessageError("the frame's time is no number")
+    return Frame(number, time, bodies, markers)
+
+
+def _all(packet: _Reader, version: Version, read_one: Any) -> list[tuple[int, Any]]:
+    count, end = packet.listed(version)
+    found = [read_one(packet, version) for _ in range(count)]
+    packet.at = packet.at if end is None else end
+    return found
+
+
+def _skip(packet: _Reader, version: Version, read_one: Any) -> None:
+    count, end = packet.listed(version)
+    if end is None:
+        for _ in range(count):
+            read_one(packet, version)
+    else:
+        packet.at = end
+
+
+def _marker_set(packet: _Reader, version: Version) -> None:
+    packet.text()
+    for _ in range(packet.count()):
+        packet.read("3f")
+
+
+def _place(packet: _Reader, version: Version) -> None:
+    packet.read("3f")
+
+
+def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
+    number, *rest = packet.read("i7f")
+    if version < (3, 0):
+        count = packet.count()
+        packet.read("3f" * count + "i" * count + "f" * count)
+    error, params = packet.read("fH")
+    tracked = bool(params & _TRACKED) and all(map(math.isfinite, rest))
+    return number, RigidBody(tuple(rest[:3]), tuple(rest[3:]), error, tracked)
+
+
+def _skeleton(packet: _Reader, version: Version) -> None:
+    packet.read("i")
+    for _ in range(packet.count()):
+        _body(packet, version)
+
+
+def _asset(packet: _Reader, version: Version) -> None:
+    raise BadMessageError("an asset without its length")  # from 4.1 on lists have theirs
+
+
+def _labelled(packet: _Reader, version: Version) -> tuple[int, tuple[float, ...] | None]:
+    number, x, y, z, _, params = packet.read("i4fH")
+    if version >= (3, 0):
+        packet.read("f")
+    seen = not params & _OCCLUDED and all(map(math.isfinite, (x, y, z)))
+    return number, (x, y, z) if seen else None
+
+
+def _channels(packet: _Reader, version: Version) -> None:
+    packet.read("i")
+    for _ in range(packet.count()):
+        packet.read("f" * packet.count())
+
+
+def write_frame(frame: Frame, version: Version) -> bytes:
+    """Return the packet of a frame."""
+
+    def listed(parts: list[bytes]) -> bytes:
+        content = b"".join(parts)
+        size = struct.pack("<i", len(content)) if version >= (4, 1) else b""
+        return struct.pack("<i", len(parts)) + size + content
+
+    none = listed([])
+    bodies = [
+        struct.pack("<i7f", key, *each.place, *each.turn)
+        + (struct.pack("<i", 0) if version < (3, 0) else b"")
+        + struct.pack("<fH", each.error, _TRACKED if each.tracked else 0)
+        for key, each in frame.bodies.items()
+    ]
+    markers = [
+        struct.pack("<i4fH", key, *place, 0.01, 0) + (struct.pack("<f", 0.0) if version >= (3, 0) else b"")
+        for key, place in frame.markers.items()
+    ]
+    content = struct.pack("<i", frame.number) + none + none + listed(bodies) + none
+    content += none if version >= (4, 1) else b""
+    content += listed(markers)
+    content += none * ((version >= (2, 9)) + (version >= (2, 11)))
+    content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", frame.time)
+    if version >= (3, 0):
+        content += struct.pack("<3Q", 0, 0, 0)
+    if version >= (4, 1):
+        content += struct.pack("<II", 0, 0)
+    return closed(FRAME, content + struct.pack("<Hi", 0, 0))
+
+
+def turned(body: RigidBody, up: str) -> np.ndarray:
+    """Return x, y, z (m, z up) and heading (rad) of a body; its own x axis points ahead.
+
+    Args:
+        body: in Motive's axes.
+        up: "y" or "z", as Motive streams.
+    """
+    x, y, z = body.place
+    i, j, k, w = body.turn
+    ahead = np.array([1 - 2 * (j * j + k * k), 2 * (i * j + k * w), 2 * (i * k - j * w)])
+    if up == "y":
+        (x, y, z), ahead = (x, -z, y), ahead[[0, 2, 1]] * [1, -1, 1]
+    return np.array([x, y, z, math.atan2(ahead[1], ahead[0])])

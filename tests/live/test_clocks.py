@@ -1,0 +1,69 @@
+"""Offset and jitter of a sender's clock, and messages in order, against clocks that were made up here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.live.clocks import Inbox, SenderClock
+from srs_twin.live.messages import BENDS, VALVES, Message
+
+
+def message(sent: float, arrived: float, kind: str = BENDS) -> Message:
+    return Message(kind, "robot", sent, arrived)
+
+
+@pytest.mark.parametrize("offset", [-1e6, 0.0, 12.5])
+def test_the_offset_is_found_but_for_the_least_delay(offset):
+    rng = np.random.default_rng(2)
+    clock = SenderClock()
+    delays = 0.004 + rng.gamma(1.0, 0.02, 1000)
+    for k, delay in enumerate(delays):
+        sent = 0.02 * k
+        found = clock.take(sent, sent + offset + delay)
+    assert clock.offset == pytest.approx(offset + 0.004, abs=0.001)
+    assert found == pytest.approx(sent + offset + 0.004, abs=0.001)
+    assert clock.jitter == pytest.approx(np.sqrt(np.mean((delays[-500:] - delays.min()) ** 2)), rel=0.1)
+
+
+def test_a_drift_is_followed_and_a_clock_that_is_set_begins_anew():
+    clock = SenderClock()
+    for k in range(3000):
+        sent = 0.02 * k
+        clock.take(sent, 1.0 + sent * (1 + 5e-5) + 0.01)
+    assert clock.offset == pytest.approx(1.01 + 5e-5 * sent, abs=6e-4)
+    assert clock.jumps == 0
+    clock.take(0.0, sent + 2.0)
+    assert clock.jumps == 1
+    assert clock.offset == pytest.approx(sent + 2.0)
+
+
+@given(st.lists(st.floats(0.0, 0.06), min_size=5, max_size=60), st.randoms())
+def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
+    inbox = Inbox(hold_s=0.03)
+    sent = [0.02 * k for k in range(len(delays))]
+    arriving = sorted((s + d, s) for s, d in zip(sent, delays, strict=True))
+    handed = []
+    for arrived, s in arriving:
+        inbox.put(message(s, arrived))
+        if random.random() < 0.3:
+            inbox.put(message(s, arrived + 0.001))
+        handed += inbox.take(arrived)
+    handed += inbox.take(1e9)
+    times = [time for time, _ in handed]
+    assert times == sorted(times)
+    found = [each.sent for _, each in handed]
+    assert len(found) == len(set(found))
+    late = inbox.counts["robot", BENDS, "late"]
+    assert len(found) + late == len(sent)
+    if max(delays) - min(delays) < 0.03:
+        assert late == 0
+
+
+def test_kinds_are_no_duplicates_of_each_other():
+    inbox = Inbox()
+    inbox.put(message(1.0, 2.0))
+    inbox.put(message(1.0, 2.0, VALVES))
+    assert len(inbox.take(10.0)) == 2

@@ -1,0 +1,159 @@
+"""A stand-in for a robot: faults as told, a watchdog, messages in real time over a real broker."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from brokers import broker, free_port, needs_broker, wait
+
+from srs_twin import Gait, InputError, load_robot
+from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault
+from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
+from srs_twin.live.mqtt import MqttLink
+from srs_twin.live.optitrack import NatNetLink
+
+QUIET = {"noise_rad": 0.0, "gain_spread": 0.0}
+
+
+def walked(robot: EmulatedRobot, seconds: float) -> dict[str, np.ndarray]:
+    """Let a robot obey a gait; return what it senses and is, tick by tick."""
+    gait = Gait(1.5)
+    gait.reset(robot.twin.spec, robot.tick)
+    seen = {"bends": [], "true": [], "pressure": [], "tracked": []}
+    for k in range(round(seconds / robot.tick)):
+        valves = gait.valves_at(k * robot.tick)
+        state = robot.step(valves if valves.ndim == 2 else valves[-1])
+        seen["bends"].append(robot.bends())
+        seen["true"].append(state.bend)
+        seen["pressure"].append(state.pressure)
+        seen["tracked"].append([each.tracked for each in robot.bodies().values()])
+    return {name: np.array(values) for name, values in seen.items()}
+
+
+def test_faults_do_what_they_say():
+    at = 1.0
+    whole = walked(EmulatedRobot("gen4", **QUIET), 3.0)
+    later = np.arange(len(whole["bends"])) * 0.02 > at + 0.5
+    ill = {
+        text: walked(EmulatedRobot("gen4", faults=[f"{text}@{at}"], **QUIET), 3.0)
+        for text in (
+            "stuck_valve:2+", "stuck_valve:2+=closed", "leak:1-=fast", "dead_sensor:3",
+            "dead_sensor:3=frozen", "drifting_sensor:4", "starved", "lost_marker:5",
+        )
+    }  # fmt: skip
+    for each in ill.values():
+        before = slice(0, round(at / 0.02) - 1)
+        assert np.array_equal(each["true"][before], whole["true"][before])
+    # A chamber that always fills is squeezed by the other one; a sound one is empty once a period.
+    assert ill["stuck_valve:2+"]["pressure"][later, 1, 0].min() > 20e3
+    assert whole["pressure"][later, 1, 0].min() < 2e3
+    assert ill["stuck_valve:2+=closed"]["pressure"][later, 1, 0].max() < 1e3
+    leaky, sound = (each["pressure"][later, 0, 1].max() for each in (ill["leak:1-=fast"], whole))
+    assert leaky < 0.9 * sound
+    assert np.isnan(ill["dead_sensor:3"]["bends"][later, 2]).all()
+    assert np.ptp(ill["dead_sensor:3=frozen"]["bends"][later, 2]) == 0
+    drift = (ill["drifting_sensor:4"]["bends"] - ill["drifting_sensor:4"]["true"])[:, 3]
+    assert drift[-1] == pytest.approx(0.1 * (3.0 - at), abs=0.01)
+    assert ill["starved"]["pressure"][later].max() < 0.6 * whole["pressure"][later].max()
+    assert ill["lost_marker:5"]["tracked"][-1].tolist() == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("stuck", "is no fault; the form is"), ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
+        ("stuck_valve:2@5", "is of one chamber; stuck_valve:2\\+@5 would be one"),
+        ("starved:2@5", "is of the whole robot; starved@5"), ("dead_sensor:5@1", "there is no segment 5"),
+        ("stuck_valve:2+=shut@5", "unknown way of stuck_valve 'shut'"),
+    ],
+)  # fmt: skip
+def test_what_is_no_fault_is_refused(text, why):
+    with pytest.raises(InputError, match=why):
+        Fault.of(text, 4)
+
+
+def test_every_kind_can_be_told():
+    for kind, (of, ways) in KINDS.items():
+        where = {"chamber": ":1-", "segment": ":1", "connector": ":5", "": ""}[of]
+        for how, value in ways.items():
+            assert Fault.of(f"{kind}{where}={how}@2.5", 4).how == value
+
+
+def test_robots_differ_by_seed_and_only_by_it():
+    one, other, again = (EmulatedRobot("gen4", seed=seed) for seed in (1, 2, 1))
+    assert one.twin.spec != other.twin.spec
+    assert one.twin.spec == again.twin.spec
+    assert one.twin.spec != load_robot("gen4")
+
+
+def test_duties_fill_in_between():
+    robot = EmulatedRobot("gen4", **QUIET)
+    duty = np.zeros((4, 2))
+    duty[:, 0] = 0.5
+    for _ in range(60):
+        half = robot.step(duty).pressure
+    assert (half[:, 0] > 5e3).all() and (half[:, 0] < 45e3).all()
+    assert (half[:, 1] < 1e3).all()
+
+
+@needs_broker
+def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
+    port, capture = free_port(), free_port()
+    command = [
+        *(str(Path(sys.executable).with_name("srs-twin")), "emulate", "gen4", "--mqtt", f"127.0.0.1:{port}"),
+        *("--natnet", f"127.0.0.1:{capture}", "--name", "bench", "--fault", "lost_marker:5@0"),
+        *("--loss", "0.05", "--jitter-s", "0.02"),
+    ]
+    kinds = (BENDS, PRESSURES, VALVES, STATUS)
+    with broker(tmp_path, port), MqttLink("bench", 4, port=port, kinds=kinds) as link:
+        process = subprocess.Popen(command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, cwd=tmp_path)
+        eyes = NatNetLink(port=capture)
+        heard, poses = [], []
+        try:
+            wait(lambda: heard.extend(link.received()) or any(m.kind == BENDS for m in heard), 60)
+            fill = np.tile([1.0, -1.0], (4, 1))
+            end = time.monotonic() + 2.0
+            heard.clear()
+            while time.monotonic() < end:
+                link.send(COMMAND, fill)
+                time.sleep(0.05)
+                heard += link.received()
+                poses += eyes.received()
+            filled = [m for m in heard if m.kind == PRESSURES][-1].values
+            assert (filled[:, 0] > 20e3).all() and (filled[:, 1] < 1e3).all()
+            bends = [m for m in heard if m.kind == BENDS]
+            spans = np.diff([m.sent for m in bends])
+            assert 40 <= len(bends) <= 101, "50 a second, some lost"
+            assert np.median(spans) == pytest.approx(0.02, abs=0.004)
+            assert poses[-1].names == ("connector_1", "connector_2", "connector_3", "connector_4")
+            assert poses[-1].values[:, 2] == pytest.approx(0.02)
+            time.sleep(1.5)
+            heard += link.received()
+            assert ([m for m in heard if m.kind == PRESSURES][-1].values < 2e3).all()
+            assert ([m for m in heard if m.kind == VALVES][-1].values == -1).all()
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == 0
+            wait(lambda: heard.extend(link.received()) or heard[-1].names == ("stopped",))
+        finally:
+            process.kill()
+            process.wait()
+            eyes.close()
+
+
+def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
+    port = free_port()
+    for more, why in (
+        (("--fault", "stuck@1"), "unknown fault 'stuck'"),
+        ((), f"no broker answers at 127.0.0.1:{port}"),
+        (("--name", "a/b"), "cannot be part of a topic"),
+    ):
+        done = srs_twin("emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path)
+        assert done.returncode == 2
+        assert why in " ".join(done.stderr.split())

@@ -1,0 +1,84 @@
+"""Journals: what was written is played at any speed; what a kill leaves is read up to there."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from brokers import wait
+
+from srs_twin import InputError
+from srs_twin.live.journal import Journal, McapLink, journal_messages
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, STATUS, Message
+
+
+def messages(count: int) -> list[Message]:
+    found = []
+    for k in range(count):
+        sent, arrived = 0.02 * k, 100 + 0.02 * k
+        found.append(Message(BENDS, "r", sent, arrived, np.array([0.1 * (k % 5), math.nan])))
+        found.append(Message(COMMAND, "r", sent, arrived + 0.001, np.array([[1.0, -1.0], [0.25, 0.0]])))
+        poses = np.array([[1.0, 2.0, 0.0, 0.5], [0.0, 0.0, 0.0, math.nan]])
+        found.append(Message(POSES, "natnet", sent + 5, arrived + 0.002, poses, ("head", "tail")))
+    found.append(Message(PRESSURES, "r", 1.0, 200.0, np.full((2, 2), 12e3)))
+    return [*found, Message(STATUS, "r", 1.0, 200.0, names=("fine",))]
+
+
+def same(one: Message, other: Message) -> bool:
+    return (
+        (one.kind, one.source, one.names) == (other.kind, other.source, other.names)
+        and math.isclose(one.sent, other.sent) and math.isclose(one.arrived, other.arrived)
+        and np.allclose(one.values, other.values, equal_nan=True)
+    )  # fmt: skip
+
+
+def written(path, count: int) -> list[Message]:
+    said = messages(count)
+    with Journal(path) as journal:
+        for each in said:
+            journal.write(each)
+    return said
+
+
+def test_what_was_written_comes_back(tmp_path):
+    said = written(tmp_path / "a.mcap", 20)
+    found = list(journal_messages(tmp_path / "a.mcap", "r", 2))
+    assert len(found) == len(said)
+    assert all(same(a, b) for a, b in zip(found, said, strict=True))
+    # Another program reads it.
+    reader = pytest.importorskip("mcap.reader")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        summary = reader.make_reader(file).get_summary()
+    assert summary.statistics.message_count == len(said)
+    assert {each.topic for each in summary.channels.values()} >= {"srs/r/bends", "srs/natnet/poses"}
+
+
+def test_a_kill_takes_the_end_with_it_and_no_more(tmp_path):
+    said = written(tmp_path / "a.mcap", 2000)
+    raw = (tmp_path / "a.mcap").read_bytes()
+    for share in (0.3, 0.77):
+        (tmp_path / "b.mcap").write_bytes(raw[: int(share * len(raw))])
+        found = list(journal_messages(tmp_path / "b.mcap", "r", 2))
+        assert len(found) > 0.8 * share * len(said) * 0.9
+        assert all(same(a, b) for a, b in zip(found, said, strict=False))
+
+
+@pytest.mark.parametrize("speed", [math.inf, 20.0])
+def test_it_is_played_at_any_speed(tmp_path, speed):
+    said = written(tmp_path / "a.mcap", 40)[:-2]
+    begun, found = time.monotonic(), []
+    with McapLink(tmp_path / "a.mcap", "r", 2, speed=speed) as link:
+        wait(lambda: found.extend(link.received()) or len(found) >= len(said))
+    assert all(same(a, b) for a, b in zip(found, said, strict=False))
+    if speed != math.inf:
+        assert time.monotonic() - begun > 0.9 * 0.8 / speed
+
+
+def test_no_file_is_said(tmp_path):
+    with pytest.raises(InputError, match="nowhere.mcap: cannot be read"):
+        list(journal_messages(tmp_path / "nowhere.mcap", "r", 2))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        Journal(tmp_path / "file" / "a.mcap")

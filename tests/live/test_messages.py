@@ -1,0 +1,94 @@
+"""Messages come back as they were sent; whatever else arrives is refused with a reason."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    KINDS,
+    LARGEST_BYTES,
+    PRESSURES,
+    STATUS,
+    VALVES,
+    BadMessageError,
+    decode,
+    encode,
+)
+
+SEGMENTS = 4
+
+
+def back(kind, values, time=1.5):
+    return decode(kind, encode(kind, time, values), source="gen4", arrived=2.0, segments=SEGMENTS)
+
+
+@pytest.mark.parametrize("kind", [COMMAND, VALVES, PRESSURES])
+def test_two_lists_come_back(kind):
+    rng = np.random.default_rng(1)
+    values = rng.integers(-1, 2, (SEGMENTS, 2)) * (1.0 if kind != PRESSURES else 12_345.0)
+    found = back(kind, values)
+    assert found.values == pytest.approx(values)
+    assert (found.kind, found.source, found.sent, found.arrived) == (kind, "gen4", 1.5, 2.0)
+
+
+def test_units_and_names_of_keys_are_the_fixed_ones():
+    said = json.loads(encode(PRESSURES, 0.25, np.array([[20e3, 0.0]])))
+    assert said == {"t": 0.25, "plus": [20], "minus": [0]}
+    assert json.loads(encode(COMMAND, 1.0, np.array([[1, -1]]))) == {"t": 1.0, "plus": [1], "minus": [-1]}
+    assert json.loads(encode(BENDS, 1.0, np.array([0.5, math.nan]))) == {"t": 1.0, "rad": [0.5, None]}
+
+
+def test_a_bend_that_nobody_read_is_none():
+    found = back(BENDS, np.array([0.1, math.nan, -0.2, 0.0]))
+    assert np.array_equal(found.values, [0.1, math.nan, -0.2, 0.0], equal_nan=True)
+    assert back(STATUS, "fine").names == ("fine",)
+
+
+@pytest.mark.parametrize(
+    ("payload", "why"),
+    [
+        (b"", "no JSON"), (b"\xff\xfe", "no JSON"), (b"[1]", "a JSON object is needed, not list"),
+        (b"{}", "t: a number"), (b'{"t": true}', "t: a number"), (b'{"t": NaN}', "t: a number"),
+        (b'{"t": 1e400}', "t: a number"), (b'{"t": "1"}', "t: a number"),
+        (b'{"t": 1, "plus": [1, 1, 1, 1]}', "minus: a list of 4"),
+        (b'{"t": 1, "plus": [1], "minus": [1]}', "plus: a list of 4"),
+        (b'{"t": 1, "plus": "1111", "minus": [1, 1, 1, 1]}', "plus: a list of 4"),
+        (b'{"t": 1, "plus": [2, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
+        (b'{"t": 1, "plus": [null, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
+        (b"[" * 100_000, "bytes; 65536 are allowed"), (b"[" * 60_000, "no JSON"),
+    ],
+)  # fmt: skip
+def test_what_is_no_command_is_refused(payload, why):
+    with pytest.raises(BadMessageError, match=why):
+        decode(COMMAND, payload, source="x", arrived=0.0, segments=SEGMENTS)
+    assert len(b"[" * 60_000) < LARGEST_BYTES
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=5)
+        | st.dictionaries(st.sampled_from(["t", "plus", "minus", "rad", "text"]), inner)
+    ),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=400)
+@given(kind=st.sampled_from([*KINDS, "other"]), said=st.binary(max_size=60) | JSON)
+def test_whatever_arrives_is_a_message_or_refused(kind, said):
+    payload = said if isinstance(said, bytes) else json.dumps(said).encode()
+    try:
+        found = decode(kind, payload, source="x", arrived=0.0, segments=2)
+    except BadMessageError as error:
+        assert str(error)
+    else:
+        assert np.isfinite(found.sent) and (kind == BENDS or np.isfinite(found.values).all())

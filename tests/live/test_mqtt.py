@@ -1,0 +1,123 @@
+"""A robot's topics at a real broker: what is sent arrives, with a password, after restarts, among garbage."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from brokers import broker, free_port, needs_broker, wait
+
+from srs_twin import InputError
+from srs_twin.live.links import address
+from srs_twin.live.messages import BENDS, COMMAND, STATUS, topic
+from srs_twin.live.mqtt import LOST, MqttLink
+
+pytestmark = needs_broker
+
+
+def test_what_is_sent_arrives_with_its_times(tmp_path):
+    port = free_port()
+    with broker(tmp_path, port), MqttLink("r", 2, port=port, kinds=(BENDS, STATUS)) as here:
+        with MqttLink("r", 2, port=port, kinds=(COMMAND,)) as there:
+            wait(lambda: there.connected)
+            time.sleep(0.2)  # subscribed
+            there.send(BENDS, np.array([0.25, np.nan]))
+            here.send(COMMAND, np.array([[1, -1], [-1, 1]]))
+            heard, told = [], []
+            wait(lambda: heard.extend(here.received()) or heard)
+            wait(lambda: told.extend(there.received()) or told)
+        assert np.array_equal(heard[0].values, [0.25, np.nan], equal_nan=True)
+        assert 0 <= heard[0].arrived - heard[0].sent < 5
+        assert (told[0].kind, told[0].values.tolist()) == (COMMAND, [[1, -1], [-1, 1]])
+
+
+def test_a_broker_that_is_killed_and_comes_back(tmp_path):
+    port = free_port()
+    with broker(tmp_path, port):
+        here = MqttLink("r", 1, port=port, kinds=(BENDS,))
+        there = MqttLink("r", 1, port=port, kinds=())
+    wait(lambda: not here.connected)
+    with broker(tmp_path, port):
+        wait(lambda: here.connected and there.connected)
+        heard = []
+
+        def sent() -> bool:
+            there.send(BENDS, np.array([0.5]))
+            time.sleep(0.02)
+            heard.extend(here.received())
+            return bool(heard)
+
+        wait(sent)
+        for each in (here, there):
+            each.close()
+
+
+def test_who_breaks_off_is_said_to_be_lost(tmp_path):
+    port = free_port()
+    with broker(tmp_path, port), MqttLink("r", 1, port=port, kinds=(STATUS,)) as here:
+        gone = MqttLink("r", 1, port=port, kinds=(), speaks="r")
+        time.sleep(0.2)
+        gone._client._sock_close()  # as if its machine were gone
+        gone._client.loop_stop()
+        heard = []
+        wait(lambda: heard.extend(here.received()) or heard)
+        assert heard[0].names == (LOST,)
+
+
+def test_a_password_is_asked_for(tmp_path):
+    port = free_port()
+    with broker(tmp_path, port, password="bench"):
+        with MqttLink("r", 1, port=port, user="lab", password="bench") as link:
+            assert link.connected
+        for given in ({}, {"user": "lab", "password": "wrong"}):
+            with pytest.raises(InputError, match="does not admit us: Not authorized"):
+                MqttLink("r", 1, port=port, **given)
+
+
+def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
+    from paho.mqtt import client as mqtt
+
+    port = free_port()
+    rng = np.random.default_rng(3)
+    with broker(tmp_path, port), MqttLink("r", 2, port=port, kinds=(BENDS, COMMAND)) as link:
+        other = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        other.max_queued_messages_set(0)
+        other.connect("127.0.0.1", port)
+        other.loop_start()
+        bad = 0
+        for k in range(10_000):
+            kind = (BENDS, COMMAND)[k % 2]
+            payload = (rng.bytes(int(rng.integers(0, 300))), b'{"t": 1, "rad": [9e9]}', b"{" * 50)[k % 3]
+            other.publish(topic("r", kind), payload, qos=1).wait_for_publish(10)
+            bad += 1
+        other.publish(topic("r", BENDS), b'{"t": 1, "rad": [0.5, null]}', qos=1).wait_for_publish(10)
+        heard = []
+        wait(lambda: heard.extend(link.received()) or heard)
+        assert sum(n for what, n in link.counts.items() if what.startswith("bad")) == bad
+        other.disconnect()
+        other.loop_stop()
+
+
+def test_no_broker_is_said_in_one_line():
+    port = free_port()
+    with pytest.raises(InputError, match=f"no broker answers at 127.0.0.1:{port}"):
+        MqttLink("r", 1, port=port)
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [("10.0.0.2", ("10.0.0.2", 7)), ("lab:99", ("lab", 99)), ("127.0.0.1:1", ("127.0.0.1", 1))],
+)
+def test_addresses(given, found):
+    if found is None:
+        with pytest.raises(InputError, match="is no address"):
+            address(given, 7)
+        return
+    assert address(given, 7) == found
+
+
+@pytest.mark.parametrize("given", ["", ":1", "lab:x", "lab:0", "lab:70000"])
+def test_what_is_no_address_is_refused(given):
+    with pytest.raises(InputError, match="is no address"):
+        address(given, 7)

@@ -1,0 +1,196 @@
+"""NatNet: what is written is read back in every version, by another program as well; hostile packets."""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+
+import numpy as np
+import pytest
+from brokers import wait
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin import InputError
+from srs_twin.live import natnet
+from srs_twin.live.messages import BadMessageError
+from srs_twin.live.natnet import VERSIONS, Frame, RigidBody
+from srs_twin.live.optitrack import NatNetLink, NatNetServer
+
+BODIES = {
+    1: RigidBody((0.1, 0.02, -0.3), (0.0, 0.38268343, 0.0, 0.92387953), 0.0003),
+    7: RigidBody((0.2, 0.02, -0.4), tracked=False),
+}
+FRAME = Frame(41, 12.25, BODIES, {65_537: (0.1, 0.2, 0.3)})
+
+
+def read(packet: bytes, version: natnet.Version) -> Frame:
+    kind, content = natnet.opened(packet)
+    assert kind == natnet.FRAME
+    return natnet.read_frame(content, version)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_frame_comes_back(version):
+    found = read(natnet.write_frame(FRAME, version), version)
+    assert (found.number, found.time) == (41, 12.25)
+    assert found.bodies.keys() == BODIES.keys()
+    for key, body in BODIES.items():
+        assert found.bodies[key].place == pytest.approx(body.place)
+        assert found.bodies[key].turn == pytest.approx(body.turn)
+        assert found.bodies[key].tracked == body.tracked
+    assert found.markers[65_537] == pytest.approx((0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_names_and_versions_come_back(version):
+    names = {1: "connector_1", 2: "Körper"}
+    kind, content = natnet.opened(natnet.write_models(names, version))
+    assert (kind, natnet.read_models(content, version)) == (natnet.MODELDEF, names)
+    kind, content = natnet.opened(natnet.write_server(version))
+    assert (kind, natnet.read_server(content)) == (natnet.SERVER_INFO, (version, None))
+    _, content = natnet.opened(natnet.write_server(version, group="239.255.42.99", port=1600))
+    assert natnet.read_server(content)[1] == (("239.255.42.99", 1600) if version >= (3, 0) else None)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_another_program_reads_our_frames(version):
+    theirs = pytest.importorskip("natnet.data_frame")
+    from natnet.packet_buffer import PacketBuffer
+    from natnet.version import Version
+
+    _, content = natnet.opened(natnet.write_frame(FRAME, version))
+    found = theirs.DataFrame.read_from_buffer(PacketBuffer(content), Version(*version))
+    assert found.prefix.frame_number == 41
+    assert found.suffix.timestamp == 12.25
+    assert [each.id_num for each in found.rigid_bodies] == [1, 7]
+    assert found.rigid_bodies[0].pos == pytest.approx(BODIES[1].place)
+    assert [each.tracking_valid for each in found.rigid_bodies] == [True, False]
+    assert found.labeled_markers[0].pos == pytest.approx((0.1, 0.2, 0.3))
+
+
+def strange(version: natnet.Version) -> bytes:
+    """Return a frame with everything that is not ours, written by hand."""
+
+    def listed(*parts: bytes) -> bytes:
+        whole = b"".join(parts)
+        size = struct.pack("<i", len(whole)) if version >= (4, 1) else b""
+        return struct.pack("<i", len(parts)) + size + whole
+
+    body = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)
+    if version < (3, 0):
+        body += struct.pack("<i", 2) + struct.pack("<6f2i2f", *range(6), 1, 2, 0.1, 0.2)
+    body += struct.pack("<fH", 0.001, 1)
+    marker_set = b"all\0" + struct.pack("<i3f", 1, 1, 2, 3)
+    channels = struct.pack("<iiif", 1, 1, 1, 0.5)
+    label = struct.pack("<i4fH", 5, 9, 9, 9, 0.01, 1) + (b"\0" * 4 if version >= (3, 0) else b"")
+    content = struct.pack("<i", 8) + listed(marker_set, marker_set) + listed(struct.pack("<3f", 4, 5, 6))
+    content += listed(body) + listed(struct.pack("<ii", 1, 1) + body)
+    content += listed(b"an asset of some length") if version >= (4, 1) else b""
+    content += listed(label)
+    content += listed(channels) * ((version >= (2, 9)) + (version >= (2, 11)))
+    content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", 2.5)
+    return natnet.closed(natnet.FRAME, content + b"\0" * 40)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_what_is_not_ours_is_passed_over(version):
+    found = read(strange(version), version)
+    assert (found.number, found.time, list(found.bodies)) == (8, 2.5, [3])
+    assert found.bodies[3].place == (1, 2, 3)
+    assert found.markers == {}, "an occluded one"
+
+
+@settings(max_examples=300)
+@given(version=st.sampled_from(VERSIONS), data=st.data())
+def test_no_packet_does_more_than_be_refused(version, data):
+    whole = natnet.write_frame(FRAME, version)
+    if data.draw(st.booleans()):
+        at = data.draw(st.integers(0, len(whole) - 1))
+        packet = whole[:at] + data.draw(st.binary(min_size=1, max_size=8)) + whole[at + 1 :]
+    else:
+        packet = data.draw(st.binary(max_size=200))
+    try:
+        kind, content = natnet.opened(packet)
+        {natnet.SERVER_INFO: lambda: natnet.read_server(content)}.get(
+            kind, lambda: natnet.read_frame(content, version)
+        )()
+        natnet.read_models(content, version)
+    except BadMessageError as error:
+        assert str(error)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_axes_and_headings(up):
+    angle = 0.7
+    half = math.sin(angle / 2), math.cos(angle / 2)
+    if up == "z":
+        body = RigidBody((1.0, 2.0, 0.1), (0.0, 0.0, *half))
+    else:  # Motive's y is up, and its z comes towards us: (x, y, z) → (x, −z, y)
+        body = RigidBody((1.0, 0.1, -2.0), (0.0, half[0], 0.0, half[1]))
+    assert natnet.turned(body, up) == pytest.approx([1.0, 2.0, 0.1, angle])
+
+
+@pytest.mark.parametrize("version", [(2, 10), (3, 1), (4, 1)])
+def test_frames_arrive_and_come_back_after_a_silence(version):
+    names = {1: "connector_1", 7: "connector_2"}
+    with NatNetServer(names, version=version) as server, NatNetLink(port=server.port) as link:
+        seen = []
+
+        def streamed() -> bool:
+            server.send(time.monotonic(), BODIES)
+            time.sleep(0.005)
+            seen.extend(link.received())
+            return len(seen) > 20 and seen[-1].names == ("connector_1",)
+
+        wait(streamed)
+        assert seen[-1].values[0] == pytest.approx([0.1, 0.3, 0.02, math.pi / 4], abs=1e-6)
+        assert 0 <= seen[-1].arrived - seen[-1].sent < 0.5
+        port = server.port
+        server.close()
+        time.sleep(0.3)
+        with NatNetServer(names, version=version, port=port) as server:  # noqa: PLR1704
+            seen.clear()
+            wait(streamed)
+
+
+def test_a_group_is_joined():
+    group, port = "239.255.42.98", 15_511
+    with (
+        NatNetServer({1: "one"}, group=group, data_port=port) as server,
+        NatNetLink(port=server.port) as link,
+    ):
+        seen = []
+
+        def streamed() -> bool:
+            server.send(time.monotonic(), BODIES)
+            time.sleep(0.01)
+            seen.extend(link.received())
+            return len(seen) > 3
+
+        try:
+            wait(streamed, 5)
+        except AssertionError:
+            pytest.skip("no multicast on loopback here")
+
+
+def test_an_address_of_others_is_refused():
+    with pytest.raises(InputError, match="cannot be listened on"):
+        NatNetServer({}, host="192.0.2.1")
+    with pytest.raises(InputError, match=r"frames cannot arrive at 192\.0\.2\.1"):
+        NatNetLink(local="192.0.2.1")
+
+
+def test_garbage_on_the_port_is_counted():
+    import socket
+
+    with NatNetServer({1: "one"}) as server, NatNetLink(port=server.port) as link:
+        wait(lambda: link.version is not None)
+        at = link._sockets[0].getsockname()
+        rng = np.random.default_rng(0)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            for size in range(1, 300):
+                other.sendto(rng.bytes(size), at)
+        wait(lambda: sum(n for what, n in link.counts.items() if what.startswith("bad")) > 100)
+        assert all(each.is_alive() for each in link._threads)

@@ -1,0 +1,344 @@
+"""Saved and restored: what goes on elsewhere goes on with the same bits; placed: as asked."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout
+from srs_twin.control.base import Controller
+from srs_twin.memory import SavedState
+from srs_twin.plants.base import Plant, SnakeState
+from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.scenario import Scenario
+
+PLANTS = {
+    "complete": ("analytical", {"model": "complete"}),
+    "simplified": ("analytical", {"model": "simplified", "friction": "wheel"}),
+    "compliant": ("analytical", {"model": "compliant", "friction": "wheel", "load": "momentary"}),
+    "loaded": ("twin", {"contact": "loaded"}),
+    "preloaded": ("twin", {"contact": "preloaded"}),
+    "skid": ("twin", {"contact": "loaded", "hinges_per_segment": 4, "wheels": "skid"}),
+}  # fmt: skip
+CHAMBERS = {
+    "lag": {"kind": "lag", "valve_delay_s": 0.013, "leak_per_s": 0.1},
+    "orifice": {"kind": "orifice", "flow_limit_l_per_min": 8.0},
+}
+SENSORS = {"ideal": {"kind": "ideal"}, "hall": {"kind": "hall"}}
+GAIT = {"kind": "gait", "frequency_hz": 1.5}
+GIVEN = {
+    "kind": "given", "footprint": "gen4_ilc", "turns_rad": [0.0, 0.4, -0.4, 0.0], "step_m": 0.4,
+    "margin_m": 0.02,
+}  # fmt: skip
+CONTROLLERS = {
+    "gait": GAIT | {"offset": 0.1},
+    "ilc": {"kind": "ilc", "frequency_hz": 1.5, "offset": 0.1, "steering": "targets_and_wave"},
+    "direct_smc": {
+        "kind": "direct_smc", "reference": {"kind": "sine", "amplitude_rad": 0.5, "frequency_hz": 1.0},
+    },
+    "iterative_smc": {"kind": "iterative_smc", "reference": {"kind": "constant", "bend_rad": 0.4}},
+    "follow": {
+        "kind": "follow", "gait": {"kind": "ilc", "frequency_hz": 1.5}, "delay_s": 0.1,
+        "camera": {"position_noise_m": 0.002, "heading_noise_rad": 0.01},
+    },
+}  # fmt: skip
+ON_A_BENCH = {"direct_smc", "iterative_smc"}
+
+
+def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenario:
+    bench = controller in ON_A_BENCH
+    name, own = PLANTS[plant] if not bench else (PLANTS[plant][0], {})
+    starved = {"timestep_s": 0.00025} if name == "twin" and chambers == "orifice" else {}
+    document = {
+        "robot": "gen4_module" if bench else "gen4", "duration_s": 10.0, "seed": 3, "bench": bench,
+        "controller": CONTROLLERS[controller], "pneumatics": CHAMBERS[chambers],
+        "sensor": SENSORS[sensor], "plants": {name: own | starved},
+    }  # fmt: skip
+    return parse_scenario(document | ({"planner": GIVEN} if controller == "follow" else {}))
+
+
+def started(asked: Scenario, seed: int) -> tuple[Plant, Controller]:
+    (name,) = asked.plants
+    plant, controller = asked.build_plant(name), asked.build_controller()
+    plant.reset(seed=seed)
+    controller.reset(plant.spec, plant.tick, seed=seed)
+    return plant, controller
+
+
+def go_on(plant: Plant, controller: Controller, ticks: int) -> list[SnakeState]:
+    seen = []
+    for _ in range(ticks):
+        seen.append(plant.step(controller.step(plant.state)))
+    return seen
+
+
+def same(one: SnakeState, other: SnakeState) -> bool:
+    pairs = ((getattr(one, each.name), getattr(other, each.name)) for each in fields(SnakeState))
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+
+
+def cases() -> list[tuple[str, str, str, str]]:
+    found = []
+    for plant in PLANTS:
+        for chambers in CHAMBERS:
+            for controller in CONTROLLERS:
+                if controller in ON_A_BENCH and plant not in ("complete", "loaded"):
+                    continue
+                found.append((plant, chambers, controller, list(SENSORS)[len(found) % 2]))
+    return found
+
+
+def carried(state: SavedState, tmp_path: Path) -> SavedState:
+    state.write(tmp_path / "state.npz")
+    return SavedState.read(tmp_path / "state.npz")
+
+
+@pytest.mark.parametrize("case", cases(), ids="-".join)
+def test_restored_it_goes_on_with_the_same_bits(case, tmp_path):
+    asked = scenario(*case)
+    rng = np.random.default_rng(sum(map(ord, "".join(case))))
+    before, after = rng.integers(3, 40), 12
+    plant, controller = started(asked, seed=5)
+    go_on(plant, controller, int(before))
+    kept, steering = (carried(each.save(), tmp_path) for each in (plant, controller))
+    there, wheel = started(asked, seed=99)
+    go_on(there, wheel, 5)  # what it did before must not matter
+    assert same(there.restore(kept), plant.state)
+    wheel.restore(steering)
+    one, other = go_on(plant, controller, after), go_on(there, wheel, after)
+    assert all(same(a, b) for a, b in zip(one, other, strict=True))
+    assert repr(controller.signals()) == repr(wheel.signals())
+    assert controller.events() == wheel.events()
+
+
+@settings(max_examples=12)
+@given(before=st.integers(0, 300), data=st.data())
+def test_at_any_time_and_twice(before, data):
+    asked = scenario(*data.draw(st.sampled_from(cases())))
+    plant, controller = started(asked, seed=1)
+    go_on(plant, controller, before % 60)
+    first = pickle.loads(pickle.dumps(plant.save())), controller.save()
+    seen = go_on(plant, controller, 5)
+    for _ in range(2):
+        plant.restore(first[0])
+        controller.restore(first[1])
+        assert all(same(a, b) for a, b in zip(seen, go_on(plant, controller, 5), strict=True))
+
+
+ELSEWHERE = """
+import sys
+from pathlib import Path
+sys.path[:0] = [{tests!r}]
+from test_memory import go_on, scenario, started
+from srs_twin.memory import SavedState
+plant, controller = started(scenario(*{case!r}), seed=7)
+plant.restore(SavedState.read(Path("plant.npz")))
+controller.restore(SavedState.read(Path("controller.npz")))
+print(go_on(plant, controller, 10)[-1].position.tobytes().hex())
+"""
+
+
+@pytest.mark.parametrize(
+    "case", [("loaded", "lag", "follow", "hall"), ("compliant", "orifice", "ilc", "hall")], ids="-".join
+)
+def test_in_another_process(case, tmp_path):
+    plant, controller = started(scenario(*case), seed=5)
+    go_on(plant, controller, 25)
+    plant.save().write(tmp_path / "plant.npz")
+    controller.save().write(tmp_path / "controller.npz")
+    here = go_on(plant, controller, 10)[-1].position.tobytes().hex()
+    script = ELSEWHERE.format(tests=str(Path(__file__).parent), case=case)
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == here
+
+
+def test_of_another_plant_or_robot_it_is_refused():
+    gen2 = load_robot("gen2")
+    state = AnalyticalSnake(gen2).save()
+    with pytest.raises(InputError, match="belongs to something else"):
+        TwinSnake(gen2).restore(state)
+    with pytest.raises(InputError, match="model 'complete' instead of 'simplified'"):
+        AnalyticalSnake(gen2, model="simplified").restore(state)
+    softer = replace(gen2, friction=replace(gen2.friction, mu_t=0.2))
+    with pytest.raises(InputError, match="robot_digest"):
+        AnalyticalSnake(softer).restore(state)
+    with pytest.raises(InputError, match="version 0"):
+        AnalyticalSnake(gen2).restore(replace(state, version=0))
+    with pytest.raises(InputError, match="pneumatics"):
+        AnalyticalSnake(gen2, pneumatics="orifice").restore(state)
+
+
+def test_what_does_not_say_what_it_remembers_is_not_saved():
+    class Own(Gait):
+        pass
+
+    class Other(Controller):
+        kind = "other"
+
+        def reset(self, spec, tick, *, seed=0):
+            self.count = 0
+
+        def step(self, state):
+            return state.valves
+
+    own = Own(2.0)
+    with pytest.raises(InputError, match="no state before its first reset"):
+        own.save()
+    own.reset(load_robot("gen2"), 0.02)
+    own.save()  # all it has is a gait's
+    with pytest.raises(InputError, match="controller 'other' does not say what it remembers"):
+        Other().save()
+
+
+def test_a_valve_that_sticks_comes_back_with_the_state():
+    gen2 = load_robot("gen2")
+    stuck = AnalyticalSnake(gen2)
+    stuck.pneumatics.stuck = (StuckValve(1, 0, 1, 0.0),)
+    whole = AnalyticalSnake(gen2)
+    whole.restore(stuck.save())
+    assert whole.pneumatics.stuck == stuck.pneumatics.stuck
+
+
+@pytest.mark.parametrize("damage", ["empty", "text", "half", "no state", "code", "object"])
+def test_a_damaged_file_says_so(damage, tmp_path):
+    path = tmp_path / "state.npz"
+    AnalyticalSnake(load_robot("gen2")).save().write(path)
+    raw = path.read_bytes()
+    if damage == "no state":
+        np.savez(path, a=np.zeros(3))
+    elif damage == "code":
+        tree = '{"version": 1, "of": {}, "content": {"@": "os:system", "items": ["true"]}}'
+        np.savez(path, state=np.array(tree))
+    elif damage == "object":
+        np.savez(path, state=np.array([{}], dtype=object), allow_pickle=True)
+    else:
+        path.write_bytes({"empty": b"", "text": b"state", "half": raw[: len(raw) // 2]}[damage])
+    with pytest.raises(InputError, match="state.npz"):
+        SavedState.read(path)
+
+
+def physical(segments: int, seed: int) -> tuple[SnakeState, float]:
+    """Return a state to begin from, drawn, and a yaw rate."""
+    rng = np.random.default_rng(seed)
+    resting = AnalyticalSnake(load_robot("gen2")).state
+    bend = rng.uniform(-0.7, 0.7, segments)
+    moved = replace(
+        resting, com=rng.uniform(-1, 1, 2), com_velocity=rng.uniform(-0.2, 0.2, 2),
+        heading=float(rng.uniform(-6, 6)), bend=bend, bend_rate=rng.uniform(-3, 3, segments),
+        pressure=rng.uniform(0, 40e3, (segments, 2)),
+    )  # fmt: skip
+    return moved, float(rng.uniform(-2, 2))
+
+
+MOVING = {
+    "complete": lambda: AnalyticalSnake(load_robot("gen2")),
+    "compliant": lambda: AnalyticalSnake(load_robot("gen2"), model="compliant", friction="wheel"),
+    "loaded": lambda: TwinSnake(load_robot("gen2"), contact="loaded", pneumatics="orifice"),
+    "preloaded": lambda: TwinSnake(load_robot("gen2"), hinges_per_segment=3),
+}
+
+
+@pytest.mark.parametrize("name", MOVING)
+@pytest.mark.parametrize("seed", range(3))
+def test_placed_it_is_as_asked(name, seed):
+    plant = MOVING[name]()
+    asked, yaw = physical(plant.spec.segments, seed)
+    found = plant.place(asked, yaw_rate=yaw)
+    given = ["com", "com_velocity", "heading", "bend", "pressure"]
+    given += [] if name == "complete" else ["bend_rate"]
+    for field in given:
+        assert getattr(found, field) == pytest.approx(getattr(asked, field), abs=1e-8), field
+    assert found.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
+    assert -np.diff(found.theta) == pytest.approx(asked.bend, abs=1e-5)
+    assert found.time == 0
+    # The places follow from a first short step, whatever the forces.
+    h = plant.timestep / 2 if name in ("complete", "compliant") else plant.timestep
+    plant.tick = h
+    later = plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
+    reach = 40 * h**2 + 1e-9  # 80 m/s² or rad/s² of friction and air
+    assert later.com == pytest.approx(found.com + h * found.com_velocity, abs=reach)
+
+
+def test_a_snake_goes_on_from_its_physical_state():
+    """`compliant` on chambers with a lag has no other memory: it goes on as it was, to rounding."""
+    snake = MOVING["compliant"]()
+    gait = Gait(2.0, 0.1)
+    rollout(snake, gait, 1.38, pose=(0.1, 0.2, 0.4))
+    yaw, other = float(snake._body.velocity[2]), MOVING["compliant"]()
+    other.place(snake.state, yaw_rate=yaw)
+    for _ in range(25):
+        valves = gait.valves_at(float(snake.state.time))
+        one, two = snake.step(valves), other.step(valves)
+        assert two.com == pytest.approx(one.com, abs=1e-11)
+        assert two.bend == pytest.approx(one.bend, abs=1e-9)
+
+
+@pytest.mark.parametrize("contact", ["loaded", "preloaded"])
+def test_a_twin_goes_on_near_its_physical_state(contact):
+    """Its hinges, its wheels and how deep it stands are told by no physical state: millimetres a second."""
+    make = partial(TwinSnake, load_robot("gen2"), contact=contact)
+    twin, gait = make(), Gait(2.0)
+    rollout(twin, gait, 1.38)
+    bodies = twin.physics
+    yaw = float(bodies.data.cvel[bodies._connectors, 2].mean())
+    other = make()
+    other.place(twin.state, yaw_rate=yaw)
+    for _ in range(10):
+        valves = gait.valves_at(float(twin.state.time))
+        one, two = twin.step(valves), other.step(valves)
+    assert np.abs(two.com - one.com).max() < 0.0005
+    assert np.abs(two.bend - one.bend).max() < 0.002
+
+
+def test_a_state_that_no_plant_can_be_in_is_refused():
+    asked, _ = physical(4, 0)
+    snake = AnalyticalSnake(load_robot("gen2"))
+    asked = replace(asked, bend=asked.bend[: snake.spec.segments])
+    with pytest.raises(InputError, match="a chamber has 0 to"):
+        snake.place(replace(asked, pressure=np.full((snake.spec.segments, 2), 1e6)))
+    with pytest.raises(InputError, match="held at its head"):
+        AnalyticalSnake(load_robot("gen4_module"), base="clamped").place(physical(1, 0)[0])
+
+
+@pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module"])
+def test_an_episode_is_branched(task):
+    gymnasium = pytest.importorskip("gymnasium")
+    env, other = (gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0").unwrapped for _ in range(2))
+    env.reset(seed=4)
+    actions = [env.action_space.sample() for _ in range(20)]
+    for action in actions[:10]:
+        env.step(action)
+    kept = env.episode.save()
+    here = [env.step(action) for action in actions[10:]]
+    seen, _ = other.reset(seed=4, options={"state": kept})
+    assert (seen == kept.content["_seen"]).all()
+    there = [other.step(action) for action in actions[10:]]
+    for one, two in zip(here, there, strict=True):
+        assert (one[0] == two[0]).all() and one[1:4] == two[1:4]
+    with pytest.raises(InputError, match="belongs to something else"):
+        other.reset(seed=5, options={"state": replace(kept, of={**kept.of, "task": "other"})})
+    with pytest.raises(InputError, match="option of reset"):
+        other.reset(seed=4, options={"stat": kept})
+
+
+def test_an_episode_begins_in_a_physical_state():
+    gymnasium = pytest.importorskip("gymnasium")
+    env = gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0").unwrapped
+    snake, yaw = physical(env.task.robot.segments, 1)
+    _, info = env.reset(seed=1, options={"snake": snake, "yaw_rate": yaw})
+    assert (info["com_x_m"], info["com_y_m"]) == pytest.approx(tuple(snake.com))
+    assert env.episode.state.bend == pytest.approx(snake.bend)
+    seen, *_ = env.step(env.action_space.sample())
+    assert np.isfinite(seen).all()

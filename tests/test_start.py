@@ -1,0 +1,110 @@
+"""A run begins bent, moving and with air in its chambers: told by keys, or by another run's record."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from srs_twin import InputError
+from srs_twin.rollout import rollout
+from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.trajectory import Trajectory
+
+SEGMENTS = 4
+MOVING = {
+    "x_m": 0.5, "y_m": -0.2, "heading_rad": 0.3, "velocity_m_s": [0.1, 0.02], "yaw_rate_rad_s": 0.5,
+    "bend_rad": [0.3, 0.0, -0.2, 0.1], "bend_rate_rad_s": [0.0, 1.0, 0.0, 0.0],
+    "pressure_kpa": [[20.0, 0.0], [0.0, 0.0], [0.0, 10.0], [0.0, 0.0]],
+}  # fmt: skip
+PLANTS = {"analytical": {"model": "compliant", "friction": "wheel"}, "twin": {"contact": "loaded"}}
+
+
+def scenario(start: dict, **more: object) -> Scenario:
+    gait = {"kind": "gait", "frequency_hz": 2.0}
+    return parse_scenario(
+        {"robot": "gen2", "duration_s": 1.0, "start": start, "controller": gait, "plants": PLANTS} | more
+    )
+
+
+def run(asked: Scenario, plant: str) -> Trajectory:
+    return rollout(asked.build_plant(plant), asked.build_controller(), **asked.timing)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_keys_are_the_first_sample(plant):
+    way = run(scenario(MOVING), plant)
+    assert way.com[0] == pytest.approx([0.5, -0.2], abs=1e-9)
+    assert way["heading"][0] == pytest.approx(0.3, abs=1e-9)
+    assert way.stack("bend")[0] == pytest.approx(MOVING["bend_rad"], abs=1e-9)
+    assert way.stack("pressure_plus")[0] == pytest.approx([20e3, 0, 0, 0], abs=1e-6)
+    assert way.stack("pressure_minus")[0] == pytest.approx([0, 0, 10e3, 0], abs=1e-6)
+
+
+def test_one_key_is_enough_and_none_is_as_before():
+    bent = run(scenario({"bend_rad": [0.1] * SEGMENTS}), "analytical")
+    assert bent.stack("bend")[0] == pytest.approx([0.1] * SEGMENTS)
+    assert scenario({"x_m": 1.0}).begin is None
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_from_a_record_it_goes_on_as_the_run_did(plant, tmp_path):
+    """What a record does not hold, rates and the wheels' turning, is found within this much."""
+    whole = run(scenario({}, duration_s=2.0), plant)
+    whole.to_parquet(tmp_path / f"{plant}.parquet")
+    at = 1.3
+    asked = scenario(
+        {"from": str(tmp_path), "time_s": at}, plants={plant: PLANTS[plant]}, duration_s=0.6,
+        controller={
+            "kind": "gait", "frequency_hz": 2.0, "phase_rad": math.remainder(4 * math.pi * at, 2 * math.pi),
+        },
+    )  # fmt: skip
+    found = run(asked, plant)
+    begun = int(np.searchsorted(whole.time, at - 1e-9))
+    later = slice(begun, begun + len(found.time))
+    assert np.abs(found.com - whole.com[later]).max() < 0.0006
+    assert np.abs(found.stack("bend") - whole.stack("bend")[later]).max() < 0.01
+    assert np.abs(found["heading"] - whole["heading"][later]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        ({"bend_rad": [0.1]}, "start: bend_rad has 1 entries; the robot has 4 segments"),
+        ({"pressure_kpa": [[900.0, 0.0]] * SEGMENTS}, "start: pressure_kpa 900 is above the supply's"),
+        ({"from": "nowhere", "time_s": 1.0}, "start: nowhere holds no record of the analytical plant"),
+        ({"from": "nowhere"}, "start.from: say when in that run: time_s"),
+        ({"time_s": 1.0}, "start.time_s: a time in a run; name the run with from"),
+        ({"from": "nowhere", "time_s": 1.0, "x_m": 0.0}, "start.x_m: the run in from says so"),
+        ({"velocity_m_s": [1.0]}, "start.velocity_m_s"),
+        ({"yaw_rate_rad_s": math.inf}, "start.yaw_rate_rad_s"),
+        ({"bends_rad": [0.1] * SEGMENTS}, "did you mean"),
+    ],
+)
+def test_what_cannot_be_is_refused(start, told):
+    with pytest.raises(InputError) as error:
+        scenario(start)
+    assert told in str(error.value)
+
+
+def test_a_time_outside_of_the_record_is_refused(tmp_path):
+    for plant in PLANTS:
+        run(scenario({}), plant).to_parquet(tmp_path / f"{plant}.parquet")
+    with pytest.raises(InputError, match=r"time_s 3 is outside of .*analytical.parquet, 0 to 1 s"):
+        scenario({"from": str(tmp_path), "time_s": 3.0})
+
+
+def test_a_run_from_a_run_by_the_command(srs_twin, tmp_path):
+    asked = scenario(MOVING)
+    (tmp_path / "first.yaml").write_text(json.dumps(dict(asked.document)), "utf-8")
+    assert srs_twin("run", "first.yaml", "--out", "first", cwd=tmp_path).returncode == 0
+    second = dict(asked.document) | {"name": "second", "start": {"from": "first", "time_s": 0.5}}
+    (tmp_path / "second.yaml").write_text(json.dumps(second), "utf-8")
+    assert srs_twin("run", "second.yaml", "--out", "second", cwd=tmp_path).returncode == 0
+    kept = (tmp_path / "second/scenario.resolved.yaml").read_text("utf-8")
+    assert f"from: {Path(tmp_path).resolve() / 'first'}" in kept
+    first, later = (Trajectory.from_parquet(tmp_path / name / "twin.parquet") for name in ("first", "second"))
+    assert later.com[0] == pytest.approx(first.com[50], abs=1e-9)
