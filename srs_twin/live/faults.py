@@ -1,8 +1,9 @@
 r"""FaultBank: which part of a robot has just failed, from commands, bend readings and markers.
 
-Each segment by itself. A hypothesis m says what its valves, chambers and sensor do (`HYPOTHESES`). Under each,
-the chambers' pressures follow from the commands alone, by the lags of `LagPneumatics`, and with them the drive
-A± = G a± of either chamber (rad), where a± is the pressure with the mode's lag τ₂. The bend and its readings:
+Each segment by itself. A hypothesis m says what its valves, chambers and sensor do (`HYPOTHESES`). Under
+each, the pressures of the chambers follow from the commands alone, by the lags of `LagPneumatics`, and with
+them the drive A± = G a± of either chamber (rad), where a± is the pressure with the lag of the mode τ₂. The
+bend and its readings:
 
 $$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = q + s + n, \qquad y_{markers} = q + n', $$
 
