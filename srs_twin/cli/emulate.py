@@ -45,13 +45,13 @@ def emulate(
         name: Of the robot in topics. [default: ROBOT]
         seed: Draws modules, noise and what messages suffer.
         fault: What breaks, as stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2, starved@4; repeatable.
-        spread: Of the modules' gains.
-        noise: Of the bend sensors, RMS, rad.
+        spread: Of the gains of its modules.
+        noise: Of its bend sensors, RMS, rad.
         loss: Share of its messages that is lost.
         jitter: By how much each of them is late at most.
         duration: Ends it. [default: Ctrl-C does]
         user: At the broker.
-        ca: Certificate of who signed the broker's; with it the connection is encrypted.
+        ca: Certificate of whoever signed that of the broker; with it the connection is encrypted.
     """
     from srs_twin.live import mqtt as broker
     from srs_twin.live import natnet as protocol

@@ -14,7 +14,7 @@ from collections import Counter, deque
 
 import numpy as np
 
-from srs_twin.live.messages import Message
+from srs_twin.live.messages import COMMAND, Message
 
 WINDOW_S = 10.0
 STEP_S = 1.0
@@ -58,7 +58,8 @@ class Inbox:
     """Messages of all senders in order of when they were sent, on our clock.
 
     Attributes:
-        clocks: of each source.
+        clocks: of each sender: whoever commands a robot has another one than the robot.
+        hold: how long messages wait, s.
         counts: (source, kind, what) → how many: "taken", "duplicate", "late" ones that came when later ones
             had been handed out, "bad" ones.
     """
@@ -67,7 +68,7 @@ class Inbox:
         """Wait for so long (s) for messages that come in disorder."""
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
-        self._hold, self._handed = hold_s, -math.inf
+        self.hold, self._handed = hold_s, -math.inf
         self._waiting: list[tuple[float, int, Message]] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
@@ -79,7 +80,8 @@ class Inbox:
             self.counts[message.source, message.kind, "duplicate"] += 1
             return
         known.append(message.sent)
-        clock = self.clocks.setdefault(message.source, SenderClock())
+        sender = f"{message.source}, {message.kind}" if message.kind == COMMAND else message.source
+        clock = self.clocks.setdefault(sender, SenderClock())
         time = clock.take(message.sent, message.arrived)
         if time < self._handed:
             self.counts[message.source, message.kind, "late"] += 1
@@ -89,7 +91,7 @@ class Inbox:
 
     def take(self, now: float) -> list[tuple[float, Message]]:
         """Return what was sent until a little before now (our clock, s), with its time on our clock."""
-        until, found = now - self._hold, []
+        until, found = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:
             time, _, message = heapq.heappop(self._waiting)
             found.append((time, message))

@@ -108,11 +108,12 @@ class EmulatedRobot:
         twin: what moves.
         state: of it; what only it knows.
         faults: what breaks, and when.
+        valves: as it set them last; a stuck one is where it is.
     """
 
     def __init__(
         self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
-        noise_rad: float = 0.02, tick: float = 0.02,
+        noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str = "orifice",
     ) -> None:  # fmt: skip
         """Build it.
 
@@ -123,21 +124,23 @@ class EmulatedRobot:
             gain_spread: of its modules' gains.
             noise_rad: of its bend sensors, RMS, rad.
             tick: s.
+            tau_spread: of its chambers' time constants.
+            pneumatics: its chambers, "orifice" or "lag".
 
         Raises:
             InputError: no such robot, or no such fault.
         """
         asked = parse_scenario(
             {
-                "robot": {"base": robot, "modules": {"gain_spread": gain_spread}},
+                "robot": {"base": robot, "modules": {"gain_spread": gain_spread, "tau_spread": tau_spread}},
                 "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
-                "pneumatics": {"kind": "orifice"}, "plants": {"twin": {"contact": "loaded", "tick_s": tick}},
+                "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"contact": "loaded", "tick_s": tick}},
             },
             name=f"emulate {robot}",
         )  # fmt: skip
         self.twin = asked.build_plant("twin")
-        assert isinstance(self.twin, TwinSnake) and isinstance(self.twin.pneumatics, OrificePneumatics)
-        self._air: OrificePneumatics = self.twin.pneumatics
+        assert isinstance(self.twin, TwinSnake)
+        self._air = self.twin.pneumatics
         spec = self.twin.spec
         self.segments, self.tick = spec.segments, tick
         self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
@@ -150,6 +153,7 @@ class EmulatedRobot:
         self._pending = [each for each in self.faults if each.kind in ("leak", "starved")]
         self._pulses = PulseWidth(CARRIER_HZ, tick, spec.segments, together=True, long_ticks=True)
         self._frozen = np.full(spec.segments, np.nan)
+        self.valves = np.full((spec.segments, 2), -1, dtype=np.int8)
         self.state = self.twin.reset(seed=seed)
 
     def step(self, command: np.ndarray | None) -> SnakeState:
@@ -165,7 +169,9 @@ class EmulatedRobot:
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()
         duties = self._pulses.step(np.where(states, (wanted + 1) / 2, np.clip(wanted, 0.0, 1.0)))
-        self.state = self.twin.step(wanted.astype(np.int8) if states else duties)
+        obeyed = wanted.astype(np.int8) if states else duties
+        self.valves = obeyed[-1] if obeyed.ndim == 3 else obeyed
+        self.state = self.twin.step(obeyed)
         return self.state
 
     def bends(self) -> np.ndarray:
@@ -242,9 +248,9 @@ def emulate(
     begun, tick, done, late = clock(), robot.tick, 0, 0
     command, heard = None, -math.inf
 
-    def later(send: Callable[[], None]) -> None:
+    def later(due: float, send: Callable[[], None]) -> None:
         if rng.random() >= air.loss:
-            heapq.heappush(waiting, (clock() + rng.random() * air.jitter, next(number), send))
+            heapq.heappush(waiting, (due + rng.random() * air.jitter, next(number), send))
 
     def sent() -> None:
         while waiting and waiting[0][0] <= clock():
@@ -258,21 +264,20 @@ def emulate(
         now = clock()
         state = robot.step(command if now - heard <= SILENT_S else None)
         done += 1
-        due, at = begun + done * tick, clock()
-        told = ((BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, state.valves))
+        # It has computed at once what a robot would be like at the end of the tick, and tells it then.
+        due = begun + done * tick
+        told = ((BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves))
         for kind, values in told:
-            later(lambda kind=kind, values=values, at=at: link.send(kind, values, at=at))  # type: ignore[misc]
+            later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
         if capture is not None:
             bodies = robot.bodies()
-            later(lambda bodies=bodies, at=at: capture.send(at, bodies))  # type: ignore[misc]
+            later(due, lambda bodies=bodies, due=due: capture.send(due, bodies))  # type: ignore[misc]
         late += clock() > due + tick
         if clock() - due > _LATE_S:
             begun = clock() - done * tick  # what was missed is not made up for
-        while True:
+        while (left := due - clock()) > 0:
             sent()
-            left = due - clock()
-            if left <= 0:
-                break
             time.sleep(min(left, 0.002) if waiting else left)
+        sent()
     link.send(STATUS, "stopped")
     return {"ticks": done, "late": late}

@@ -150,13 +150,13 @@ def air_bend(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     Returns:
         Shape (…, segments).
     """
-    return _bends(spec, _linear(spec, pressure))
+    return free_bends(spec, _linear(spec, pressure))
 
 
 def as_felt(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     """Return pressures that would bend as far if the law were linear up to them; shapes as in `air_bend`."""
     linear = _linear(spec, pressure)
-    found = _bends(spec, linear)
+    found = free_bends(spec, linear)
     if found is linear:
         return pressure
     # φ(x)/x tends to its slope at rest.
@@ -167,7 +167,7 @@ def as_felt(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
 
 def largest_bend(spec: RobotSpec, supply_pa: float) -> float:
     """Return the bend of a nominal free segment with one chamber at the supply's pressure (Pa), rad."""
-    return float(_bends(spec, np.array(spec.actuator.gain * supply_pa)))
+    return float(free_bends(spec, np.array(spec.actuator.gain * supply_pa)))
 
 
 def _linear(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
@@ -176,8 +176,8 @@ def _linear(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     return bends
 
 
-def _bends(spec: RobotSpec, linear: np.ndarray) -> np.ndarray:
-    """Return φ of linear bends; these themselves where the law is linear."""
+def free_bends(spec: RobotSpec, linear: np.ndarray) -> np.ndarray:
+    """Return φ of linear bends, rad, any shape; these themselves where the law is linear."""
     limit, share, d, w = bend_law(spec)
     found = linear
     if share != 0.0:

@@ -1,0 +1,552 @@
+r"""Ensemble: members of `compliant` that run beside a robot and are corrected by what it measures.
+
+A member has a pose, velocities, bends, chamber pressures, and its own idea of the robot: a gain and bias of each
+module, time constants of its chambers, one stiffness, one μ_t. What the model lacks bends segment j by d_j, which
+fades with a time constant (a first-order Gauss–Markov process). The chambers' moment is
+
+$$ \tau_j = k\,\bigl(b_j + \varphi(G\,(g_j^+ p_j^+ - g_j^- p_j^-)) + d_j\bigr), $$
+
+with pressures that relax at the rate o/τ_fill + (1 − o)/τ_vent + λ while a valve is open for the share o of the
+time.
+
+Measurements are taken one number at a time by the ensemble square root filter (Whitaker and Hamill 2002), with
+
+- localisation: a sensor or a pressure corrects its own segment, markers everything;
+- inflation: what a correction takes of the spread is given back by a share (relaxation to prior spread, Whitaker
+  and Hamill 2012);
+- outliers: a number further off than four standard deviations counts as if it were that much noisier;
+- adaptation: what wanders does so more where measurements are further off than expected, and less where they are not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.geometry import body_shape, relative_headings
+from srs_twin.live.modules import BIAS, FILL, GAIN, VENT, ModuleFilter
+from srs_twin.plants.analytical import compliant_kernels, kernels
+from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
+from srs_twin.plants.analytical.kinematics import ROWS, Solid
+from srs_twin.pneumatics.chambers import free_bends
+from srs_twin.robot.spec import RobotSpec
+
+STEP_S = 0.0025
+"""Steps of the members, to which times of measurements are rounded."""
+_OUTLIER = 4.0
+_MEMORY, _ADAPTS, _SCALES = 25, 0.03, (0.2, 10.0)
+"""Measurements over which it is found out how far they are off, by which power of it what wanders follows, and how far."""
+_DOUBT = 0.2
+"""What lags miss of a pressure, as a share of the supply's, for what pressures tell of time constants."""
+_LEAST_FRICTION = 0.1
+"""Of ln μ_t: what else slows a robot looks like friction."""
+_FAINT = 0.5
+"""How far one measurement corrects what all of them depend on: 32 members find correlations where none are."""
+_POSE = ("x", "y", "heading")
+_MODULES = ("gain", "bias", "fill", "vent")
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """How unlike the robot may be to what its file says, standard deviations; and how it changes.
+
+    Attributes:
+        gain: of a chamber's gain, as a share.
+        bias: of a module's bend without pressure, rad.
+        tau: of the chambers' time constants, as a share.
+        stiffness: of the bending stiffness, as a share.
+        friction: of μ_t, as a share.
+        unexplained: d, RMS, rad.
+        unexplained_s: over which d fades, s.
+        pressure: by what a pressure wanders from its lag, share of the supply's in a second.
+        drift: by what gains, time constants, stiffness and friction wander, share in a second.
+        slip: by what the body's velocities wander, m/s (and rad/s times half its length) in a second.
+        inflation: share of a correction's loss of spread that is given back.
+    """
+
+    gain: float = 0.12
+    bias: float = 0.03
+    tau: float = 0.15
+    stiffness: float = 0.25
+    friction: float = 0.25
+    unexplained: float = 0.05
+    unexplained_s: float = 0.12
+    pressure: float = 0.15
+    drift: float = 0.004
+    slip: float = 0.05
+    inflation: float = 0.3
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What measurements may be off by, RMS.
+
+    Attributes:
+        bend: of a bend sensor, rad.
+        pressure: of a pressure sensor, Pa.
+        place: of a marked connector, m: the camera's and what arcs miss of the shape.
+        heading: of a marked connector, rad.
+    """
+
+    bend: float = 0.02
+    pressure: float = 500.0
+    place: float = 0.0015
+    heading: float = 0.02
+
+
+@dataclass(frozen=True)
+class Air:
+    """What the chambers get, as far as faults are known.
+
+    Attributes:
+        opens: share of the time for which each valve fills, equal slots of the stretch, shape (slots, segments, 2).
+        supply: gauge, of each segment, Pa.
+        leak: of each chamber, share of its pressure, 1/s, shape (segments, 2).
+    """
+
+    opens: np.ndarray
+    supply: np.ndarray
+    leak: np.ndarray
+
+
+class Ensemble:
+    """Members beside a robot (module docstring).
+
+    Attributes:
+        spec: the robot, as its file has it.
+        members: one a row; `rows` names the columns.
+        rows: name → columns: x, y, heading, motion (forth, aside, yaw rate, bend rates), bend, pressure,
+            unexplained, gain, bias, fill, vent, stiffness, friction. Time constants, stiffness and friction are
+            logarithms over those of the file.
+        modules: what gains, biases, time constants and stiffness are drawn from.
+        placed: whether anybody has told where the robot is.
+    """
+
+    def __init__(
+        self, spec: RobotSpec, *, members: int = 32, seed: int = 0, spreads: Spreads = Spreads(),
+        noise: Noise = Noise(),
+    ) -> None:  # fmt: skip
+        """Begin at rest, straight, chambers empty, somewhere.
+
+        Args:
+            spec: the robot.
+            members: how many.
+            seed: of their draws.
+            spreads: of what they take for possible.
+            noise: of what is measured.
+        """
+        self.spec, self.spreads, self.noise = spec, spreads, noise
+        self._rng = np.random.default_rng((seed, 0xE5))
+        n = self._segments = spec.segments
+        sizes = {
+            **dict.fromkeys(_POSE, 1), "motion": 3 + n, "bend": n, "pressure": 2 * n, "unexplained": n,
+            "gain": 2 * n, "bias": n, "fill": n, "vent": n, "stiffness": 1, "friction": 1,
+        }  # fmt: skip
+        ends = np.cumsum([0, *sizes.values()])
+        self.rows: Mapping[str, slice] = {
+            name: slice(int(a), int(b)) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)
+        }
+        g, mu = spec.geometry, spec.friction
+        self._solid = Solid(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0)
+        lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
+        self._floor = floor_friction("wheel", g.half_track, mu.mu_t, mu.mu_n, 0.001, lean, drag=drag)
+        self._mass = self._solid.mass
+        self.members = np.zeros((members, int(ends[-1])))
+        s = spreads
+        sd = np.array([s.gain, s.gain, s.bias, s.tau, s.tau, s.unexplained])
+        walk = np.array([s.drift, s.drift, s.drift * s.bias / s.gain, s.drift, s.drift])
+        self.modules = ModuleFilter(n, sd, walk, s.unexplained_s)
+        self._own = {name: self._drawn(name) for name in _MODULES}
+        for name, wide in (("stiffness", s.stiffness), ("friction", s.friction)):
+            self._of(name)[:] = wide * self._drawn(name)
+        self._of("unexplained")[:] = s.unexplained * self._drawn("unexplained")
+        self._draw_modules()
+        self._of("bend")[:] = self._of("bias")
+        self._supply = spec.supply.nominal
+        self._masks = self._local()
+        self._scales = {"unexplained": np.ones(n), "pressure": np.ones(2 * n), "motion": np.ones(1)}
+        self._found = {name: np.ones_like(each) for name, each in self._scales.items()}
+        self.placed = False
+        self._states = np.zeros((members, kernels.STATES + 2 * n))
+        self._momenta()
+
+    def advance(self, air: Air, span: float) -> None:
+        """Go on for a stretch (s, a multiple of `STEP_S`)."""
+        self._move(air, span)
+        actuator, opens = self.spec.actuator, air.opens.mean(axis=0)
+        times = actuator.tau_fill * np.exp(self.mean("fill")), actuator.tau_vent * np.exp(self.mean("vent"))
+        rates = np.stack([*(np.repeat(1 / each[:, None], 2, axis=1) for each in times), air.leak])
+        self.modules.advance(span)
+        self.modules.fill(opens, self.mean("pressure").reshape(-1, 2), air.supply, rates, span)
+
+    def _move(self, air: Air, span: float) -> None:
+        """Have the members go on, and wander."""
+        self._run(air, span)
+        s, root = self.spreads, math.sqrt(span)
+        fades = math.exp(-span / s.unexplained_s)
+        unexplained = self._of("unexplained")
+        unexplained *= fades
+        scale = self._scales
+        unexplained += scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
+        wander = scale["pressure"] * s.pressure * root * np.repeat(air.supply, 2)
+        self._of("pressure")[:] += wander * self._drawn("pressure")
+        self._of("friction")[:] += s.drift * root * self._drawn("friction")
+        half = self.spec.geometry.body_length / 2
+        motion = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
+        self._of("motion")[:, :3] += scale["motion"] * s.slip * root * motion
+        self._momenta()
+
+    def read_bends(self, bends: np.ndarray) -> np.ndarray:
+        """Take sensor readings, shape (segments,), rad, NaN where there are none.
+
+        Returns:
+            What they are off by, over the standard deviation that was expected, NaN where there are none.
+        """
+        variances = np.full(self._segments, self.noise.bend**2)
+        predicted, masks = self._of("bend").copy(), self._masks["bend"]
+        off = self._correct(predicted, bends, variances, masks, together=False)
+        self._adapt("unexplained", off)
+        self._learn(~np.isnan(bends))
+        return off
+
+    def read_pressures(self, pressure: np.ndarray) -> np.ndarray:
+        """Take pressures, gauge, shape (segments, 2), Pa; returns as `read_bends`, shape (2 segments,)."""
+        noise, given = self.noise.pressure, self._of("pressure")
+        off = pressure - given.mean(axis=0).reshape(-1, 2)
+        variance = given.var(axis=0, ddof=1).reshape(-1, 2)
+        told = self._correct(
+            given.copy(), pressure.ravel(), np.full(given.shape[1], noise**2), self._masks["pressure"], together=False
+        )  # fmt: skip
+        self._adapt("pressure", told)
+        # What lags miss of a pressure comes again and again: so much less does one of them tell.
+        doubt = np.sqrt(noise**2 + variance) + _DOUBT * self._supply
+        self.modules.read_pressures(off, doubt, variance / (variance + noise**2))
+        return told
+
+    def read_poses(self, poses: np.ndarray, later: float = 0.0) -> np.ndarray:
+        """Take where connectors are: x, y (m), heading (rad), shape (connectors, 3), NaN where not seen.
+
+        The first ones, and the first after the robot was lost, say where the members are.
+
+        Args:
+            poses: in the world.
+            later: by how much they were taken later than now, s.
+
+        Returns:
+            As `read_bends`, shape (3 connectors,).
+        """
+        if not self.placed:
+            self._place(poses)
+        predicted = self.poses(later)
+        turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
+        poses = np.column_stack([poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))])
+        variances = np.tile([self.noise.place**2, self.noise.place**2, self.noise.heading**2], len(poses))
+        found = predicted.reshape(len(self.members), -1)
+        masks = np.broadcast_to(self._masks["pose"], (found.shape[1], self.members.shape[1]))
+        off = self._correct(found, poses.ravel(), variances, masks, together=True)
+        if not np.isnan(off).all():
+            self._adapt("motion", np.sqrt(np.nanmean(off**2, keepdims=True)))
+        seen = ~np.isnan(poses[:, 2])
+        self._learn(seen[1:] & seen[:-1])
+        return off
+
+    def poses(self, later: float = 0.0) -> np.ndarray:
+        """Return the connectors' x, y (m) and heading (rad) of each member, shape (members, connectors, 3)."""
+        bend, motion = self._of("bend"), self._of("motion")
+        x, y, heading = (self._of(name)[:, 0] for name in _POSE)
+        if later:
+            c, s = np.cos(heading), np.sin(heading)
+            x = x + later * (c * motion[:, 0] - s * motion[:, 1])
+            y = y + later * (s * motion[:, 0] + c * motion[:, 1])
+            heading, bend = heading + later * motion[:, 2], bend + later * motion[:, 3:]
+        g = self.spec.geometry
+        shape = body_shape(bend, self._mass, g.segment_length, g.rigid_gap)
+        c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
+        return np.stack(
+            [
+                x[:, None] + c * shape[..., 0] - s * shape[..., 1],
+                y[:, None] + s * shape[..., 0] + c * shape[..., 1],
+                heading[:, None] + relative_headings(bend),
+            ],
+            axis=-1,
+        )
+
+    def mean(self, name: str) -> np.ndarray:
+        """Return the mean of some columns."""
+        return np.asarray(self._of(name).mean(axis=0))
+
+    def sd(self, name: str) -> np.ndarray:
+        """Return the standard deviation of some columns."""
+        return np.asarray(self._of(name).std(axis=0, ddof=1))
+
+    def recenter(self, name: str, mean: np.ndarray) -> None:
+        """Bring some columns to another mean."""
+        self._of(name)[:] += mean - self.mean(name)
+
+    def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return what the robot is thought to be: name → values and standard deviations.
+
+        Gains of each chamber, biases (rad), time constants of filling and venting of each module, and stiffness and
+        μ_t of all, but for biases as multiples of the file's.
+        """
+        mean, sd = self.modules.mean, np.sqrt(np.einsum("sii->si", self.modules.covariance))
+        found = {"gain": (mean[:, GAIN], sd[:, GAIN]), "bias_rad": (mean[:, BIAS], sd[:, BIAS])}
+        logarithms = {
+            "tau_fill": (mean[:, FILL], sd[:, FILL]), "tau_vent": (mean[:, VENT], sd[:, VENT]),
+            **{name: (self.mean(name), self.sd(name)) for name in ("stiffness", "friction")},
+        }  # fmt: skip
+        for name, (middle, wide) in logarithms.items():
+            found[name] = np.exp(middle), np.exp(middle) * wide
+        return found
+
+    def ahead(self, airs: Iterable[Air], span: float, members: int) -> np.ndarray:
+        """Return where some members will be, without measurements.
+
+        Args:
+            airs: of one stretch after another.
+            span: of each, s.
+            members: how many are taken.
+
+        Returns:
+            x, y (m) and mean heading (rad) at the end of each, shape (stretches, members, 3).
+        """
+        other = object.__new__(Ensemble)
+        other.__dict__.update(self.__dict__)
+        other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
+        other._rng = np.random.default_rng(0)
+        found = []
+        for air in airs:
+            other._move(air, span)
+            found.append(other.members[:, :3].copy())
+        return np.array(found)
+
+    def _of(self, name: str) -> np.ndarray:
+        return self.members[:, self.rows[name]]
+
+    def _drawn(self, name: str) -> np.ndarray:
+        """Return standard normal numbers for some columns, of mean 0 over the members."""
+        found = self._rng.normal(size=self._of(name).shape)
+        return np.asarray(found - found.mean(axis=0))
+
+    def _local(self) -> dict[str, np.ndarray]:
+        """Return which columns each kind of measurement corrects, one row a number."""
+        n, width = self._segments, self.members.shape[1]
+        bend, pressure = np.zeros((n, width)), np.zeros((2 * n, width))
+        for j in range(n):
+            for name in ("bend", "unexplained"):
+                bend[j, self.rows[name].start + j] = 1.0
+            bend[j, self.rows["motion"].start + 3 + j] = 1.0
+            for side in (0, 1):
+                own = self.rows["pressure"].start + 2 * j + side
+                bend[j, own] = pressure[2 * j + side, own] = 1.0
+        pose = np.zeros(width)
+        for name in (*_POSE, "motion", "bend", "unexplained"):
+            pose[self.rows[name]] = 1.0
+        pose[self.rows["friction"]] = _FAINT
+        return {"bend": bend, "pressure": pressure, "pose": pose}
+
+    def _correct(
+        self, predicted: np.ndarray, told: np.ndarray, variances: np.ndarray, masks: np.ndarray, *, together: bool
+    ) -> np.ndarray:  # fmt: skip
+        before = self.members.std(axis=0)
+        off = _correct(self.members, predicted, told, variances, masks, together)
+        after = self.members.std(axis=0)
+        grown = 1 + self.spreads.inflation * (before - after) / np.maximum(after, 1e-12)
+        friction = self.rows["friction"]
+        grown[friction] = np.maximum(_LEAST_FRICTION / np.maximum(after[friction], 1e-12), 1.0)
+        middle = self.members.mean(axis=0)
+        self.members[:] = middle + grown * (self.members - middle)
+        pressure = self._of("pressure")
+        np.maximum(pressure, 0.0, out=pressure)
+        self._momenta()
+        return off
+
+    def _adapt(self, name: str, off: np.ndarray) -> None:
+        """Let what wanders wander more where measurements are further off than expected, else less."""
+        found = self._found[name]
+        found += np.where(np.isnan(off), 0.0, (off**2 - found) / _MEMORY)
+        scale = self._scales[name]
+        np.clip(np.where(np.isnan(off), scale, scale * found**_ADAPTS), *_SCALES, out=scale)
+
+    def _learn(self, measured: np.ndarray) -> None:
+        """Tell the modules what bends could not be explained, of the segments that were measured."""
+        d, pressure = self._of("unexplained"), self.mean("pressure").reshape(-1, 2)
+        modules, actuator = self.modules, self.spec.actuator
+        used = np.empty((self._segments, 5))
+        used[:, GAIN] = self.mean("gain").reshape(-1, 2)
+        for column, name in ((BIAS, "bias"), (FILL, "fill"), (VENT, "vent")):
+            used[:, column] = self.mean(name)
+        signed = actuator.gain * np.array([1.0, -1.0])
+        told = np.where(measured, d.mean(axis=0), np.nan)
+        modules.read_unexplained(told, d.var(axis=0, ddof=1), used, signed * pressure, signed * used[:, GAIN])
+        self._draw_modules()
+
+    def _draw_modules(self) -> None:
+        """Give each member modules of what is known of them; its own deviations stay, as far as they are possible."""
+        mean, sd = self.modules.mean, np.sqrt(np.einsum("sii->si", self.modules.covariance))
+        for name, at in (("gain", GAIN), ("bias", BIAS), ("fill", FILL), ("vent", VENT)):
+            self._of(name)[:] = np.ravel(mean[:, at]) + np.ravel(sd[:, at]) * self._own[name]
+
+    def _place(self, poses: np.ndarray) -> None:
+        """Lay the members where connectors were seen."""
+        seen = ~np.isnan(poses).any(axis=1)
+        if not seen.any():
+            return
+        _, _, own = (self.poses()[:, seen, k] for k in range(3))
+        turn = poses[seen, 2] - own
+        self._of("heading")[:, 0] += np.arctan2(np.sin(turn).mean(axis=1), np.cos(turn).mean(axis=1))
+        apart = poses[seen, :2] - self.poses()[:, seen, :2]
+        self.members[:, :2] += apart.mean(axis=1)
+        self.members[:, :2] += 5 * self.noise.place * self._rng.normal(size=(len(self.members), 2))
+        self._of("heading")[:, 0] += 2 * self.noise.heading * self._rng.normal(size=len(self.members))
+        self.placed = True
+
+    def _run(self, air: Air, span: float) -> None:
+        """Have the bodies move as the chambers bend them."""
+        n, count, slots = self._segments, len(self.members), len(air.opens)
+        a, spec = self.spec.actuator, self.spec
+        steps = max(round(span / slots / STEP_S), 1)
+        h = span / slots / steps
+        fill = (a.tau_fill * np.exp(self._of("fill")))[:, :, None]
+        vent = (a.tau_vent * np.exp(self._of("vent")))[:, :, None]
+        gain = a.gain * self._of("gain").reshape(count, n, 2)
+        pressure = self._of("pressure").reshape(count, n, 2)
+        after = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
+        drive = np.empty((slots, 2 * steps, count, n))
+        for k, opens in enumerate(air.opens):
+            rate = opens / fill + (1 - opens) / vent + air.leak
+            end = opens * air.supply[:, None] / fill / rate
+            passed = end + (pressure - end) * np.exp(-rate * after[:, None, None, None])
+            drive[k] = gain[..., 0] * passed[..., 0] - gain[..., 1] * passed[..., 1]
+            pressure = passed[-1]
+        self._of("pressure")[:] = pressure.reshape(count, 2 * n)
+        free = self._of("bias") + free_bends(spec, drive) + self._of("unexplained")
+        springs = self._springs()
+        moments = np.ascontiguousarray((springs[:, 0, None] * free).transpose(2, 0, 1, 3))
+        moments = moments.reshape(count, slots * steps, 2, n)
+        mu = spec.friction.mu_t * np.exp(self._of("friction")[:, 0])
+        velocities = self._of("motion").copy()
+        fine = _advance(self._states, velocities, np.full(slots * steps, h), moments, springs, mu,
+                        self._solid, self._floor)  # fmt: skip
+        wrong = ~fine | ~np.isfinite(self._states).all(axis=1) | (np.abs(velocities[:, :3]).max(axis=1) > 20)
+        self._of("motion")[:] = velocities
+        self._of("bend")[:] = self._states[:, compliant_kernels.BENDS :][:, :n]
+        self.members[:, :3] = self._states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]]
+        if wrong.any() and not wrong.all():
+            # A member that diverged begins anew as another one is.
+            others = self._rng.choice(np.flatnonzero(~wrong), size=int(wrong.sum()))
+            self.members[wrong] = self.members[others]
+
+    def _springs(self) -> np.ndarray:
+        """Return stiffness (N·m/rad) and damping (N·m·s/rad) of each member, shape (members, 2)."""
+        bending, factor = self.spec.bending, np.exp(self._of("stiffness"))
+        return np.asarray(factor * [bending.stiffness, bending.damping])
+
+    def _momenta(self) -> None:
+        """Fill the bodies' states from what they are in `members`."""
+        n = self._segments
+        self._states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]] = self.members[:, :3]
+        self._states[:, compliant_kernels.BENDS :][:, :n] = self._of("bend")
+        _set_momenta(self._states, self._of("motion").copy(), self._springs(), self._solid, self._floor)
+
+
+@compiled
+def _advance(states, velocities, steps, moments, springs, mu, solid, floor):  # type: ignore[no-untyped-def]
+    """Advance bodies in place; say which of them made all steps."""
+    fine = np.empty(states.shape[0], dtype=np.bool_)
+    marks = np.empty(0, dtype=np.int64)
+    seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
+    for m in range(states.shape[0]):
+        model = solid, (springs[m, 0], springs[m, 1]), _with_mu(floor, mu[m])
+        now = states[m], velocities[m]
+        fine[m] = compliant_kernels.advance(now, steps, moments[m], marks, model, seen) == steps.shape[0]
+    return fine
+
+
+@compiled
+def _with_mu(floor, mu):  # type: ignore[no-untyped-def]
+    """Return a floor with another μ_t."""
+    return FloorFriction(
+        floor.case, floor.track, mu, floor.mu_n, floor.slip, floor.drag, floor.lean, floor.down,
+        floor.pull_x, floor.pull_y,
+    )  # fmt: skip
+
+
+@compiled
+def _set_momenta(states, velocities, springs, solid, floor):  # type: ignore[no-untyped-def]
+    """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
+    n, size = solid.mass.shape[0], velocities.shape[1]
+    segments, ahead = n - 1, compliant_kernels.BENDS
+    momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
+    work = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
+    moment = np.zeros(segments)
+    for m in range(states.shape[0]):
+        state, u = states[m], velocities[m]
+        c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
+        state[kernels.STATE_VX], state[kernels.STATE_VY] = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        model = solid, (springs[m, 0], springs[m, 1]), floor
+        bend = state[ahead : ahead + segments]
+        compliant_kernels.balance(bend, u, moment, 0.0, model, momentum, force, matrix, work)
+        state[kernels.MOMENT] = momentum[2]
+        for j in range(segments):
+            state[ahead + segments + j] = momentum[3 + j]
+
+
+@compiled
+def _correct(members, predicted, told, variances, masks, together):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Take numbers one after another (module docstring); return by what each is off, in standard deviations.
+
+    Args:
+        members: in place, shape (members, columns).
+        predicted: what each member would measure, in place, shape (members, numbers).
+        told: the numbers, NaN where there are none.
+        variances: of their noise.
+        masks: how far each corrects a column, 0 to 1, shape (numbers, columns).
+        together: whether a number also corrects what later ones are predicted to be.
+    """
+    count, width = members.shape
+    off = np.full(told.shape[0], np.nan)
+    for k in range(told.shape[0]):
+        if np.isnan(told[k]):
+            continue
+        mean = 0.0
+        for m in range(count):
+            mean += predicted[m, k] / count
+        spread = 0.0
+        for m in range(count):
+            spread += (predicted[m, k] - mean) ** 2 / (count - 1)
+        apart = told[k] - mean
+        off[k] = apart / math.sqrt(spread + variances[k])
+        noise = max(variances[k], (apart / _OUTLIER) ** 2 - spread)
+        total = spread + noise
+        # The square root filter's share of the gain by which members come nearer to their mean.
+        share = 1 / (1 + math.sqrt(noise / total))
+        for column in range(width):
+            if masks[k, column] == 0.0:
+                continue
+            middle = 0.0
+            for m in range(count):
+                middle += members[m, column] / count
+            together_with = own = 0.0
+            for m in range(count):
+                together_with += (predicted[m, k] - mean) * (members[m, column] - middle) / (count - 1)
+                own += (members[m, column] - middle) ** 2 / (count - 1)
+            # Of a correlation r that so many members show, what is beyond chance.
+            found = together_with**2 / max(own * spread, 1e-300)
+            believed = max(1 - (1 - found) / ((count - 2) * max(found, 1e-12)), 0.0)
+            gain = masks[k, column] * believed * together_with / total
+            for m in range(count):
+                members[m, column] += gain * (apart - share * (predicted[m, k] - mean))
+        if together:
+            for later in range(k + 1, told.shape[0]):
+                together_with = 0.0
+                for m in range(count):
+                    together_with += (predicted[m, k] - mean) * predicted[m, later] / (count - 1)
+                gain = together_with / total
+                for m in range(count):
+                    predicted[m, later] += gain * (apart - share * (predicted[m, k] - mean))
+    return off
