@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin import Gait, load_robot
-from srs_twin.live.emulator import EmulatedRobot
+from srs_twin import Gait, load_robot, load_scenario
+from srs_twin.live.emulator import SILENT_S, EmulatedRobot
+from srs_twin.live.helm import Helm
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, Message
 from srs_twin.live.shadow import Estimate, Prediction, Shadow
 
@@ -40,6 +41,8 @@ class Run:
         camera_hz: frames a second.
         pneumatics: its chambers.
         tau_spread: of their time constants.
+        gain_spread: of the modules' gains.
+        supply_kpa: of its supply; None: the robot's nominal one.
     """
 
     seed: int
@@ -54,13 +57,15 @@ class Run:
     camera_hz: float = 30.0
     pneumatics: str = "orifice"
     tau_spread: float = 0.0
+    gain_spread: float = 0.1
+    supply_kpa: float | None = None
 
     def emulated(self, noise_rad: float = NOISE_RAD, fault: bool = True) -> EmulatedRobot:
         """Return the robot."""
         faults = [self.fault] if fault and self.fault else []
         return EmulatedRobot(
             self.robot, seed=self.seed, faults=faults, noise_rad=noise_rad, tau_spread=self.tau_spread,
-            pneumatics=self.pneumatics,
+            pneumatics=self.pneumatics, gain_spread=self.gain_spread, supply_kpa=self.supply_kpa,
         )  # fmt: skip
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:
@@ -85,36 +90,85 @@ class Moment:
     shadow: Shadow
 
 
-def shadowed(run: Run, **shadow: Any) -> Iterator[Moment]:
-    """Yield the moments of a run; clocks of robot, camera and commander differ from the shadow's."""
-    robot, rng = run.emulated(), np.random.default_rng((run.seed, 5))
-    twin = Shadow(load_robot(run.robot), seed=run.seed, **shadow)
-    wire: list[tuple[float, int, Message]] = []
-    count, frame_due = 0, 0.0
+class Wire:
+    """What messages suffer between robot, camera, commander and shadow, whose clocks differ."""
 
-    def send(kind: str, source: str, offset: float, time: float, values: np.ndarray, names: tuple[str, ...] = ()) -> None:
-        nonlocal count
-        count += 1
-        if rng.random() >= run.loss:
-            arrived = time + 0.001 + rng.random() * run.jitter_s
-            heapq.heappush(wire, (arrived, count, Message(kind, source, time + offset, arrived, values, names)))
+    def __init__(self, run: Run) -> None:
+        self._run, self._rng, self._count = run, np.random.default_rng((run.seed, 5)), 0
+        self._waiting: list[tuple[float, int, Message]] = []
+        self._frame_due = 0.0
 
-    for k, command in enumerate(run.commands(robot)):
-        begun, time = k * robot.tick, (k + 1) * robot.tick
-        send(COMMAND, run.robot, 700.0, begun - 0.01, command)
-        state = robot.step(command)
-        send(BENDS, run.robot, 40.0, time, robot.bends())
+    def send(self, kind: str, source: str, time: float, values: np.ndarray, names: tuple[str, ...] = ()) -> None:
+        """Send a message."""
+        self._count += 1
+        if self._rng.random() >= self._run.loss:
+            arrived = time + 0.001 + self._rng.random() * self._run.jitter_s
+            clock = {COMMAND: 700.0, POSES: -3.0}.get(kind, 40.0)
+            message = Message(kind, source, time + clock, arrived, values, names)
+            heapq.heappush(self._waiting, (arrived, self._count, message))
+
+    def tell(self, robot: EmulatedRobot, time: float) -> None:
+        """Send what a robot and the camera tell."""
+        run = self._run
+        self.send(BENDS, run.robot, time, robot.bends())
         if run.pressures:
-            send(PRESSURES, run.robot, 40.0, time, state.pressure)
-        if time <= run.cameras_s and time >= frame_due:
-            frame_due = max(frame_due + 1 / run.camera_hz, time - robot.tick)
+            self.send(PRESSURES, run.robot, time, robot.state.pressure)
+        if time <= run.cameras_s and time >= self._frame_due:
+            self._frame_due = max(self._frame_due + 1 / run.camera_hz, time - robot.tick)
             seen = {f"connector_{i}": b for i, b in robot.bodies().items() if b.tracked}
             rows = [[b.place[0], -b.place[2], b.place[1], 2 * np.arctan2(b.turn[1], b.turn[3])] for b in seen.values()]
-            send(POSES, "natnet", -3.0, time, np.array(rows).reshape(-1, 4), tuple(seen))
-        arrived = []
-        while wire and wire[0][0] <= time:
-            arrived.append(heapq.heappop(wire)[2])
-        yield Moment(time, robot, twin.take(time, arrived), twin)
+            self.send(POSES, "natnet", time, np.array(rows).reshape(-1, 4), tuple(seen))
+
+    def arrived(self, time: float) -> list[Message]:
+        """Return what has arrived."""
+        found = []
+        while self._waiting and self._waiting[0][0] <= time:
+            found.append(heapq.heappop(self._waiting)[2])
+        return found
+
+
+def shadowed(run: Run, **shadow: Any) -> Iterator[Moment]:
+    """Yield the moments of a run."""
+    robot, wire = run.emulated(), Wire(run)
+    twin = Shadow(load_robot(run.robot), seed=run.seed, **shadow)
+    for k, command in enumerate(run.commands(robot)):
+        begun, time = k * robot.tick, (k + 1) * robot.tick
+        wire.send(COMMAND, run.robot, begun - 0.01, command)
+        robot.step(command)
+        wire.tell(robot, time)
+        yield Moment(time, robot, twin.take(time, wire.arrived(time)), twin)
+
+
+def steered(order: tuple[Run, str]) -> dict[str, Any]:
+    """Let a shadow steer a robot along a scenario's way, and say how it ended and what it touched."""
+    run, name = order
+    scenario = load_scenario(name)
+    robot, wire = run.emulated(), Wire(run)
+    twin = Shadow(load_robot(run.robot), seed=run.seed, supply_pa=robot.supply_pa)
+    helm = Helm(scenario, twin, robot.tick)
+    command, heard, time, clearance = None, -1.0, 0.0, np.inf
+    faults: dict[str, float] = {}
+    while time < run.seconds and not helm.finished:
+        state = robot.step(command if time - heard <= SILENT_S else None)
+        time += robot.tick
+        wire.tell(robot, time)
+        messages = wire.arrived(time)
+        for message in messages:
+            if message.kind == COMMAND:
+                command, heard = message.values, time
+        found = twin.take(time, messages)
+        for part, what, _ in found.faults if found else ():
+            faults.setdefault(f"{part}: {what}", round(time, 2))
+        told = helm.step(found, twin)
+        if told is not None:
+            wire.send(COMMAND, run.robot, time, told)
+        for obstacle in scenario.world.obstacles:
+            off = np.hypot(*(state.position - [obstacle.x, obstacle.y]).T).min() - obstacle.radius
+            clearance = min(clearance, float(off) - robot.twin.spec.geometry.width / 2)
+    return {
+        "seed": run.seed, "fault": run.fault, **helm.told(), "clearance_m": clearance, "faults": faults,
+        "pose": [*robot.state.com.tolist(), float(robot.state.heading)], "time_s": time,
+    }  # fmt: skip
 
 
 def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from srs_twin.cli.render import render
 from srs_twin.cli.replay import replay
 from srs_twin.cli.reproduce import reproduce
 from srs_twin.cli.run import compare, run
+from srs_twin.cli.shadow import shadow
 from srs_twin.cli.sweep import sweep
 from srs_twin.cli.uncertainty import uncertainty
 from srs_twin.cli.view import play, view
@@ -47,6 +48,7 @@ verbs = (
     view,
     play,
     emulate,
+    shadow,
     render,
     diff,
     schema,

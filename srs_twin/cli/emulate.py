@@ -6,14 +6,38 @@ import math
 import os
 import signal
 import threading
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from srs_twin.cli import say
 from srs_twin.cli.options import JsonOption, QuietOption, RobotArgument, option, print_json
 from srs_twin.errors import InputError
 
+if TYPE_CHECKING:
+    from srs_twin.live.mqtt import MqttLink
+
 PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
+
+
+def broker_link(
+    robot: str, segments: int, address: str, user: str | None, ca: Path | None, *, speaks: str | None = None,
+    kinds: Iterable[str] | None = None,
+) -> MqttLink:  # fmt: skip
+    """Return a robot's topics at a broker, as the options say.
+
+    Raises:
+        InputError: a name that is no part of a topic, or no such broker.
+    """
+    from srs_twin.live import mqtt as broker
+    from srs_twin.live.links import address as parsed
+    from srs_twin.live.messages import KINDS
+
+    if set(robot) & set("/+#"):
+        raise InputError(f"--name {robot!r} cannot be part of a topic: it has /, + or #")
+    host, port = parsed(address, broker.PORT)
+    who = {"user": user, "password": os.environ.get(PASSWORD), "ca": ca, "speaks": speaks}
+    return broker.MqttLink(robot, segments, host, port, kinds=kinds or KINDS, **who)  # type: ignore[arg-type]
 
 
 def emulate(
@@ -53,7 +77,6 @@ def emulate(
         user: At the broker.
         ca: Certificate of whoever signed that of the broker; with it the connection is encrypted.
     """
-    from srs_twin.live import mqtt as broker
     from srs_twin.live import natnet as protocol
     from srs_twin.live.emulator import Air, EmulatedRobot
     from srs_twin.live.emulator import emulate as live
@@ -63,15 +86,10 @@ def emulate(
 
     made = EmulatedRobot(robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise)
     known = name or Path(robot).stem
-    if set(known) & set("/+#"):
-        raise InputError(f"--name {known!r} cannot be part of a topic: it has /, + or #")
-    host, port = address(mqtt, broker.PORT)
-    password = os.environ.get(PASSWORD)
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ends, lambda *_: over.set())
-    who = {"user": user, "password": password, "ca": ca, "kinds": (COMMAND,), "speaks": known}
-    with broker.MqttLink(known, made.segments, host, port, **who) as link:  # type: ignore[arg-type]
+    with broker_link(known, made.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
         bodies = {i: f"connector_{i}" for i in range(1, made.segments + 2)}
         capture = None
         if natnet is not None:
@@ -79,7 +97,7 @@ def emulate(
             capture = NatNetServer(bodies, host=at, port=asked)
         if not quiet:
             seen = f", seen at {natnet}" if natnet else ""
-            say(f"{known} is on the air at {host}:{port}{seen}; Ctrl-C ends it")
+            say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         length = math.inf if duration is None else duration
         told = live(made, link, capture, air=Air(loss, jitter), duration=length, stop=over.is_set, seed=seed)
         if capture is not None:

@@ -65,7 +65,7 @@ _PIECES = 8
 _RESERVE = 0.3
 """Of the margin: nearer than that the body is not to come."""
 _SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
-_GOING_ON = ("close", "run_up")
+_GOING_ON = ("close", "run_up", "fault", "start")
 """Reasons for a new plan without which the snake goes on along the old one."""
 
 
@@ -119,7 +119,7 @@ class Follower(Controller):
     kind = "follow"
     memory = names(
         *("gait", "_frames", "_mean", "_predictor", "law", "plans", "ending", "_s", "_here", "_moving_at"),
-        *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_events"),
+        *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_renewal", "_events"),
     )
 
     gait: Controller
@@ -157,6 +157,7 @@ class Follower(Controller):
         self._commanded = 0.0
         self._here = _NOWHERE
         self._tries, self._not_before = 0, 0.0
+        self._renewal = ""
         self._running_up = self.conditions.run_up > 0 and self.conditions.stray is not None
         self._events: list[Event] = []
         self.finished, self.ending, self.plans = False, None, []
@@ -179,6 +180,10 @@ class Follower(Controller):
         if self.gait.finished and self.ending is None:
             self._end(time, "gait_ended")
         return valves
+
+    def renew(self, why: str) -> None:
+        """Plan anew at the next frame, as something has changed; without a new plan the old one is followed on."""
+        self._renewal = why
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """See `Remembers`; the law begins the last plan's path before it is told where it is on it."""
@@ -257,6 +262,9 @@ class Follower(Controller):
                 self._end(time, "goal_reached")
             else:
                 self._again(time, here, "goal_missed")
+        elif self._renewal:
+            why, self._renewal = self._renewal, ""
+            self._again(time, here, why)
         elif self._running_up and place.s >= self.conditions.run_up:
             self._running_up = False
             self._predictor.forget()
@@ -295,7 +303,7 @@ class Follower(Controller):
                 text = f"{why}: going on along the old one, all {self.conditions.replans} new plans are used"
                 self._events.append(Event(time, "no_new_plan", text))
             return
-        self._tries += why != "run_up"
+        self._tries += why not in ("run_up", "fault", "start")
         self._not_before = time + PATIENCE_PERIODS * self._period
         plan, reason, share = _new_plan(self.replan, pose)
         if plan is not None:

@@ -108,12 +108,14 @@ class EmulatedRobot:
         twin: what moves.
         state: of it; what only it knows.
         faults: what breaks, and when.
+        supply_pa: pressure of its supply, gauge, Pa.
         valves: as it set them last; a stuck one is where it is.
     """
 
     def __init__(
         self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
         noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str = "orifice",
+        supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
         """Build it.
 
@@ -126,6 +128,8 @@ class EmulatedRobot:
             tick: s.
             tau_spread: of its chambers' time constants.
             pneumatics: its chambers, "orifice" or "lag".
+            supply_kpa: of its supply, gauge; None: the robot's nominal one.
+            start: where it lies at first: x, y (m), heading (rad).
 
         Raises:
             InputError: no such robot, or no such fault.
@@ -134,6 +138,7 @@ class EmulatedRobot:
             {
                 "robot": {"base": robot, "modules": {"gain_spread": gain_spread, "tau_spread": tau_spread}},
                 "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
+                **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
                 "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"contact": "loaded", "tick_s": tick}},
             },
             name=f"emulate {robot}",
@@ -145,7 +150,7 @@ class EmulatedRobot:
         self.segments, self.tick = spec.segments, tick
         self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
-        self._supply = asked.supply_pa
+        self.supply_pa = asked.supply_pa
         self._air.stuck = tuple(
             StuckValve(each.number, each.side, int(each.how), each.since)
             for each in self.faults if each.kind == "stuck_valve"
@@ -154,7 +159,7 @@ class EmulatedRobot:
         self._pulses = PulseWidth(CARRIER_HZ, tick, spec.segments, together=True, long_ticks=True)
         self._frozen = np.full(spec.segments, np.nan)
         self.valves = np.full((spec.segments, 2), -1, dtype=np.int8)
-        self.state = self.twin.reset(seed=seed)
+        self.state = self.twin.reset(pose=start, seed=seed)
 
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Obey a command for a tick: states of valves, or duties; None vents everything."""
@@ -164,7 +169,7 @@ class EmulatedRobot:
             if each.kind == "leak":
                 self._air.leak(each.number, each.side, each.how)
             else:
-                self._air.regulate(each.how * self._supply)
+                self._air.regulate(each.how * self.supply_pa)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()

@@ -20,8 +20,9 @@ Measurements are taken one number at a time by the ensemble square root filter (
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -173,6 +174,7 @@ class Ensemble:
         self.placed = False
         self._states = np.zeros((members, kernels.STATES + 2 * n))
         self._momenta()
+        self._compile()
 
     def advance(self, air: Air, span: float) -> None:
         """Go on for a stretch (s, a multiple of `STEP_S`)."""
@@ -303,26 +305,38 @@ class Ensemble:
             found[name] = np.exp(middle), np.exp(middle) * wide
         return found
 
-    def ahead(self, airs: Iterable[Air], span: float, members: int) -> np.ndarray:
-        """Return where some members will be, without measurements.
+    def ahead(self, members: int) -> Callable[[Iterable[Air], float], np.ndarray]:
+        """Return what tells where some members, as they are now, will be without measurements.
 
         Args:
-            airs: of one stretch after another.
-            span: of each, s.
             members: how many are taken.
 
         Returns:
-            x, y (m) and mean heading (rad) at the end of each, shape (stretches, members, 3).
+            A function of the air of one stretch after another, and the length of each (s): x, y (m) and mean heading
+            (rad) at the end of each, shape (stretches, members, 3).
         """
-        other = object.__new__(Ensemble)
-        other.__dict__.update(self.__dict__)
+        other = copy.copy(self)
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
+        other._scales = {name: each.copy() for name, each in self._scales.items()}
         other._rng = np.random.default_rng(0)
-        found = []
-        for air in airs:
-            other._move(air, span)
-            found.append(other.members[:, :3].copy())
-        return np.array(found)
+
+        def go(airs: Iterable[Air], span: float) -> np.ndarray:
+            found = []
+            for air in airs:
+                other._move(air, span)
+                found.append(other.members[:, :3].copy())
+            return np.array(found)
+
+        return go
+
+    def _compile(self) -> None:
+        """Have all kernels compiled, which may take seconds, before the robot is heard."""
+        n = self._segments
+        air = Air(np.zeros((1, n, 2)), np.zeros(n), np.zeros((n, 2)))
+        self.ahead(2)([air], STEP_S)
+        nothing = np.full((len(self.members), n), 0.0), np.full(n, np.nan), np.ones(n)
+        _correct(self.members.copy(), *nothing, self._masks["bend"], False)
+        _correct(self.members.copy(), *nothing, np.broadcast_to(self._masks["pose"], self._masks["bend"].shape), True)
 
     def _of(self, name: str) -> np.ndarray:
         return self.members[:, self.rows[name]]

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.memory import Remembers, names
-from srs_twin.pneumatics.chambers import free_bends, gains
+from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
 from srs_twin.robot.spec import RobotSpec
 
 OBEYS, FILLS, VENTS, LEAKS = range(4)
@@ -91,7 +91,7 @@ class BankSettings:
         gain: spread of the modules' gains.
         bias: of their bends without pressure, rad.
         pressure: what a pressure may differ from its lag's by, as a share of the supply's.
-        load: RMS of d, rad.
+        load: RMS of d, as a share of the largest bend.
         load_time: over which d fades, s.
         wander: by what a bias (rad) and a gain wander, a square root of a second.
         drift: of a sensor, rad a square root of a second.
@@ -107,7 +107,7 @@ class BankSettings:
     gain: float = 0.15
     bias: float = 0.05
     pressure: float = 0.12
-    load: float = 0.08
+    load: float = 0.11
     load_time: float = 0.15
     wander: tuple[float, float] = (0.0014, 0.0035)
     drift: float = 0.03
@@ -145,7 +145,8 @@ class FaultBank(Remembers):
         s = settings
         self.mean = np.zeros((count, kinds, 5))
         self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
-        spread = np.array([s.bias, s.gain, s.gain, s.load, s.noise])
+        self._load = s.load * largest_bend(spec, supply_pa)
+        spread = np.array([s.bias, s.gain, s.gain, self._load, s.noise])
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
@@ -258,7 +259,7 @@ class FaultBank(Remembers):
         np.fill_diagonal(moves, 1 - moves.sum(axis=1))
         fades = np.array([1.0, 1.0, 1.0, math.exp(-span / s.load_time), 1.0])
         bias, gain = (each * math.sqrt(span) for each in s.wander)
-        wander = np.diag([bias, gain, gain, s.load * math.sqrt(1 - fades[_LOAD] ** 2), 1e-5]) ** 2
+        wander = np.diag([bias, gain, gain, self._load * math.sqrt(1 - fades[_LOAD] ** 2), 1e-5]) ** 2
         wanders = np.tile(wander, (len(HYPOTHESES), 1, 1))
         wanders[self._sensor == DRIFTS, _SENSOR, _SENSOR] = s.drift**2 * span
         joint = self.probability[:, :, None] * moves

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,9 +39,10 @@ LARGEST_SD_M = 0.05
 MISSING_FRAMES = 8
 """A body that so many frames in a row do not have is lost, while others are seen."""
 _TAKEN = (COMMAND, BENDS, PRESSURES, POSES)
+HORIZON_S, _STEP_S, _AHEAD = 1.0, 0.1, 16
+"""How far predictions reach, s, at which times, s, and how many members make them."""
 _WAITS_S = 0.1
 _HISTORY_S = 5.0
-_Z95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -149,23 +150,24 @@ class Shadow:
         self.hindsight.see(self.time, found.pose)
         return found
 
-    def predict(self, horizon: float = 1.0, step: float = 0.1, members: int = 16) -> Prediction:
-        """Return where the robot goes if commands go on as they do.
+    def predict(self) -> Prediction:
+        """Return where the robot goes in the next second if commands go on as they do."""
+        return self.hindsight.corrected(self.outlook()())
 
-        Args:
-            horizon: s.
-            step: times apart, s.
-            members: how many of the ensemble's are taken.
-        """
-        slots = round(horizon / SLOT_S)
+    def outlook(self) -> Callable[[], Prediction]:
+        """Return what computes a prediction, on a thread of its own if need be; `hindsight` is to correct it."""
+        each, slots = round(_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
         commands = self.rhythm.commands(slots)
-        each = round(step / SLOT_S)
         airs = [self._air(commands[k : k + each]) for k in range(0, slots, each)]
-        found = self.ensemble.ahead(airs, step, members)
-        times = self.time + step * np.arange(1, len(airs) + 1)
-        heading = float(self.ensemble.mean("heading")[0])
-        raw = Prediction(self.time, heading, times, found.mean(axis=1), found.std(axis=1, ddof=1))
-        return self.hindsight.corrected(raw)
+        times = self.time + _STEP_S * np.arange(1, len(airs) + 1)
+        begun, heading = self.time, float(self.ensemble.mean("heading")[0])
+        goes = self.ensemble.ahead(_AHEAD)
+
+        def run() -> Prediction:
+            found = goes(airs, _STEP_S)
+            return Prediction(begun, heading, times, found.mean(axis=1), found.std(axis=1, ddof=1))
+
+        return run
 
     def save(self) -> SavedState:
         """Return what was learnt of the robot, for `restore` after an interruption; not where it is."""
@@ -301,11 +303,6 @@ class Shadow:
             now, e.mean("bend"), e.sd("bend"), pose, pose_sd, velocity, e.poses().mean(axis=0), e.parameters(),
             tuple(self._faults()), off, self._lost(now, pose_sd),
         )  # fmt: skip
-
-
-def interval(value: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the 95 % interval."""
-    return value - _Z95 * sd, value + _Z95 * sd
 
 
 def frames_of(given: Sequence[str], connectors: int) -> dict[str, int]:

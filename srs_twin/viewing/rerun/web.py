@@ -39,7 +39,9 @@ _OUTSIDE = re.compile(r"<link\b[^>]*https?://[^>]*>")
 
 
 @contextmanager
-def served(recordings: Sequence[Path], port: int = 0) -> Iterator[tuple[str, Callable[[], None]]]:
+def served(
+    recordings: Sequence[Path], port: int = 0, data: int | None = None
+) -> Iterator[tuple[str, Callable[[], None]]]:
     """Serve recordings on 127.0.0.1; give the page's address and what serves until it is interrupted.
 
     However the block ends, everything that was started ends with it.
@@ -47,11 +49,12 @@ def served(recordings: Sequence[Path], port: int = 0) -> Iterator[tuple[str, Cal
     Args:
         recordings: files of `write_recording`.
         port: of the page; 0 takes a free one.
+        data: port of the viewer's data, to which a running program may stream; default a free one.
 
     Raises:
         InputError: the port is taken, or Rerun does not start; with its last words.
     """
-    data, page = free_port(), free_port()
+    data, page = data or free_port(), free_port()
     ports = ("--port", str(data), "--web-viewer-port", str(page))
     recording = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
     upstream = f"http://{HOST}:{page}"

@@ -1,0 +1,116 @@
+"""Helm: a follower that steers a robot on the air by its shadow's estimate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from srs_twin.control.camera import Camera
+from srs_twin.control.following import Follower
+from srs_twin.errors import InputError
+from srs_twin.live.faults import FILLS, HYPOTHESES, OBEYS
+from srs_twin.live.shadow import Estimate, Shadow
+from srs_twin.scenario import Scenario
+from srs_twin.world import Pose
+
+PATIENCE_S = 3.0
+"""For so long a lost robot lies vented before it is given up."""
+LOST = "estimate_lost"
+_SETTLES_S = 1.0
+"""A robot stands so long, so that its shadow knows where."""
+_NEAR_M, _NEAR_RAD = 0.03, 0.05
+
+
+class Helm:
+    """Steers by estimates: the scenario's follower, told what the shadow knows.
+
+    A segment whose valve is stuck is kept straight, both chambers filled or both vented, and the way is planned anew.
+    A robot whose estimate is lost is vented at once.
+
+    Attributes:
+        finished: whether the way has ended.
+        follower: the scenario's.
+    """
+
+    def __init__(self, scenario: Scenario, shadow: Shadow, tick: float) -> None:
+        """Prepare to follow.
+
+        Args:
+            scenario: with a controller that follows a plan.
+            shadow: of the robot to steer.
+            tick: s.
+
+        Raises:
+            InputError: a scenario that does not follow, or one of another robot.
+        """
+        controller = scenario.build_controller()
+        if not isinstance(controller, Follower):
+            raise InputError(f"{scenario.name}: it follows no plan; --follow takes a scenario with controller.kind: follow")
+        if scenario.robot.segments != shadow.spec.segments:
+            raise InputError(
+                f"{scenario.name} is of {scenario.robot.segments} segments, the robot has {shadow.spec.segments}"
+            )
+        # Noise and delay are the robot's own here.
+        seen = Camera(controller.conditions.camera.rate_hz)
+        controller.conditions = replace(controller.conditions, camera=seen, delay=0.0)
+        self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
+        controller.reset(shadow.spec, tick, seed=scenario.seed)
+        self._stuck = (0,) * shadow.spec.segments
+        self._steps = self._waited = 0
+        self._lost_for, self._given_up = 0.0, False
+        self._events: list[tuple[float, str]] = []
+        self._pressure = np.zeros((shadow.spec.segments, 2))
+
+    @property
+    def finished(self) -> bool:
+        return self._given_up or self.follower.finished
+
+    def vented(self) -> np.ndarray:
+        """Return the command that vents everything."""
+        return np.full(self._pressure.shape, -1.0)
+
+    def step(self, found: Estimate | None, shadow: Shadow) -> np.ndarray:
+        """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
+        if found is None or found.lost:
+            self._lost_for += self._tick
+            if self._steps and self._lost_for > PATIENCE_S and not self._given_up:
+                self._given_up = True
+                self._events.append((self._steps * self._tick, LOST))
+            return self.vented()
+        self._lost_for = 0.0
+        self._waited += 1
+        if self._waited * self._tick < _SETTLES_S:
+            return self.vented()
+        if not self._steps:
+            self._begin(found)
+        state = found.state(self._steps * self._tick, self._pressure)
+        stuck = tuple(m if HYPOTHESES[m].plus or HYPOTHESES[m].minus else 0 for m in shadow.bank.likely())
+        if stuck != self._stuck:
+            self._stuck = stuck
+            self.follower.renew("fault")
+        valves = self.follower.step(state)
+        self._steps += 1
+        self._events += [(event.time, f"{event.kind}: {event.text}") for event in self.follower.events()]
+        opens = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
+        for j, m in enumerate(stuck):
+            does = {HYPOTHESES[m].plus, HYPOTHESES[m].minus} - {OBEYS}
+            if does:
+                opens[j] = 1.0 if FILLS in does else 0.0
+        return 2 * opens - 1 if np.isin(opens, (0.0, 1.0)).all() else opens
+
+    def told(self) -> dict[str, Any]:
+        """Return how it went, JSON values."""
+        ending = LOST if self._given_up else self.follower.ending
+        return {
+            "ending": ending, "seconds": self._steps * self._tick,
+            "events": [{"time_s": time, "event": text} for time, text in self._events],
+        }  # fmt: skip
+
+    def _begin(self, found: Estimate) -> None:
+        """Plan anew where the robot does not lie where the scenario begins."""
+        x, y, heading = found.pose
+        off = np.hypot(x - self._start.x, y - self._start.y), abs(heading - self._start.heading)
+        if off[0] > _NEAR_M or off[1] > _NEAR_RAD:
+            self.follower.renew("start")
