@@ -41,6 +41,8 @@ STEP_S = 0.0025
 _OUTLIER = 4.0
 _MEMORY, _ADAPTS, _SCALES = 25, 0.03, (0.2, 10.0)
 """Measurements over which it is found out how far they are off, by which power of it what wanders follows, and how far."""
+_ASTRAY, _FRAMES = 6.0, 5
+"""By how many standard deviations half of a frame must be off, in how many frames, for the robot to be elsewhere."""
 _DOUBT = 0.2
 """What lags miss of a pressure, as a share of the supply's, for what pressures tell of time constants."""
 _LEAST_FRICTION = 0.1
@@ -64,7 +66,7 @@ class Spreads:
         unexplained: d, RMS, rad.
         unexplained_s: over which d fades, s.
         pressure: by what a pressure wanders from its lag, share of the supply's in a second.
-        drift: by what gains, time constants, stiffness and friction wander, share in a second.
+        drift: by what gains, time constants and friction wander, share in a second; biases a quarter of it, rad.
         slip: by what the body's velocities wander, m/s (and rad/s times half its length) in a second.
         inflation: share of a correction's loss of spread that is given back.
     """
@@ -159,7 +161,7 @@ class Ensemble:
         self.members = np.zeros((members, int(ends[-1])))
         s = spreads
         sd = np.array([s.gain, s.gain, s.bias, s.tau, s.tau, s.unexplained])
-        walk = np.array([s.drift, s.drift, s.drift * s.bias / s.gain, s.drift, s.drift])
+        walk = np.array([s.drift, s.drift, s.drift / 4, s.drift, s.drift])
         self.modules = ModuleFilter(n, sd, walk, s.unexplained_s)
         self._own = {name: self._drawn(name) for name in _MODULES}
         for name, wide in (("stiffness", s.stiffness), ("friction", s.friction)):
@@ -171,7 +173,7 @@ class Ensemble:
         self._masks = self._local()
         self._scales = {"unexplained": np.ones(n), "pressure": np.ones(2 * n), "motion": np.ones(1)}
         self._found = {name: np.ones_like(each) for name, each in self._scales.items()}
-        self.placed = False
+        self.placed, self._astray = False, 0
         self._states = np.zeros((members, kernels.STATES + 2 * n))
         self._momenta()
         self._compile()
@@ -252,6 +254,10 @@ class Ensemble:
         off = self._correct(found, poses.ravel(), variances, masks, together=True)
         if not np.isnan(off).all():
             self._adapt("motion", np.sqrt(np.nanmean(off**2, keepdims=True)))
+        astray = bool(np.nanmedian(np.abs(off)) > _ASTRAY) if not np.isnan(off).all() else False
+        self._astray = self._astray + 1 if astray else 0
+        if self._astray >= _FRAMES:  # it was carried away, or begins anew
+            self.placed, self._astray = False, 0
         seen = ~np.isnan(poses[:, 2])
         self._learn(seen[1:] & seen[:-1])
         return off

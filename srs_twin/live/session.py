@@ -86,12 +86,13 @@ class Session:
     def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
         """Live until it is told to stop, a recording is over, or the helm has arrived; return what came out."""
         clock = self._links[0].clock
-        begun, done = time.monotonic(), 0
+        first = begun = time.monotonic()
+        done = 0
         pending: Future[Prediction] | None = None
         with ThreadPoolExecutor(2) as pool:
             while not stop() and done * TICK_S < duration and not self._over():
                 tick = time.monotonic()
-                self._tick(clock(), tick - begun)
+                self._tick(clock(), tick - first)
                 if pending is not None and pending.done():
                     self._prediction, pending = self.shadow.hindsight.corrected(pending.result()), None
                 if pending is None and self.estimate is not None and done % round(PREDICTS_S / TICK_S) == 0:
@@ -112,7 +113,7 @@ class Session:
                     time.sleep(left)
                 elif left < -1.0:
                     begun = time.monotonic() - done * TICK_S  # what was missed is not made up for
-        return self._end(time.monotonic() - begun)
+        return self._end(time.monotonic() - first)
 
     def _over(self) -> bool:
         steered = self._helm is not None and self._helm.finished

@@ -1,0 +1,83 @@
+"""Members beside a robot: what a Kalman filter must do, and that members move as the plant does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srs_twin import AnalyticalSnake, Gait, load_robot
+from srs_twin.live.ensemble import Air, Ensemble, Spreads, _correct
+
+ALONE = Spreads(gain=0.0, bias=0.0, tau=0.0, stiffness=0.0, friction=0.0, unexplained=0.0, pressure=0.0, drift=0.0, slip=0.0)
+
+
+def test_a_number_corrects_as_the_kalman_filter_does():
+    rng = np.random.default_rng(3)
+    members = rng.multivariate_normal([0.3, -0.2], [[0.04, 0.03], [0.03, 0.09]], size=20_000)
+    covariance, mean = np.cov(members.T), members.mean(axis=0)
+    noise, told = 0.02, 0.5
+    gain = covariance[:, 0] / (covariance[0, 0] + noise)
+    predicted = members[:, :1].copy()
+    kept = members.copy()
+    off = _correct(kept, predicted, np.array([told]), np.array([noise]), np.ones((1, 2)), False)
+    assert off[0] == pytest.approx((told - mean[0]) / np.sqrt(covariance[0, 0] + noise))
+    assert kept.mean(axis=0) == pytest.approx(mean + gain * (told - mean[0]), abs=1e-4)
+    assert np.cov(kept.T) == pytest.approx(covariance - np.outer(gain, covariance[0]), abs=1e-4)
+
+
+def test_chance_correlations_correct_nothing():
+    rng = np.random.default_rng(4)
+    moved = []
+    for _ in range(200):
+        members = rng.normal(size=(32, 2))
+        before = members.copy()
+        _correct(members, before[:, :1].copy(), np.array([1.0]), np.array([0.1]), np.ones((1, 2)), False)
+        moved.append(np.abs(members - before).mean(axis=0))
+    own, other = np.mean(moved, axis=0)
+    assert other < 0.1 * own
+
+
+def test_far_off_numbers_count_less():
+    members = np.random.default_rng(5).normal(size=(200, 1))
+    near, far = members.copy(), members.copy()
+    for copy, told in ((near, 3.0), (far, 300.0)):
+        _correct(copy, copy.copy(), np.array([told]), np.array([0.1]), np.ones((1, 1)), False)
+    assert far.mean() < 20 * near.mean()
+
+
+@pytest.mark.parametrize("robot", ["gen2", "gen4"])
+def test_members_without_spread_move_as_the_compliant_model(robot):
+    spec = load_robot(robot)
+    plant = AnalyticalSnake(
+        spec, model="compliant", friction="wheel", load="momentary", inertia="connector", slip_speed=0.001,
+        timestep=0.0025,
+    )  # fmt: skip
+    ensemble, gait = Ensemble(spec, members=2, spreads=ALONE), Gait(1.25)
+    gait.reset(spec, 0.02)
+    for k in range(100):
+        valves = gait.valves_at(0.02 * k)
+        state = plant.step(valves)
+        opens = ((valves if valves.ndim == 3 else valves[None]) + 1) / 2
+        supply = np.full(spec.segments, spec.supply.nominal)
+        ensemble.advance(Air(opens, supply, np.zeros((spec.segments, 2))), 0.02)
+    assert ensemble.mean("bend") == pytest.approx(state.bend, abs=2e-3)
+    assert ensemble.mean("pressure") == pytest.approx(state.pressure.ravel(), rel=1e-6, abs=1.0)
+    place = np.concatenate([ensemble.mean("x"), ensemble.mean("y")])
+    assert place == pytest.approx(state.com, abs=1e-3)
+    assert ensemble.poses().mean(axis=0)[:, :2] == pytest.approx(state.position, abs=2e-3)
+
+
+def test_it_is_laid_where_it_is_seen():
+    spec = load_robot("gen4")
+    ensemble = Ensemble(spec, members=32)
+    poses = ensemble.poses().mean(axis=0)
+    turn = 2.5
+    c, s = np.cos(turn), np.sin(turn)
+    seen = np.column_stack([1 + c * poses[:, 0] - s * poses[:, 1], s * poses[:, 0] + c * poses[:, 1], poses[:, 2] + turn])
+    seen[1] = np.nan
+    seen[3, 2] -= 2 * np.pi  # headings come in whatever turn
+    for _ in range(10):
+        ensemble.read_poses(seen)
+    found = ensemble.poses().mean(axis=0)
+    assert found[[0, 2, 3, 4], :2] == pytest.approx(seen[[0, 2, 3, 4], :2], abs=3e-3)
+    assert ensemble.mean("heading") == pytest.approx(turn, abs=0.02)

@@ -1,0 +1,54 @@
+"""Commands that go on in their rhythm, and intervals that earlier predictions have told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
+
+
+@pytest.mark.parametrize("period", [0.5, 1 / 1.5, 1.0])
+def test_a_rhythm_goes_on(period):
+    rhythm, times = Rhythm(), SLOT_S * (np.arange(400) + 0.5)
+    wave = np.sin(2 * np.pi * (times / period)[:, None, None] + np.arange(8).reshape(4, 2)) > 0
+    for time, opens in zip(times[:300], wave[:300].astype(float), strict=True):
+        rhythm.take(time, opens)
+    assert np.abs(rhythm.commands(50) - wave[300:350]).mean() < 0.03
+
+
+def test_without_a_rhythm_the_last_command_holds():
+    rhythm, rng = Rhythm(), np.random.default_rng(0)
+    for k in range(300):
+        last = rng.integers(0, 2, (4, 2)).astype(float)
+        rhythm.take(SLOT_S * (k + 0.5), last)
+    assert (rhythm.commands(10) == last).all()
+    still = Rhythm()
+    for k in range(300):
+        still.take(SLOT_S * (k + 0.5), np.zeros((4, 2)))
+    assert still.period() == 0
+
+
+def test_hindsight_takes_out_what_predictions_miss_and_covers_the_rest():
+    """A model that is 40 % slow, along whatever heading, with noise."""
+    rng, hindsight = np.random.default_rng(2), Hindsight()
+    ahead = np.arange(1, 11) * 0.1
+    pose, inside, off, told = np.zeros(3), [], [], []
+    path = []
+    for k in range(3000):
+        speed = 0.2 + 0.05 * np.sin(0.02 * k * 2 * np.pi)
+        pose = pose + 0.02 * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), 0.3])
+        path.append(pose)
+        hindsight.see(0.02 * k, pose + 1e-3 * rng.normal(size=3))
+        if k % 25 == 0:
+            forth = 0.12 * ahead
+            c, s = np.cos(pose[2]), np.sin(pose[2])
+            raw = np.column_stack([pose[0] + c * forth, pose[1] + s * forth, pose[2] + 0.3 * ahead])
+            sd = np.full((10, 3), 1e-3)
+            told.append((k, hindsight.corrected(Prediction(0.02 * k, pose[2], 0.02 * k + ahead, raw, sd))))
+    for k, each in told[10:-2]:
+        true = np.array(path)[k + 5 * np.arange(1, 11)]
+        off.append(each.off(true))
+        inside.append(each.covers(true))
+    assert np.abs(np.array(off)[:, -1, 0]).mean() < 0.02  # 80 mm without
+    assert np.mean(inside) > 0.9

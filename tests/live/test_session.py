@@ -1,0 +1,139 @@
+"""A shadow in real time beside a stand-in, over a real broker: what it keeps, and that it survives kills."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from brokers import broker, free_port, needs_broker, wait
+
+from srs_twin.live.journal import journal_messages
+from srs_twin.live.messages import BENDS, COMMAND, POSES
+from srs_twin.live.mqtt import MqttLink
+from srs_twin.trajectory import Trajectory
+
+SCRIPT = Path(sys.executable).with_name("srs-twin")
+
+
+def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen([str(SCRIPT), *words], cwd=cwd, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def emulator(port: int, capture: int, cwd: Path, *more: str) -> subprocess.Popen[str]:
+    return start("emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", "--natnet", f"127.0.0.1:{capture}", *more, cwd=cwd)
+
+
+def shadow(port: int, capture: int, cwd: Path, *more: str) -> subprocess.Popen[str]:
+    where = ("--mqtt", f"127.0.0.1:{port}", "--natnet", f"127.0.0.1:{capture}")
+    return start("shadow", "gen4", *where, "--out", "lab", *more, cwd=cwd)
+
+
+def ended(process: subprocess.Popen[str]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@needs_broker
+def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
+    port, capture = free_port(), free_port()
+    with broker(tmp_path, port), MqttLink("gen4", 4, port=port, kinds=(BENDS,)) as link:
+        robot = emulator(port, capture, tmp_path, "--fault", "lost_marker:5@0")
+        try:
+            wait(lambda: any(m.kind == BENDS for m in link.received()), 60)
+            twin = shadow(port, capture, tmp_path, "--duration-s", "5", "--json")
+            for k in range(10_000):
+                if twin.poll() is not None:
+                    break
+                link.send(COMMAND, np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1)) * (-1) ** (k // 17))
+                time.sleep(0.02)
+            said, error = twin.communicate(timeout=30)
+            assert twin.returncode == 0, error
+        finally:
+            ended(robot)
+    told = json.loads(said)
+    assert told["estimate"]["lost"] == ""
+    assert {"part": "connector 5", "fault": "lost_marker"}.items() <= told["faults"][0].items()
+    assert told["messages"][BENDS] > 100 and told["messages"][POSES] > 100
+    lab = tmp_path / "lab"
+    kinds = [m.kind for m in journal_messages(lab / "journal-1.mcap", "gen4", 4)]
+    assert kinds.count(BENDS) == told["messages"][BENDS]
+    estimate = Trajectory.from_parquet(lab / "estimate.parquet")
+    assert estimate.stack("bend").shape[1] == 4
+    assert json.loads((lab / "shadow.json").read_text()) == told
+    again = srs_twin("shadow", "gen4", "--mcap", "lab/journal-1.mcap", "--speed", "3", "--json", cwd=tmp_path)
+    played = json.loads(again.stdout)
+    assert played["estimate"]["pose"] == pytest.approx(told["estimate"]["pose"], abs=0.01)
+    assert played["faults"][0]["part"] == "connector 5"
+
+
+def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
+    port = free_port()
+    for more, why in (
+        ((), f"no broker answers at 127.0.0.1:{port}"),
+        (("--mcap", "no.mcap"), "--mcap plays what has been"),
+        (("--body", "head=9"), "names no body"),
+        (("--follow", "gen2_straight"), "it follows no plan"),
+    ):
+        done = srs_twin("shadow", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path)
+        assert done.returncode == 2, done.stderr
+        assert why in " ".join(done.stderr.split())
+
+
+@needs_broker
+@pytest.mark.slow
+def test_twenty_kills(tmp_path):
+    port, capture = free_port(), free_port()
+    draw, told = random.Random(4), []
+    alive = broker(tmp_path, port)
+    alive.__enter__()
+    robot, twin = emulator(port, capture, tmp_path), shadow(port, capture, tmp_path)
+    gait = MqttLink("gen4", 4, port=port, kinds=(BENDS,))
+    try:
+        for k in range(20):
+            end = time.monotonic() + 3.0
+            while time.monotonic() < end:
+                gait.send(COMMAND, np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1)) * (-1) ** int(3 * time.monotonic()))
+                time.sleep(0.02)
+            victim = draw.choice(("robot", "twin", "broker"))
+            told.append(victim)
+            if victim == "robot":
+                robot.kill()
+                robot.wait()
+                robot = emulator(port, capture, tmp_path, "--seed", str(k))
+            elif victim == "twin":
+                twin.kill()
+                twin.wait()
+                twin = shadow(port, capture, tmp_path)
+            else:
+                alive.__exit__(None, None, None)
+                alive = broker(tmp_path, port)
+                alive.__enter__()
+        wait(lambda: gait.received(), 30)
+        time.sleep(5.0)
+        ended(twin)
+        found = json.loads((tmp_path / "lab" / "shadow.json").read_text())
+    finally:
+        gait.close()
+        ended(twin)
+        ended(robot)
+        alive.__exit__(None, None, None)
+    assert {"robot", "twin", "broker"} <= set(told)
+    assert found["resumed"] and found["estimate"]["lost"] == ""
+    assert found["messages"][BENDS] > 0
+    journals = sorted((tmp_path / "lab").glob("journal-*.mcap"))
+    assert len(journals) == 1 + told.count("twin")
+    for each in journals:
+        for message in journal_messages(each, "gen4", 4):
+            assert message.kind

@@ -1,0 +1,96 @@
+"""A robot and its shadow in simulated time: what is estimated, predicted, named, kept over a restart; steering."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, shadowed, steered
+
+from srs_twin import InputError, load_robot, load_scenario
+from srs_twin.live.helm import Helm
+from srs_twin.live.messages import BENDS, Message
+from srs_twin.live.shadow import Shadow, frames_of
+from srs_twin.memory import SavedState
+
+
+def test_bends_and_pose_are_known_and_their_intervals_hold():
+    run = Run(1, 12.0)
+    found = followed_estimate(run, members=24)
+    truth, estimate = found["truth"], found["estimate"]
+    n = truth.shape[1] - 4
+    true = np.stack([np.interp(estimate[:, 0], truth[:, 0], truth[:, k]) for k in range(1, n + 4)], axis=1)
+    late = estimate[:, 0] > 5
+    off, sd = (estimate[:, 1 : n + 4] - true)[late], estimate[late, n + 4 :]
+    assert np.sqrt(np.mean(off[:, :n] ** 2)) < 0.03
+    assert np.sqrt(np.mean((off[:, n : n + 2] ** 2).sum(axis=1))) < 0.005
+    assert np.mean(np.abs(off) < 1.96 * sd) > 0.9
+    gain = found["known_gain"][0]
+    assert np.sqrt(np.mean((gain / found["gain"] - 1) ** 2)) < 0.06
+
+
+@pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
+def test_a_fault_is_named(kind):
+    done = isolated((kind, 3, True))
+    assert done["among"], done
+    assert done["at"] > BREAKS_S
+    assert not done["others"], done
+
+
+def test_a_healthy_robot_is_accused_of_nothing():
+    for moment in shadowed(Run(7, 10.0), members=8):
+        assert moment.estimate is None or moment.estimate.faults == ()
+
+
+def test_silence_is_said_and_survived():
+    run = Run(2, 4.0)
+    for moment in shadowed(run, members=8):
+        shadow = moment.shadow
+    found = shadow.take(moment.time + 3.0, [])
+    assert found.lost == "the robot says nothing"
+    n = run.emulated().segments
+    back = [Message(BENDS, run.robot, 40 + moment.time + 5.0, moment.time + 5.001, np.zeros(n))]
+    assert np.isfinite(shadow.take(moment.time + 5.1, back).bend).all()
+
+
+def test_what_was_learnt_survives_a_restart(tmp_path):
+    kind = "stuck_valve:{j}{side}=closed"
+    fault, part, _ = parts(kind, 4)
+    for moment in shadowed(Run(4, 8.0, fault=f"{fault}@{BREAKS_S}"), members=8):
+        shadow = moment.shadow
+    shadow.save().write(tmp_path / "state.npz")
+    new = Shadow(load_robot("gen4"), members=8)
+    new.restore(SavedState.read(tmp_path / "state.npz"))
+    assert new.bank.named == shadow.bank.named
+    assert part == f"segment {next(iter(new.bank.named))}"
+    assert new.ensemble.parameters()["gain"][0] == pytest.approx(shadow.ensemble.parameters()["gain"][0])
+    with pytest.raises(InputError, match="belongs to something else"):
+        Shadow(load_robot("gen2"), members=8).restore(SavedState.read(tmp_path / "state.npz"))
+
+
+def test_bodies_have_names():
+    assert frames_of(["head=1", "Rigid Body 3=5"], 5) == {"head": 1, "Rigid Body 3": 5}
+    for wrong in ("head", "head=0", "head=6", "=1"):
+        with pytest.raises(InputError, match="names no body"):
+            frames_of([wrong], 5)
+
+
+def test_helms_refuse_what_cannot_be_steered():
+    shadow = Shadow(load_robot("gen2"), members=8)
+    with pytest.raises(InputError, match="it follows no plan"):
+        Helm(load_scenario("gen2_straight"), shadow, 0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["", "dead_sensor:2=silent@8", "lost_marker:3@8", "leak:2+=slow@8"])
+def test_a_robot_is_steered_to_the_goal(fault):
+    run = Run(3, 60.0, robot="gen2", frequency=2.0, fault=fault)
+    done = steered((run, "follow_fig57"))
+    assert done["ending"] == "goal_reached", done
+    assert done["clearance_m"] > 0
+
+
+def test_a_robot_that_is_lost_is_vented():
+    run = Run(5, 9.0, robot="gen2", frequency=2.0, cameras_s=4.0, loss=0.0)
+    done = steered((run, "follow_fig57"))
+    assert done["ending"] in (None, "estimate_lost")
+    assert done["clearance_m"] > 0
