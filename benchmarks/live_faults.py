@@ -39,7 +39,9 @@ def main() -> None:
         lines = []
         for kind in NAMES:
             rows = [row for row in found if row["fault"] == kind]
-            shares = [f"{sum(row[what] for row in rows)} of {len(rows)}" for what in ("in_time", "among", "right")]
+            shares = [
+                f"{sum(row[what] for row in rows)} of {len(rows)}" for what in ("in_time", "among", "right")
+            ]
             since = [row["at"] - row["observable"] for row in rows if row["among"]]
             after = f"{np.median(since):.2f}" if since else "–"
             others = str(sum(len(row["others"]) for row in rows))

@@ -16,7 +16,7 @@ import numpy as np
 from srs_twin import Gait, load_robot, load_scenario
 from srs_twin.live.emulator import SILENT_S, EmulatedRobot
 from srs_twin.live.helm import Helm
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, Message
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
 from srs_twin.live.shadow import Estimate, Prediction, Shadow
 
 NOISE_RAD = 0.02
@@ -35,6 +35,7 @@ class Run:
         robot: name.
         frequency: of its gait, Hz.
         pressures: whether it tells them.
+        valves: whether it tells what it did with them.
         cameras_s: for how long motion capture sees it.
         loss: share of messages that are lost.
         jitter_s: by how much each is late at most.
@@ -51,6 +52,7 @@ class Run:
     robot: str = "gen4"
     frequency: float = 1.5
     pressures: bool = True
+    valves: bool = True
     cameras_s: float = np.inf
     loss: float = 0.05
     jitter_s: float = 0.02
@@ -98,7 +100,9 @@ class Wire:
         self._waiting: list[tuple[float, int, Message]] = []
         self._frame_due = 0.0
 
-    def send(self, kind: str, source: str, time: float, values: np.ndarray, names: tuple[str, ...] = ()) -> None:
+    def send(
+        self, kind: str, source: str, time: float, values: np.ndarray, names: tuple[str, ...] = ()
+    ) -> None:
         """Send a message."""
         self._count += 1
         if self._rng.random() >= self._run.loss:
@@ -111,12 +115,17 @@ class Wire:
         """Send what a robot and the camera tell."""
         run = self._run
         self.send(BENDS, run.robot, time, robot.bends())
+        if run.valves:
+            self.send(VALVES, run.robot, time, robot.valves)
         if run.pressures:
             self.send(PRESSURES, run.robot, time, robot.state.pressure)
         if time <= run.cameras_s and time >= self._frame_due:
             self._frame_due = max(self._frame_due + 1 / run.camera_hz, time - robot.tick)
             seen = {f"connector_{i}": b for i, b in robot.bodies().items() if b.tracked}
-            rows = [[b.place[0], -b.place[2], b.place[1], 2 * np.arctan2(b.turn[1], b.turn[3])] for b in seen.values()]
+            rows = [
+                [b.place[0], -b.place[2], b.place[1], 2 * np.arctan2(b.turn[1], b.turn[3])]
+                for b in seen.values()
+            ]
             self.send(POSES, "natnet", time, np.array(rows).reshape(-1, 4), tuple(seen))
 
     def arrived(self, time: float) -> list[Message]:
@@ -180,7 +189,9 @@ def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
         state, found = moment.robot.state, moment.estimate
         truths.append(np.array([moment.time, *state.bend, *state.com, float(state.heading)]))
         if found is not None:
-            rows.append(np.array([moment.shadow.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
+            rows.append(
+                np.array([moment.shadow.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd])
+            )
             if round(moment.time * 50) % 25 == 0:
                 predictions.append(moment.shadow.predict())
     spec = moment.robot.twin.spec

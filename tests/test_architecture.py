@@ -35,13 +35,14 @@ ORDER = (
         "identification",
         "scenario",
         "provenance",
+        "live",
         "viewing",
         "experiment",
         "attribution",
         "sweep",
         "uncertainty",
     ),
-    *("reproduction", "envs", "live", "doctor", "cli"),
+    *("reproduction", "envs", "doctor", "cli"),
 )
 STEP = {name: i for i, name in enumerate(ORDER)}
 

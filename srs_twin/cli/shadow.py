@@ -94,7 +94,9 @@ def shadow(
             links.append(stack.enter_context(McapLink(mcap, known, spec.segments, speed=speed)))
         else:
             commands = stack.enter_context(
-                broker_link(known, spec.segments, mqtt or "127.0.0.1:1883", user, ca, speaks=known if helm else None)
+                broker_link(
+                    known, spec.segments, mqtt or "127.0.0.1:1883", user, ca, speaks=known if helm else None
+                )
             )
             links.append(commands)
         if natnet is not None:
@@ -132,8 +134,14 @@ def _recording(out: Path) -> Path:
 def _tell(told: dict[str, Any]) -> None:
     ticks, latency = told["tick_ms"], told["latency_ms"]
     if ticks["median"] is not None:
-        late = "" if latency["median"] is None else f"; readings are {latency['median']:.0f} ms old when they are used"
-        say(f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms{late}")
+        late = (
+            ""
+            if latency["median"] is None
+            else f"; readings are {latency['median']:.0f} ms old when they are used"
+        )
+        say(
+            f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms{late}"
+        )
     if "estimate" not in told:
         say("nothing was heard of the robot")
         return

@@ -14,7 +14,7 @@ from collections import Counter, deque
 
 import numpy as np
 
-from srs_twin.live.messages import COMMAND, Message
+from srs_twin.live.messages import COMMAND, VALVES, Message
 
 WINDOW_S = 10.0
 STEP_S = 1.0
@@ -69,7 +69,7 @@ class Inbox:
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
         self.hold, self._handed = hold_s, -math.inf
-        self._waiting: list[tuple[float, int, Message]] = []
+        self._waiting: list[tuple[float, bool, int, Message]] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
 
@@ -87,13 +87,15 @@ class Inbox:
             self.counts[message.source, message.kind, "late"] += 1
             return
         self.counts[message.source, message.kind, "taken"] += 1
-        heapq.heappush(self._waiting, (time, next(self._number), message))
+        # What moved the robot comes before what that did.
+        measured = message.kind not in (COMMAND, VALVES)
+        heapq.heappush(self._waiting, (time, measured, next(self._number), message))
 
     def take(self, now: float) -> list[tuple[float, Message]]:
         """Return what was sent until a little before now (our clock, s), with its time on our clock."""
         until, found = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:
-            time, _, message = heapq.heappop(self._waiting)
+            time, _, _, message = heapq.heappop(self._waiting)
             found.append((time, message))
         self._handed = max(self._handed, until)
         return found

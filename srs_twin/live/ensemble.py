@@ -195,7 +195,9 @@ class Ensemble:
         unexplained = self._of("unexplained")
         unexplained *= fades
         scale = self._scales
-        unexplained += scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
+        unexplained += (
+            scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
+        )
         wander = scale["pressure"] * s.pressure * root * np.repeat(air.supply, 2)
         self._of("pressure")[:] += wander * self._drawn("pressure")
         self._of("friction")[:] += s.drift * root * self._drawn("friction")
@@ -342,7 +344,12 @@ class Ensemble:
         self.ahead(2)([air], STEP_S)
         nothing = np.full((len(self.members), n), 0.0), np.full(n, np.nan), np.ones(n)
         _correct(self.members.copy(), *nothing, self._masks["bend"], False)
-        _correct(self.members.copy(), *nothing, np.broadcast_to(self._masks["pose"], self._masks["bend"].shape), True)
+        _correct(
+            self.members.copy(),
+            *nothing,
+            np.broadcast_to(self._masks["pose"], self._masks["bend"].shape),
+            True,
+        )
 
     def _of(self, name: str) -> np.ndarray:
         return self.members[:, self.rows[name]]

@@ -123,7 +123,18 @@ class FaultBank(Remembers):
         time: since the beginning, s.
     """
 
-    memory = names("probability", "mean", "_spread", "_pressure", "_delayed", "_last", "_since", "_either", "_named", "time")
+    memory = names(
+        "probability",
+        "mean",
+        "_spread",
+        "_pressure",
+        "_delayed",
+        "_last",
+        "_since",
+        "_either",
+        "_named",
+        "time",
+    )
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float, settings: BankSettings = BankSettings()) -> None:
         """Begin with a robot at rest, chambers empty.
@@ -137,6 +148,8 @@ class FaultBank(Remembers):
         self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
         count, kinds = spec.segments, len(HYPOTHESES)
         self._supply, self._gain = supply_pa, gains(spec)
+        # Whoever starts beside a robot that moves does not know what its chambers hold.
+        self._settles = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
         self._does = np.array([[each.plus, each.minus] for each in HYPOTHESES])
@@ -145,7 +158,8 @@ class FaultBank(Remembers):
         s = settings
         self.mean = np.zeros((count, kinds, 5))
         self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
-        self._load = s.load * largest_bend(spec, supply_pa)
+        self._largest = largest_bend(spec, supply_pa)
+        self._load = s.load * self._largest
         spread = np.array([s.bias, s.gain, s.gain, self._load, s.noise])
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
@@ -168,6 +182,16 @@ class FaultBank(Remembers):
         if number:
             self.probability[number - 1] = 0.0
             self.probability[number - 1, 0] = 1.0
+
+    def doubt(self, switched: np.ndarray, span: float) -> None:
+        """Take it that nobody knows when valves switched.
+
+        Args:
+            switched: by what share, shape (segments, 2).
+            span: in which they did, s.
+        """
+        off = self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-span / self._fill))
+        self._spread[..., _LOAD, _LOAD] += off[:, None] ** 2
 
     def likely(self) -> np.ndarray:
         """Return the hypothesis that each segment is taken to follow: what was named, else that all is well."""
@@ -203,6 +227,8 @@ class FaultBank(Remembers):
             pressures: of the chambers, gauge, shape (segments, 2), Pa, NaN where none came; None: no message.
             span: how long these pressures are after the last ones, s.
         """
+        if self.time < self._settles:
+            return
         drive = self._gain[:, None] * self._delayed
         drive = drive * self._bent(drive)
         rows = np.ones((*self.probability.shape, 5))

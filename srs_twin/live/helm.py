@@ -18,6 +18,8 @@ from srs_twin.world import Pose
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up."""
 LOST = "estimate_lost"
+_LARGEST_SD_M = 0.0125
+"""Whoever steers must know this well where the robot is: half of the usual margin to obstacles."""
 _SETTLES_S = 1.0
 """A robot stands so long, so that its shadow knows where."""
 _NEAR_M, _NEAR_RAD = 0.03, 0.05
@@ -30,7 +32,6 @@ class Helm:
     A robot whose estimate is lost is vented at once.
 
     Attributes:
-        finished: whether the way has ended.
         follower: the scenario's.
     """
 
@@ -47,7 +48,9 @@ class Helm:
         """
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
-            raise InputError(f"{scenario.name}: it follows no plan; --follow takes a scenario with controller.kind: follow")
+            raise InputError(
+                f"{scenario.name}: it follows no plan; --follow takes a scenario with controller.kind: follow"
+            )
         if scenario.robot.segments != shadow.spec.segments:
             raise InputError(
                 f"{scenario.name} is of {scenario.robot.segments} segments, the robot has {shadow.spec.segments}"
@@ -65,6 +68,7 @@ class Helm:
 
     @property
     def finished(self) -> bool:
+        """Whether the way has ended."""
         return self._given_up or self.follower.finished
 
     def vented(self) -> np.ndarray:
@@ -73,7 +77,7 @@ class Helm:
 
     def step(self, found: Estimate | None, shadow: Shadow) -> np.ndarray:
         """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
-        if found is None or found.lost:
+        if found is None or found.lost or np.hypot(*found.pose_sd[:2]) > _LARGEST_SD_M:
             self._lost_for += self._tick
             if self._steps and self._lost_for > PATIENCE_S and not self._given_up:
                 self._given_up = True

@@ -56,7 +56,9 @@ class ModuleFilter(Remembers):
         self.covariance[:, range(_WIDTH), range(_WIDTH)] += self._walk * span
         self.covariance[:, _REST, _REST] += self._rest * (1 - fades[_REST] ** 2)
 
-    def fill(self, opens: np.ndarray, pressure: np.ndarray, supply: np.ndarray, rates: np.ndarray, h: float) -> None:
+    def fill(
+        self, opens: np.ndarray, pressure: np.ndarray, supply: np.ndarray, rates: np.ndarray, h: float
+    ) -> None:
         """Advance the slopes of the pressures.
 
         Args:
@@ -69,7 +71,9 @@ class ModuleFilter(Remembers):
         fill, vent, leak = rates
         rate = opens * fill + (1 - opens) * vent + leak
         gone = np.exp(-rate * h)
-        push = np.stack([-opens * fill * (supply[:, None] - pressure), (1 - opens) * vent * pressure], axis=-1)
+        push = np.stack(
+            [-opens * fill * (supply[:, None] - pressure), (1 - opens) * vent * pressure], axis=-1
+        )
         self._slopes = self._slopes * gone[..., None] + push * ((1 - gone) / rate)[..., None]
 
     def read_pressures(self, off: np.ndarray, noise: np.ndarray, corrected: np.ndarray) -> None:

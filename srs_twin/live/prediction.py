@@ -121,4 +121,6 @@ class Hindsight:
         pose = raw.pose + _turned(self._mean, raw.heading)
         # Of few errors the spread is told too small.
         few = (self._count + 1) / max(self._count - 1, 1)
-        return Prediction(raw.begun, raw.heading, raw.time, pose, np.sqrt(raw.pose_sd**2 + few * self._variance))
+        return Prediction(
+            raw.begun, raw.heading, raw.time, pose, np.sqrt(raw.pose_sd**2 + few * self._variance)
+        )

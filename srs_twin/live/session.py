@@ -69,12 +69,16 @@ class Session:
         self.resumed = False
         if out is not None:
             numbers = itertools.count(1)
-            self._journal = Journal(next(path for k in numbers if not (path := out / f"journal-{k}.mcap").exists()))
+            self._journal = Journal(
+                next(path for k in numbers if not (path := out / f"journal-{k}.mcap").exists())
+            )
             if (out / STATE).exists():
                 try:
                     shadow.restore(SavedState.read(out / STATE))
                 except InputError as error:
-                    raise InputError(f"{error}; another --out keeps them apart, or remove {shown(out / STATE)}") from error
+                    raise InputError(
+                        f"{error}; another --out keeps them apart, or remove {shown(out / STATE)}"
+                    ) from error
                 self.resumed = True
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
@@ -128,12 +132,16 @@ class Session:
             for message in messages:
                 self._journal.write(message)
         self.estimate = found = self.shadow.take(now, messages)
-        self.latency.extend(now - each.arrived + self.shadow.inbox.hold for each in messages if each.kind == BENDS)
+        self.latency.extend(
+            now - each.arrived + self.shadow.inbox.hold for each in messages if each.kind == BENDS
+        )
         if found is not None:
             for part, fault, _ in found.faults:
                 self.faults.setdefault((part, fault), since)
             self._rows.append(
-                np.concatenate([[since], found.pose, found.pose_sd, found.bend, found.bend_sd, [bool(found.lost)]])
+                np.concatenate(
+                    [[since], found.pose, found.pose_sd, found.bend, found.bend_sd, [bool(found.lost)]]
+                )
             )
             del self._rows[:-_KEPT]
         if self._helm is not None and self._commands is not None:
@@ -148,6 +156,8 @@ class Session:
             self._commands.send(STATUS, "stopped")
         found = self._told(seconds)
         if self._journal is not None:
+            for message in (each for link in self._links for each in link.received()):
+                self._journal.write(message)
             self._journal.close()
         if self._out is not None:
             if self._rows:
@@ -162,14 +172,18 @@ class Session:
             "time", "com_x", "com_y", "heading", "com_x_sd", "com_y_sd", "heading_sd",
             *(f"bend_{j}" for j in range(1, n + 1)), *(f"bend_sd_{j}" for j in range(1, n + 1)), "lost",
         ]  # fmt: skip
-        units = {"com_x_sd": "m", "com_y_sd": "m"} | {name: "rad" for name in names if "heading_sd" in name or "bend_sd" in name}
-        return Trajectory(dict(zip(names, table.T, strict=True)), units, metadata={"robot": self.shadow.spec.name})
+        units = {"com_x_sd": "m", "com_y_sd": "m"} | {
+            name: "rad" for name in names if "heading_sd" in name or "bend_sd" in name
+        }
+        return Trajectory(
+            dict(zip(names, table.T, strict=True)), units, metadata={"robot": self.shadow.spec.name}
+        )
 
     def _told(self, seconds: float) -> dict[str, Any]:
         counts: Counter[str] = Counter()
         for link in self._links:
             counts.update(link.counts)
-        dropped = Counter()
+        dropped: Counter[str] = Counter()
         for (_, kind, what), count in self.shadow.inbox.counts.items():
             if what != "taken":
                 dropped[f"{kind} {what}"] += count

@@ -21,14 +21,16 @@ from srs_twin.errors import InputError
 from srs_twin.live.clocks import Inbox
 from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
 from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, Message
 from srs_twin.memory import SavedState, fingerprint
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
 
 DELAY_S = 0.01
 """How much later than it was sent a command is taken to be obeyed: half a tick of the robot."""
+REPORTED_S = 0.02
+"""For how long valves have been as a robot says that they are: its tick."""
 SILENT_S = 0.2
 """A robot without commands vents after so long."""
 LOST_AFTER_S = 1.0
@@ -38,7 +40,7 @@ LARGEST_SD_M = 0.05
 """Where the robot is known less well than this, it is lost."""
 MISSING_FRAMES = 8
 """A body that so many frames in a row do not have is lost, while others are seen."""
-_TAKEN = (COMMAND, BENDS, PRESSURES, POSES)
+_TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
 HORIZON_S, _STEP_S, _AHEAD = 1.0, 0.1, 16
 """How far predictions reach, s, at which times, s, and how many members make them."""
 _WAITS_S = 0.1
@@ -124,6 +126,7 @@ class Shadow:
         closed = np.zeros((n, 2))
         # When commands took effect, and what share of the time valves fill from then on.
         self._times, self._opens = deque([-math.inf]), deque([closed])
+        self._duties = False
         self._heard = {kind: -math.inf for kind in _TAKEN}
         self._missing = np.zeros(n + 1, dtype=int)
         self._gone = np.zeros(n + 1, dtype=bool)
@@ -193,13 +196,8 @@ class Shadow:
     def _take(self, time: float, message: Message) -> None:
         """Take one message, of a time on our clock."""
         kind, values = message.kind, message.values
-        if kind == COMMAND:
-            states = np.isin(values, (-1.0, 1.0)).all()
-            opens = (values + 1) / 2 if states else np.clip(values, 0.0, 1.0)
-            at = bisect.bisect(self._times, time + DELAY_S)
-            self._times.insert(at, time + DELAY_S)
-            self._opens.insert(at, opens)
-            self._heard[COMMAND] = time
+        if kind in (COMMAND, VALVES):
+            self._command(time, message)
             return
         if math.isnan(self.time):
             self.time = time
@@ -214,6 +212,22 @@ class Shadow:
             self._note(PRESSURES, self.ensemble.read_pressures(values))
         else:
             self._see(time, message, later)
+
+    def _command(self, time: float, message: Message) -> None:
+        """Take what valves were told to do, or what a robot says that they were: either message may be lost."""
+        states = np.isin(message.values, (-1.0, 1.0)).all()
+        if message.kind == COMMAND:
+            self._duties = not states
+        elif self._duties:  # of a carrier's duty a moment tells nothing
+            return
+        at = time + DELAY_S if message.kind == COMMAND else time - REPORTED_S
+        opens = (message.values + 1) / 2 if states else np.clip(message.values, 0.0, 1.0)
+        k = bisect.bisect(self._times, at)
+        gap = at - self._times[k - 1]
+        if len(self._times) > 2 and gap > 1.5 * np.median(np.diff(self._times)):  # what was lost may have switched valves before this does
+            self.bank.doubt(np.abs(opens - self._opens[k - 1]), min(gap, LOST_AFTER_S))
+        self._times.insert(k, at)
+        self._opens.insert(k, opens)
 
     def _see(self, time: float, message: Message, later: float) -> None:
         """Take a frame of motion capture."""
@@ -280,7 +294,11 @@ class Shadow:
     def _faults(self) -> Iterable[tuple[str, str, float]]:
         sound = self.bank.probability[:, 0]
         for number, name in self.bank.named.items():
-            yield (f"segment {number}", name, float(1 - sound[number - 1])) if number else ("supply", STARVED, 1.0)
+            yield (
+                (f"segment {number}", name, float(1 - sound[number - 1]))
+                if number
+                else ("supply", STARVED, 1.0)
+            )
         for i in np.flatnonzero(self._gone):
             yield f"connector {i + 1}", "lost_marker", 1.0
 
@@ -315,6 +333,8 @@ def frames_of(given: Sequence[str], connectors: int) -> dict[str, int]:
     for each in given:
         name, _, number = each.partition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
-            raise InputError(f"{each!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}")
+            raise InputError(
+                f"{each!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"
+            )
         found[name] = int(number)
     return found

@@ -8,7 +8,17 @@ import pytest
 from srs_twin import AnalyticalSnake, Gait, load_robot
 from srs_twin.live.ensemble import Air, Ensemble, Spreads, _correct
 
-ALONE = Spreads(gain=0.0, bias=0.0, tau=0.0, stiffness=0.0, friction=0.0, unexplained=0.0, pressure=0.0, drift=0.0, slip=0.0)
+ALONE = Spreads(
+    gain=0.0,
+    bias=0.0,
+    tau=0.0,
+    stiffness=0.0,
+    friction=0.0,
+    unexplained=0.0,
+    pressure=0.0,
+    drift=0.0,
+    slip=0.0,
+)
 
 
 def test_a_number_corrects_as_the_kalman_filter_does():
@@ -73,7 +83,9 @@ def test_it_is_laid_where_it_is_seen():
     poses = ensemble.poses().mean(axis=0)
     turn = 2.5
     c, s = np.cos(turn), np.sin(turn)
-    seen = np.column_stack([1 + c * poses[:, 0] - s * poses[:, 1], s * poses[:, 0] + c * poses[:, 1], poses[:, 2] + turn])
+    seen = np.column_stack(
+        [1 + c * poses[:, 0] - s * poses[:, 1], s * poses[:, 0] + c * poses[:, 1], poses[:, 2] + turn]
+    )
     seen[1] = np.nan
     seen[3, 2] -= 2 * np.pi  # headings come in whatever turn
     for _ in range(10):

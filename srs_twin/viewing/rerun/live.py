@@ -16,9 +16,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from srs_twin.errors import InputError
 from srs_twin.live.prediction import Prediction
 from srs_twin.live.shadow import Estimate
-from srs_twin.errors import InputError
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line
@@ -52,7 +52,9 @@ class LiveView:
         off = rrb.TimeSeriesView(origin="off", name="Measurements off by, standard deviations")
         lamps = rrb.TextDocumentView(origin="lamps", name="Faults")
         right = rrb.Vertical(lamps, bends, off, row_shares=[1, 2, 2])
-        log.send_blueprint(rrb.Blueprint(rrb.Horizontal(scene, right, column_shares=[3, 2]), collapse_panels=True))
+        log.send_blueprint(
+            rrb.Blueprint(rrb.Horizontal(scene, right, column_shares=[3, 2]), collapse_panels=True)
+        )
         log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for j in n:
             log.log(f"bend/segment_{j}", rr.SeriesLines(names=f"segment {j}"), static=True)
@@ -68,15 +70,25 @@ class LiveView:
         names = [f"{column}_{i}" for i in range(1, len(place) + 1) for column in ("x", "y", "theta")]
         line = body_line(Trajectory(dict(zip(names, place.reshape(-1, 1), strict=True))), g)[0]
         color = _FAULTY if found.lost else rgb(STYLES["twin"].color)
-        log.log("world/robot/body", rr.LineStrips3D([_raised(line, _HEIGHT)], colors=[color], radii=g.width / 4))
+        log.log(
+            "world/robot/body", rr.LineStrips3D([_raised(line, _HEIGHT)], colors=[color], radii=g.width / 4)
+        )
         spread = np.full(len(place), 1.96 * float(np.hypot(*found.pose_sd[:2])) + g.width / 4)
-        log.log("world/robot/spread", rr.Points3D(_raised(place[:, :2], _FLAT), radii=spread, colors=[(*color, 50)]))
+        log.log(
+            "world/robot/spread",
+            rr.Points3D(_raised(place[:, :2], _FLAT), radii=spread, colors=[(*color, 50)]),
+        )
         self._trail = [*self._trail[-_TRAIL:], [*found.pose[:2].tolist(), _FLAT]]
         log.log("world/robot/trail", rr.LineStrips3D([self._trail], colors=[color], radii=0.001))
         if coming is not None:
-            log.log("world/next/path", rr.LineStrips3D([_raised(coming.pose[:, :2], _FLAT)], colors=[_NEXT], radii=0.002))
+            log.log(
+                "world/next/path",
+                rr.LineStrips3D([_raised(coming.pose[:, :2], _FLAT)], colors=[_NEXT], radii=0.002),
+            )
             wide = 1.96 * np.hypot(coming.pose_sd[:, 0], coming.pose_sd[:, 1])
-            log.log("world/next/fan", rr.Points3D(_raised(coming.pose[:, :2], _FLAT), radii=wide, colors=[_FAN]))
+            log.log(
+                "world/next/fan", rr.Points3D(_raised(coming.pose[:, :2], _FLAT), radii=wide, colors=[_FAN])
+            )
         for j, each in enumerate(bend.tolist(), start=1):
             log.log(f"bend/segment_{j}", rr.Scalars(each))
         for kind, value in found.off.items():
@@ -90,7 +102,9 @@ class LiveView:
 
 
 @contextmanager
-def live_view(spec: RobotSpec, *, keep: Path | None, window: bool, web: bool) -> Iterator[tuple[LiveView, str]]:
+def live_view(
+    spec: RobotSpec, *, keep: Path | None, window: bool, web: bool
+) -> Iterator[tuple[LiveView, str]]:
     """Stream to a viewer and to a file while the block runs; give the view, and the page's address if there is one.
 
     Args:
