@@ -1,11 +1,11 @@
-"""Faults of a robot on the air: how many its shadow names rightly, how fast, and how often a healthy one is accused.
+"""Faults of a robot on the air: what its shadow names rightly, how fast, and false alarms.
 
     uv run python benchmarks/live_faults.py [--seeds 20] [--healthy-h 1] [--json FILE]
 
-The robot and what its messages suffer are those of `live_runs`. A fault is observable from when a healthy robot, without
-noise, would have answered otherwise by three times the noise; it is in time within a gait period of that. Two faults
-look alike as long as the chambers take turns (one that never vents bends as if the other one never filled) and may be
-named together.
+The robot and what its messages suffer are those of `live_runs`. A fault is observable from when a healthy
+robot, without noise, would have answered otherwise by three times the noise; it is in time within a gait
+period of that. Two faults look alike as long as the chambers take turns (one that never vents bends as if the
+other one never filled) and may be named together.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A robot and its shadow in simulated time: the stand-in of `srs-twin emulate`, what its messages suffer, a shadow.
+"""A robot and its shadow in simulated time: the stand-in of `srs-twin emulate`, what its messages suffer.
 
-Modules spread by 10 %, chambers of compressible flow, 0.02 rad of noise. Of the messages 5 % are lost, the rest late by
-up to 20 ms; motion capture has 30 frames a second.
+Modules spread by 10 %, chambers of compressible flow, 0.02 rad of noise. Of the messages 5 % are lost, the
+rest late by up to 20 ms; motion capture has 30 frames a second.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ NAMES = {
 
 
 def parts(kind: str, seed: int, segments: int = 4) -> tuple[str, str, str]:
-    """Return a fault with its part drawn by a seed, the part as a shadow calls it, and the name that it should get."""
+    """Return a fault of a part drawn by a seed, the part as a shadow calls it, and the name to be given."""
     rng = np.random.default_rng((seed, 9))
     marker = kind.startswith("lost_marker")
     j, side = int(rng.integers(1, segments + 1 + marker)), "+-"[rng.integers(2)]
@@ -230,7 +230,7 @@ def parts(kind: str, seed: int, segments: int = 4) -> tuple[str, str, str]:
 
 
 def observable(run: Run) -> float:
-    """Return from when on noiseless readings (or frames) differ from a healthy robot's by three times the noise, s."""
+    """Return from when on noiseless readings (or frames) differ from a healthy robot's by 3 σ, s."""
     sick, sound = run.emulated(noise_rad=0.0), run.emulated(noise_rad=0.0, fault=False)
     if "lost_marker" in run.fault:
         return BREAKS_S
@@ -256,12 +256,13 @@ def isolated(order: tuple[str, int, bool]) -> dict[str, Any]:
     return {
         "fault": kind, "seed": seed, "pressures": pressures, "named": found, "at": at, "observable": since,
         "right": found == name, "among": name in found.split(" or "),
-        "in_time": name in found.split(" or ") and at <= since + 1 / run.frequency, "others": list(named.values()),
+        "in_time": name in found.split(" or ") and at <= since + 1 / run.frequency,
+        "others": list(named.values()),
     }  # fmt: skip
 
 
 def alarms(order: tuple[int, float, bool]) -> list[str]:
-    """Return what a healthy robot was accused of in so many seconds; each time it is taken for whole again."""
+    """Return what a healthy robot was accused of in so many seconds; it is then taken for whole."""
     seed, seconds, pressures = order
     found = []
     for moment in shadowed(Run(seed, seconds, pressures=pressures), members=8):

@@ -44,9 +44,9 @@ def shadow(
 ) -> None:
     """Run a twin beside a robot: its state with intervals, what comes next, which part has failed.
 
-    Takes commands, bends and pressures over MQTT, frames of motion capture over NatNet, or all of them from a journal.
-    With --follow it steers the robot by its estimate. docs/live.md describes the messages. The password of --user is
-    taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+    Takes commands, bends and pressures over MQTT, frames of motion capture over NatNet, or all of them from a
+    journal. With --follow it steers the robot by its estimate. docs/live.md describes the messages. The
+    password of --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
 
     Options:
         mqtt: The broker. [default: 127.0.0.1:1883, or none with --mcap]
@@ -55,7 +55,7 @@ def shadow(
         out: Folder of journal, recording and results; what was learnt in it before is taken up.
         follow: A scenario whose follower steers the robot.
         name: Of the robot in topics. [default: ROBOT]
-        body: Body of the motion capture and the connector that it is on, repeatable. [default: connector_1=1 …]
+        body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
         local: Address of this machine on which frames arrive.
         up: Axis that is up in the frames, y or z.
         speed: How many times as fast a journal is played.
@@ -134,14 +134,9 @@ def _recording(out: Path) -> Path:
 def _tell(told: dict[str, Any]) -> None:
     ticks, latency = told["tick_ms"], told["latency_ms"]
     if ticks["median"] is not None:
-        late = (
-            ""
-            if latency["median"] is None
-            else f"; readings are {latency['median']:.0f} ms old when they are used"
-        )
-        say(
-            f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms{late}"
-        )
+        say(f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
+    if latency["median"] is not None:
+        say(f"readings are {latency['median']:.0f} ms old when they are used")
     if "estimate" not in told:
         say("nothing was heard of the robot")
         return

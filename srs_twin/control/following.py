@@ -182,7 +182,7 @@ class Follower(Controller):
         return valves
 
     def renew(self, why: str) -> None:
-        """Plan anew at the next frame, as something has changed; without a new plan the old one is followed on."""
+        """Plan anew at the next frame, as something has changed; else the old plan is followed on."""
         self._renewal = why
 
     def recall(self, memory: Mapping[str, Any]) -> None:

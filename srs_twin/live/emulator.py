@@ -27,6 +27,7 @@ from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin import TwinSnake
+from srs_twin.pneumatics.orifice import OrificePneumatics
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario import parse_scenario
 
@@ -154,6 +155,8 @@ class EmulatedRobot:
             StuckValve(each.number, each.side, int(each.how), each.since)
             for each in self.faults if each.kind == "stuck_valve"
         )  # fmt: skip
+        if not isinstance(self._air, OrificePneumatics) and any(e.kind == "leak" for e in self.faults):
+            raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
         self._pending = [each for each in self.faults if each.kind in ("leak", "starved")]
         self._pulses = PulseWidth(CARRIER_HZ, tick, spec.segments, together=True, long_ticks=True)
         self._frozen = np.full(spec.segments, np.nan)
@@ -165,7 +168,7 @@ class EmulatedRobot:
         now = float(self.state.time)
         for each in [each for each in self._pending if each.since <= now + 1e-9]:
             self._pending.remove(each)
-            if each.kind == "leak":
+            if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
                 self._air.leak(each.number, each.side, each.how)
             else:
                 self._air.regulate(each.how * self.supply_pa)

@@ -1,21 +1,22 @@
 r"""Ensemble: members of `compliant` that run beside a robot and are corrected by what it measures.
 
-A member has a pose, velocities, bends, chamber pressures, and its own idea of the robot: a gain and bias of each
-module, time constants of its chambers, one stiffness, one μ_t. What the model lacks bends segment j by d_j, which
-fades with a time constant (a first-order Gauss–Markov process). The chambers' moment is
+A member has a pose, velocities, bends, chamber pressures, and its own idea of the robot: a gain and bias of
+each module, time constants of its chambers, one stiffness, one μ_t. What the model lacks bends segment j by
+d_j, which fades with a time constant (a first-order Gauss–Markov process). The chambers' moment is
 
 $$ \tau_j = k\,\bigl(b_j + \varphi(G\,(g_j^+ p_j^+ - g_j^- p_j^-)) + d_j\bigr), $$
 
-with pressures that relax at the rate o/τ_fill + (1 − o)/τ_vent + λ while a valve is open for the share o of the
-time.
+with pressures that relax at the rate o/τ_fill + (1 − o)/τ_vent + λ while a valve is open for the share o of
+the time.
 
-Measurements are taken one number at a time by the ensemble square root filter (Whitaker and Hamill 2002), with
+Measurements are taken one by one by the ensemble square root filter (Whitaker and Hamill 2002), with
 
 - localisation: a sensor or a pressure corrects its own segment, markers everything;
-- inflation: what a correction takes of the spread is given back by a share (relaxation to prior spread, Whitaker
-  and Hamill 2012);
+- inflation: what a correction takes of the spread is given back by a share (relaxation to prior spread,
+  Whitaker and Hamill 2012);
 - outliers: a number further off than four standard deviations counts as if it were that much noisier;
-- adaptation: what wanders does so more where measurements are further off than expected, and less where they are not.
+- adaptation: what wanders does so more where measurements are further off than expected, and less where they
+  are not.
 """
 
 from __future__ import annotations
@@ -40,15 +41,15 @@ STEP_S = 0.0025
 """Steps of the members, to which times of measurements are rounded."""
 _OUTLIER = 4.0
 _MEMORY, _ADAPTS, _SCALES = 25, 0.03, (0.2, 10.0)
-"""Measurements over which it is found out how far they are off, by which power of it what wanders follows, and how far."""
+"""Measurements that tell how far they are off, by which power of it what wanders follows, and how far."""
 _ASTRAY, _FRAMES = 6.0, 5
-"""By how many standard deviations half of a frame must be off, in how many frames, for the robot to be elsewhere."""
+"""By how many standard deviations half of a frame must be off, in how many frames: the robot is elsewhere."""
 _DOUBT = 0.2
 """What lags miss of a pressure, as a share of the supply's, for what pressures tell of time constants."""
 _LEAST_FRICTION = 0.1
 """Of ln μ_t: what else slows a robot looks like friction."""
 _FAINT = 0.5
-"""How far one measurement corrects what all of them depend on: 32 members find correlations where none are."""
+"""How far one measurement corrects what all depend on: 32 members find correlations where none are."""
 _POSE = ("x", "y", "heading")
 _MODULES = ("gain", "bias", "fill", "vent")
 
@@ -66,7 +67,8 @@ class Spreads:
         unexplained: d, RMS, rad.
         unexplained_s: over which d fades, s.
         pressure: by what a pressure wanders from its lag, share of the supply's in a second.
-        drift: by what gains, time constants and friction wander, share in a second; biases a quarter of it, rad.
+        drift: by what gains, time constants and friction wander, share in a second; biases a quarter of it,
+            rad.
         slip: by what the body's velocities wander, m/s (and rad/s times half its length) in a second.
         inflation: share of a correction's loss of spread that is given back.
     """
@@ -106,7 +108,8 @@ class Air:
     """What the chambers get, as far as faults are known.
 
     Attributes:
-        opens: share of the time for which each valve fills, equal slots of the stretch, shape (slots, segments, 2).
+        opens: share of the time for which each valve fills, equal slots of the stretch, shape (slots,
+            segments, 2).
         supply: gauge, of each segment, Pa.
         leak: of each chamber, share of its pressure, 1/s, shape (segments, 2).
     """
@@ -123,8 +126,8 @@ class Ensemble:
         spec: the robot, as its file has it.
         members: one a row; `rows` names the columns.
         rows: name → columns: x, y, heading, motion (forth, aside, yaw rate, bend rates), bend, pressure,
-            unexplained, gain, bias, fill, vent, stiffness, friction. Time constants, stiffness and friction are
-            logarithms over those of the file.
+            unexplained, gain, bias, fill, vent, stiffness, friction. Time constants, stiffness and friction
+            are logarithms over those of the file.
         modules: what gains, biases, time constants and stiffness are drawn from.
         placed: whether anybody has told where the robot is.
     """
@@ -225,7 +228,11 @@ class Ensemble:
         off = pressure - given.mean(axis=0).reshape(-1, 2)
         variance = given.var(axis=0, ddof=1).reshape(-1, 2)
         told = self._correct(
-            given.copy(), pressure.ravel(), np.full(given.shape[1], noise**2), self._masks["pressure"], together=False
+            given.copy(),
+            pressure.ravel(),
+            np.full(given.shape[1], noise**2),
+            self._masks["pressure"],
+            together=False,
         )  # fmt: skip
         self._adapt("pressure", told)
         # What lags miss of a pressure comes again and again: so much less does one of them tell.
@@ -265,7 +272,7 @@ class Ensemble:
         return off
 
     def poses(self, later: float = 0.0) -> np.ndarray:
-        """Return the connectors' x, y (m) and heading (rad) of each member, shape (members, connectors, 3)."""
+        """Return x, y (m), heading (rad) of the connectors, shape (members, connectors, 3)."""
         bend, motion = self._of("bend"), self._of("motion")
         x, y, heading = (self._of(name)[:, 0] for name in _POSE)
         if later:
@@ -300,8 +307,8 @@ class Ensemble:
     def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return what the robot is thought to be: name → values and standard deviations.
 
-        Gains of each chamber, biases (rad), time constants of filling and venting of each module, and stiffness and
-        μ_t of all, but for biases as multiples of the file's.
+        Gains of each chamber, biases (rad), time constants of filling and venting of each module, and
+        stiffness and μ_t of all, but for biases as multiples of the file's.
         """
         mean, sd = self.modules.mean, np.sqrt(np.einsum("sii->si", self.modules.covariance))
         found = {"gain": (mean[:, GAIN], sd[:, GAIN]), "bias_rad": (mean[:, BIAS], sd[:, BIAS])}
@@ -320,8 +327,8 @@ class Ensemble:
             members: how many are taken.
 
         Returns:
-            A function of the air of one stretch after another, and the length of each (s): x, y (m) and mean heading
-            (rad) at the end of each, shape (stretches, members, 3).
+            A function of the air of one stretch after another, and the length of each (s): x, y (m) and mean
+            heading (rad) at the end of each, shape (stretches, members, 3).
         """
         other = copy.copy(self)
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
@@ -377,8 +384,14 @@ class Ensemble:
         return {"bend": bend, "pressure": pressure, "pose": pose}
 
     def _correct(
-        self, predicted: np.ndarray, told: np.ndarray, variances: np.ndarray, masks: np.ndarray, *, together: bool
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        predicted: np.ndarray,
+        told: np.ndarray,
+        variances: np.ndarray,
+        masks: np.ndarray,
+        *,
+        together: bool,
+    ) -> np.ndarray:
         before = self.members.std(axis=0)
         off = _correct(self.members, predicted, told, variances, masks, together)
         after = self.members.std(axis=0)
@@ -413,7 +426,7 @@ class Ensemble:
         self._draw_modules()
 
     def _draw_modules(self) -> None:
-        """Give each member modules of what is known of them; its own deviations stay, as far as they are possible."""
+        """Give members modules of what is known of them; deviations stay, as far as they are possible."""
         mean, sd = self.modules.mean, np.sqrt(np.einsum("sii->si", self.modules.covariance))
         for name, at in (("gain", GAIN), ("bias", BIAS), ("fill", FILL), ("vent", VENT)):
             self._of(name)[:] = np.ravel(mean[:, at]) + np.ravel(sd[:, at]) * self._own[name]

@@ -194,7 +194,7 @@ class FaultBank(Remembers):
         self._spread[..., _LOAD, _LOAD] += off[:, None] ** 2
 
     def likely(self) -> np.ndarray:
-        """Return the hypothesis that each segment is taken to follow: what was named, else that all is well."""
+        """Return the hypothesis that each segment is taken to follow: what was named, else the first."""
         found = np.zeros(len(self.probability), dtype=int)
         for j, pair in enumerate(self._named[1:].tolist()):
             if pair[0] >= 0:

@@ -28,8 +28,8 @@ _NEAR_M, _NEAR_RAD = 0.03, 0.05
 class Helm:
     """Steers by estimates: the scenario's follower, told what the shadow knows.
 
-    A segment whose valve is stuck is kept straight, both chambers filled or both vented, and the way is planned anew.
-    A robot whose estimate is lost is vented at once.
+    A segment whose valve is stuck is kept straight, both chambers filled or both vented, and the way is
+    planned anew. A robot whose estimate is lost is vented at once.
 
     Attributes:
         follower: the scenario's.
@@ -53,7 +53,7 @@ class Helm:
             )
         if scenario.robot.segments != shadow.spec.segments:
             raise InputError(
-                f"{scenario.name} is of {scenario.robot.segments} segments, the robot has {shadow.spec.segments}"
+                f"{scenario.name} has {scenario.robot.segments} segments, the robot {shadow.spec.segments}"
             )
         # Noise and delay are the robot's own here.
         seen = Camera(controller.conditions.camera.rate_hz)

@@ -1,14 +1,15 @@
 r"""ModuleFilter: what each module is like, from the bends that the ensemble cannot explain.
 
 An ensemble of some tens of members finds correlations where none are; numbers that never change are lost in
-them. So these have a Kalman filter of their own for each segment. The unexplained bend d_j of the ensemble, whose
-members use θ̄ for the module's θ = (g⁺, g⁻, b, ln τ_fill, ln τ_vent), tells of θ by its slopes,
+them. So these have a Kalman filter of their own for each segment. The unexplained bend d_j of the ensemble,
+whose members use θ̄ for the module's θ = (g⁺, g⁻, b, ln τ_fill, ln τ_vent), tells of θ by its slopes,
 
-$$ d_j = h^T(θ - θ̄) + v, \qquad h = (G p^+,\ -G p^-,\ 1,\ G(g^+ s_f^+ - g^- s_f^-),\ G(g^+ s_v^+ - g^- s_v^-)), $$
+$$ d_j = h^T(θ - θ̄) + v, \qquad
+   h = (G p^+,\ -G p^-,\ 1,\ G(g^+ s_f^+ - g^- s_f^-),\ G(g^+ s_v^+ - g^- s_v^-)), $$
 
-where s are the slopes of the pressures by the logarithms of the time constants, and v what no module explains: it
-fades, as d does. A pressure that was measured tells of the time constants alone, by the same s. What the bending
-stiffness causes looks like other modules, so that is not learnt.
+where s are the slopes of the pressures by the logarithms of the time constants, and v what no module
+explains: it fades, as d does. A pressure that was measured tells of the time constants alone, by the same s.
+What the bending stiffness causes looks like other modules, so that is not learnt.
 """
 
 from __future__ import annotations
@@ -91,8 +92,13 @@ class ModuleFilter(Remembers):
         self._slopes = self._slopes * (1 - np.where(np.isnan(off), 0.0, corrected))[..., None]
 
     def read_unexplained(
-        self, unexplained: np.ndarray, variance: np.ndarray, used: np.ndarray, drives: np.ndarray, gain: np.ndarray
-    ) -> None:  # fmt: skip
+        self,
+        unexplained: np.ndarray,
+        variance: np.ndarray,
+        used: np.ndarray,
+        drives: np.ndarray,
+        gain: np.ndarray,
+    ) -> None:
         """Take the bends that the ensemble could not explain.
 
         Args:

@@ -37,7 +37,7 @@ class Prediction:
     pose_sd: np.ndarray
 
     def off(self, poses: np.ndarray) -> np.ndarray:
-        """Return poses less the predicted ones, along and across the heading at the beginning; shape (times, 3)."""
+        """Return poses less the predicted ones, along and across the first heading, shape (times, 3)."""
         return _turned(poses - self.pose, -self.heading)
 
     def covers(self, poses: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ class Rhythm:
             self._slot = slot
 
     def commands(self, slots: int) -> np.ndarray:
-        """Return what will be commanded in the next slots, shape (slots, segments, 2): as a period ago, or as now."""
+        """Return the commands of the next slots, shape (slots, segments, 2): as a period ago, or as now."""
         past, lag = np.array(self._opens), self.period()
         return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
 
@@ -96,7 +96,7 @@ class Hindsight:
         self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
 
     def see(self, time: float, pose: np.ndarray) -> None:
-        """Take where the robot is (x, y, heading) at a time (s), and learn from the predictions that are over."""
+        """Take where the robot is (x, y, heading) at a time (s); learn from predictions that are over."""
         self._path.append((time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()

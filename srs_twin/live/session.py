@@ -1,4 +1,4 @@
-"""Session: a shadow beside a robot in real time: messages in, estimates, predictions, commands and a journal out."""
+"""Session: a shadow beside a robot in real time: messages in; estimates, commands and a journal out."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Session:
         self._shown = 0.0
 
     def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-        """Live until it is told to stop, a recording is over, or the helm has arrived; return what came out."""
+        """Live until told to stop, a recording is over, or the helm has arrived; return what came out."""
         clock = self._links[0].clock
         first = begun = time.monotonic()
         done = 0
@@ -201,9 +201,11 @@ class Session:
         if self.estimate is not None:
             e = self.estimate
             found["estimate"] = {
-                "lost": e.lost, "pose": e.pose.tolist(), "pose_sd": e.pose_sd.tolist(), "bend_rad": e.bend.tolist(),
-                "bend_sd_rad": e.bend_sd.tolist(), "off": dict(e.off),
-                "parameters": {name: {"value": v.tolist(), "sd": s.tolist()} for name, (v, s) in e.parameters.items()},
+                "lost": e.lost, "pose": e.pose.tolist(), "pose_sd": e.pose_sd.tolist(),
+                "bend_rad": e.bend.tolist(), "bend_sd_rad": e.bend_sd.tolist(), "off": dict(e.off),
+                "parameters": {
+                    name: {"value": v.tolist(), "sd": s.tolist()} for name, (v, s) in e.parameters.items()
+                },
             }  # fmt: skip
         if self._helm is not None:
             found["following"] = self._helm.told()

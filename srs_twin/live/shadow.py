@@ -1,9 +1,9 @@
-"""Shadow: a robot's state beside the running robot, with its uncertainty, what comes next, and what has failed.
+"""Shadow: a robot's state beside the running robot, with its uncertainty, what comes next, what has failed.
 
-Messages in order of time (`clocks.Inbox`) move an ensemble (`ensemble`) and a bank of fault hypotheses (`faults`) to
-the time of each and correct them. What the bank has named, the ensemble takes for granted: a chamber that always
-fills does so in it as well, and readings of a broken sensor are no longer taken. Nothing here knows of wires or of
-the time of day: `take` is told what time it is.
+Messages in order of time (`clocks.Inbox`) move an ensemble (`ensemble`) and a bank of fault hypotheses
+(`faults`) to the time of each and correct them. What the bank has named, the ensemble takes for granted: a
+chamber that always fills does so in it as well, and readings of a broken sensor are no longer taken. Nothing
+here knows of wires or of the time of day: `take` is told what time it is.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ REPORTED_S = 0.02
 SILENT_S = 0.2
 """A robot without commands vents after so long."""
 LOST_AFTER_S = 1.0
-"""Without a robot's message for so long nothing is known of it; without frames for so long, if there were any, not
-where it is."""
+"""Without a robot's message for so long nothing is known of it; without frames for so long, if there were
+any, not where it is."""
 LARGEST_SD_M = 0.05
 """Where the robot is known less well than this, it is lost."""
 MISSING_FRAMES = 8
@@ -84,7 +84,8 @@ class Estimate:
         return SnakeState(
             time=np.float64(time), com=self.pose[:2], com_velocity=self.velocity[:2], heading=self.pose[2],
             position=self.connectors[:, :2], theta=self.connectors[:, 2], bend=self.bend,
-            bend_rate=np.zeros_like(self.bend), pressure=pressure, valves=np.zeros_like(pressure, dtype=np.int8),
+            bend_rate=np.zeros_like(self.bend), pressure=pressure,
+            valves=np.zeros_like(pressure, dtype=np.int8),
             sensed=self.bend, contact_force=np.zeros((n, 2)), obstacle_force=np.zeros((n, 2)),
             torque=np.zeros_like(self.bend), work=np.float64(0.0), air=np.float64(0.0), qpos=np.empty(0),
         )  # fmt: skip
@@ -158,7 +159,7 @@ class Shadow:
         return self.hindsight.corrected(self.outlook()())
 
     def outlook(self) -> Callable[[], Prediction]:
-        """Return what computes a prediction, on a thread of its own if need be; `hindsight` is to correct it."""
+        """Return what computes a prediction, on any thread; `hindsight` is to correct it."""
         each, slots = round(_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
         commands = self.rhythm.commands(slots)
         airs = [self._air(commands[k : k + each]) for k in range(0, slots, each)]
@@ -214,7 +215,7 @@ class Shadow:
             self._see(time, message, later)
 
     def _command(self, time: float, message: Message) -> None:
-        """Take what valves were told to do, or what a robot says that they were: either message may be lost."""
+        """Take what valves were told, or what a robot says that they were: either message may be lost."""
         states = np.isin(message.values, (-1.0, 1.0)).all()
         if message.kind == COMMAND:
             self._duties = not states
@@ -224,7 +225,8 @@ class Shadow:
         opens = (message.values + 1) / 2 if states else np.clip(message.values, 0.0, 1.0)
         k = bisect.bisect(self._times, at)
         gap = at - self._times[k - 1]
-        if len(self._times) > 2 and gap > 1.5 * np.median(np.diff(self._times)):  # what was lost may have switched valves before this does
+        # What was lost may have switched valves before this does.
+        if len(self._times) > 2 and gap > 1.5 * np.median(np.diff(self._times)):
             self.bank.doubt(np.abs(opens - self._opens[k - 1]), min(gap, LOST_AFTER_S))
         self._times.insert(k, at)
         self._opens.insert(k, opens)
@@ -318,7 +320,8 @@ class Shadow:
         velocity = np.array([c * motion[0] - s * motion[1], s * motion[0] + c * motion[1], motion[2]])
         off = dict(self._off)
         return Estimate(
-            now, e.mean("bend"), e.sd("bend"), pose, pose_sd, velocity, e.poses().mean(axis=0), e.parameters(),
+            now, e.mean("bend"), e.sd("bend"), pose, pose_sd, velocity, e.poses().mean(axis=0),
+            e.parameters(),
             tuple(self._faults()), off, self._lost(now, pose_sd),
         )  # fmt: skip
 

@@ -68,7 +68,7 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
             ended(robot)
     told = json.loads(said)
     assert told["estimate"]["lost"] == ""
-    assert {"part": "connector 5", "fault": "lost_marker"}.items() <= told["faults"][0].items(), told["faults"]
+    assert [(f["part"], f["fault"]) for f in told["faults"]] == [("connector 5", "lost_marker")]
     assert told["messages"][BENDS] > 100 and told["messages"][POSES] > 100
     lab = tmp_path / "lab"
     kinds = [m.kind for m in journal_messages(lab / "journal-1.mcap", "gen4", 4)]
@@ -78,7 +78,9 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
     assert json.loads((lab / "shadow.json").read_text()) == told
     again = srs_twin("shadow", "gen4", "--mcap", "lab/journal-1.mcap", "--speed", "3", "--json", cwd=tmp_path)
     played = json.loads(again.stdout)
-    assert played["estimate"]["pose"] == pytest.approx(told["estimate"]["pose"], abs=0.01)
+    # Their last moments differ by some ticks, and it turns by 1 rad/s.
+    apart = np.abs(np.subtract(played["estimate"]["pose"], told["estimate"]["pose"]))
+    assert (apart < [0.01, 0.01, 0.1]).all()
     assert played["faults"][0]["part"] == "connector 5"
 
 

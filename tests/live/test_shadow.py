@@ -1,4 +1,5 @@
-"""A robot and its shadow in simulated time: what is estimated, predicted, named, kept over a restart; steering."""
+"""A robot and its shadow in simulated time: what is estimated, predicted, named, kept over a restart;
+steering."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """A robot on the air, streamed to Rerun as it runs: estimate with its spread, what comes next, faults.
 
-Entity tree: `world/floor`, `world/robot/{body, connectors, spread, trail}`, `world/next/{path, fan}`, `lamps` (a text:
-what was named), `bend/segment_j`, `off/{bends, poses, pressures}` (by how many standard deviations measurements were
-off). The time line is `sim_time`: seconds from the beginning.
+Entity tree: `world/floor`, `world/robot/{body, connectors, spread, trail}`, `world/next/{path, fan}`, `lamps`
+(a text: what was named), `bend/segment_j`, `off/{bends, poses, pressures}` (by how many standard deviations
+measurements were off). The time line is `sim_time`: seconds from the beginning.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class LiveView:
 def live_view(
     spec: RobotSpec, *, keep: Path | None, window: bool, web: bool
 ) -> Iterator[tuple[LiveView, str]]:
-    """Stream to a viewer and to a file while the block runs; give the view, and the page's address if there is one.
+    """Stream to a viewer and a file while the block runs; give the view, and the page's address if any.
 
     Args:
         spec: the robot.
