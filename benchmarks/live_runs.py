@@ -205,6 +205,7 @@ def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
 
 
 BREAKS_S, AFTER_S = 5.0, 4.0
+FREQUENCIES_HZ = (1.5, 1.0, 0.75)
 NAMES = {
     "stuck_valve:{j}{side}=open": "stuck_valve {side}=open",
     "stuck_valve:{j}{side}=closed": "stuck_valve {side}=closed",
@@ -246,7 +247,10 @@ def isolated(order: tuple[str, int, bool]) -> dict[str, Any]:
     """Let a robot break, and say whether its shadow named the fault rightly and in time."""
     kind, seed, pressures = order
     fault, part, name = parts(kind, seed)
-    run = Run(seed, BREAKS_S + AFTER_S, fault=f"{fault}@{BREAKS_S}", pressures=pressures)
+    run = Run(
+        seed, BREAKS_S + AFTER_S, fault=f"{fault}@{BREAKS_S}", pressures=pressures,
+        frequency=FREQUENCIES_HZ[seed % 3],
+    )  # fmt: skip
     named: dict[str, tuple[str, float]] = {}
     for moment in shadowed(run, members=8):
         for where, what, _ in moment.estimate.faults if moment.estimate else ():
@@ -265,7 +269,8 @@ def alarms(order: tuple[int, float, bool]) -> list[str]:
     """Return what a healthy robot was accused of in so many seconds; it is then taken for whole."""
     seed, seconds, pressures = order
     found = []
-    for moment in shadowed(Run(seed, seconds, pressures=pressures), members=8):
+    run = Run(seed, seconds, pressures=pressures, frequency=FREQUENCIES_HZ[seed % 3])
+    for moment in shadowed(run, members=8):
         for number, name in list(moment.shadow.bank.named.items()):
             found.append(f"{number}: {name}")
             moment.shadow.bank.forget(number)
