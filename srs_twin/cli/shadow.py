@@ -42,7 +42,7 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a twin beside a robot: its state, what comes next, faults.
+    """Run a twin beside a robot: state, next second, faults.
 
     Takes commands, bends and pressures over MQTT, frames of motion capture over NatNet, or all of them from a
     journal. With --follow it steers the robot by its estimate. docs/live.md describes the messages. The
