@@ -1,6 +1,6 @@
 """Faults while a shadow steers a robot: how many goals are reached, and how safely the others end.
 
-    uv run python benchmarks/live_steering.py [--scenario follow_fig57] [--json FILE]
+    uv run python benchmarks/live_steering.py [--scenario NAME] [--pneumatics lag] [--json FILE]
 
 Which faults can be steered with is decided here, before any run: sensors and markers that fail, one stuck
 valve, a slow leak, a supply with half of its pressure. With an empty supply, or without motion capture,
@@ -32,12 +32,13 @@ def main() -> None:
     """Run and print."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--scenario", default="follow_fig57")
+    words.add_argument("--pneumatics", default="orifice", help="chambers of the robot")
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
     runs = [
         Run(
             k + 1, LIMIT_S, fault=fault and f"{fault}@{SINCE}", robot="gen2", frequency=2.0,
-            cameras_s=LIMIT_S if fault else SINCE,
+            cameras_s=LIMIT_S if fault else SINCE, pneumatics=given.pneumatics,
         )
         for k, fault in enumerate((*STEERABLE, *OTHERS))
     ]  # fmt: skip

@@ -70,6 +70,8 @@ class Spreads:
         drift: by what gains, time constants and friction wander, share in a second; biases a quarter of it,
             rad.
         slip: by what the body's velocities wander, m/s (and rad/s times half its length) in a second.
+        turning: yaw rate that the model lacks, RMS, rad/s: nothing but markers tells the heading.
+        turning_s: over which that fades, s.
         inflation: share of a correction's loss of spread that is given back.
     """
 
@@ -83,6 +85,8 @@ class Spreads:
     pressure: float = 0.15
     drift: float = 0.004
     slip: float = 0.05
+    turning: float = 0.2
+    turning_s: float = 10.0
     inflation: float = 0.3
 
 
@@ -126,8 +130,8 @@ class Ensemble:
         spec: the robot, as its file has it.
         members: one a row; `rows` names the columns.
         rows: name → columns: x, y, heading, motion (forth, aside, yaw rate, bend rates), bend, pressure,
-            unexplained, gain, bias, fill, vent, stiffness, friction. Time constants, stiffness and friction
-            are logarithms over those of the file.
+            unexplained, gain, bias, fill, vent, stiffness, friction, turning (rad/s). Time constants,
+            stiffness and friction are logarithms over those of the file.
         modules: what gains, biases, time constants and stiffness are drawn from.
         placed: whether anybody has told where the robot is.
     """
@@ -150,7 +154,7 @@ class Ensemble:
         n = self._segments = spec.segments
         sizes = {
             **dict.fromkeys(_POSE, 1), "motion": 3 + n, "bend": n, "pressure": 2 * n, "unexplained": n,
-            "gain": 2 * n, "bias": n, "fill": n, "vent": n, "stiffness": 1, "friction": 1,
+            "gain": 2 * n, "bias": n, "fill": n, "vent": n, "stiffness": 1, "friction": 1, "turning": 1,
         }  # fmt: skip
         ends = np.cumsum([0, *sizes.values()])
         self.rows: Mapping[str, slice] = {
@@ -170,6 +174,7 @@ class Ensemble:
         for name, wide in (("stiffness", s.stiffness), ("friction", s.friction)):
             self._of(name)[:] = wide * self._drawn(name)
         self._of("unexplained")[:] = s.unexplained * self._drawn("unexplained")
+        self._of("turning")[:] = s.turning * self._drawn("turning")
         self._draw_modules()
         self._of("bend")[:] = self._of("bias")
         self._supply = spec.supply.nominal
@@ -204,6 +209,10 @@ class Ensemble:
         wander = scale["pressure"] * s.pressure * root * np.repeat(air.supply, 2)
         self._of("pressure")[:] += wander * self._drawn("pressure")
         self._of("friction")[:] += s.drift * root * self._drawn("friction")
+        turning, fades = self._of("turning"), math.exp(-span / s.turning_s)
+        self._of("heading")[:] += span * turning
+        turning *= fades
+        turning += s.turning * math.sqrt(1 - fades**2) * self._drawn("turning")
         half = self.spec.geometry.body_length / 2
         motion = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self._of("motion")[:, :3] += scale["motion"] * s.slip * root * motion
@@ -378,7 +387,7 @@ class Ensemble:
                 own = self.rows["pressure"].start + 2 * j + side
                 bend[j, own] = pressure[2 * j + side, own] = 1.0
         pose = np.zeros(width)
-        for name in (*_POSE, "motion", "bend", "unexplained"):
+        for name in (*_POSE, "motion", "bend", "unexplained", "turning"):
             pose[self.rows[name]] = 1.0
         pose[self.rows["friction"]] = _FAINT
         return {"bend": bend, "pressure": pressure, "pose": pose}
