@@ -35,12 +35,14 @@ def main() -> None:
     words.add_argument("--pneumatics", default="orifice", help="chambers of the robot")
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
+    # Chambers that lag do not begin to leak.
+    steerable = [each for each in STEERABLE if given.pneumatics == "orifice" or "leak" not in each]
     runs = [
         Run(
             k + 1, LIMIT_S, fault=fault and f"{fault}@{SINCE}", robot="gen2", frequency=2.0,
             cameras_s=LIMIT_S if fault else SINCE, pneumatics=given.pneumatics,
         )
-        for k, fault in enumerate((*STEERABLE, *OTHERS))
+        for k, fault in enumerate((*steerable, *OTHERS))
     ]  # fmt: skip
     with ProcessPoolExecutor() as pool:
         rows = list(pool.map(steered, [(run, given.scenario) for run in runs]))
@@ -53,9 +55,9 @@ def main() -> None:
         for row in rows
     ]  # fmt: skip
     print(table(["fault", "ending", "after, s", "least clearance, mm", "named"], lines))
-    goals = [row for row in rows[: len(STEERABLE)] if row["ending"] == "goal_reached"]
+    goals = [row for row in rows[: len(steerable)] if row["ending"] == "goal_reached"]
     clear = sum(row["clearance_m"] >= 0 for row in rows)
-    print(f"{len(goals)} of {len(STEERABLE)} goals, {clear} of {len(rows)} clear of obstacles")
+    print(f"{len(goals)} of {len(steerable)} goals, {clear} of {len(rows)} clear of obstacles")
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1, default=float) + "\n", "utf-8")
 
