@@ -20,6 +20,8 @@ WINDOW_S = 10.0
 STEP_S = 1.0
 """A clock that jumps by more was set, or its sender began anew."""
 KEPT = 5000
+MOST_HOLD_S = 0.1
+_IN_TIME, _EVERY = 0.97, 25
 
 
 class SenderClock:
@@ -47,6 +49,11 @@ class SenderClock:
         self.offset = min(each for _, each in self._seen)
         return sent + self.offset
 
+    def late(self, share: float) -> float:
+        """Return what a share of the messages is late by at most, s."""
+        late = np.array([each for _, each in self._seen]) - self.offset
+        return float(np.quantile(late, share)) if len(late) else 0.0
+
     @property
     def jitter(self) -> float:
         """RMS of what messages are late by, s."""
@@ -59,7 +66,7 @@ class Inbox:
 
     Attributes:
         clocks: of each sender: whoever commands a robot has another one than the robot.
-        hold: how long messages wait, s.
+        hold: how long messages wait, s: longer where they come later than that, up to `MOST_HOLD_S`.
         counts: (source, kind, what) → how many: "taken", "duplicate", "late" ones that came when later ones
             had been handed out, "bad" ones.
     """
@@ -68,7 +75,8 @@ class Inbox:
         """Wait for so long (s) for messages that come in disorder."""
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
-        self.hold, self._handed = hold_s, -math.inf
+        self.hold, self._least, self._handed = hold_s, hold_s, -math.inf
+        self._takes = 0
         self._waiting: list[tuple[float, bool, int, Message]] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
@@ -93,6 +101,10 @@ class Inbox:
 
     def take(self, now: float) -> list[tuple[float, Message]]:
         """Return what was sent until a little before now (our clock, s), with its time on our clock."""
+        self._takes += 1
+        if self._takes % _EVERY == 0 and self.clocks:
+            late = max(clock.late(_IN_TIME) for clock in self.clocks.values())
+            self.hold = min(max(self._least, late), max(self._least, MOST_HOLD_S))
         until, found = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:
             time, _, _, message = heapq.heappop(self._waiting)

@@ -212,6 +212,10 @@ class EmulatedRobot:
         return found
 
 
+_LETS_GO_S = 0.001
+"""So long the next tick waits for the broker's thread: kernels hold the interpreter."""
+
+
 @dataclass(frozen=True)
 class Air:
     """What messages suffer on their way out.
@@ -286,5 +290,6 @@ def emulate(
             sent()
             time.sleep(min(left, 0.002) if waiting else left)
         sent()
+        time.sleep(_LETS_GO_S)
     link.send(STATUS, "stopped")
     return {"ticks": done, "late": late}

@@ -46,8 +46,8 @@ _ASTRAY, _FRAMES = 6.0, 5
 """By how many standard deviations half of a frame must be off, in how many frames: the robot is elsewhere."""
 _DOUBT = 0.2
 """What lags miss of a pressure, as a share of the supply's, for what pressures tell of time constants."""
-_LEAST_FRICTION = 0.1
-"""Of ln μ_t: what else slows a robot looks like friction."""
+_LEAST_FRICTION, _MOST_FRICTION = 0.1, 1.4
+"""Least spread of ln μ_t, as what else slows a robot looks like friction; how far it may be from the file."""
 _FAINT = 0.5
 """How far one measurement corrects what all depend on: 32 members find correlations where none are."""
 _POSE = ("x", "y", "heading")
@@ -409,8 +409,9 @@ class Ensemble:
         grown[friction] = np.maximum(_LEAST_FRICTION / np.maximum(after[friction], 1e-12), 1.0)
         middle = self.members.mean(axis=0)
         self.members[:] = middle + grown * (self.members - middle)
-        pressure = self._of("pressure")
+        pressure, slides = self._of("pressure"), self._of("friction")
         np.maximum(pressure, 0.0, out=pressure)
+        np.clip(slides, -_MOST_FRICTION, _MOST_FRICTION, out=slides)
         self._momenta()
         return off
 
@@ -485,10 +486,23 @@ class Ensemble:
         self._of("motion")[:] = velocities
         self._of("bend")[:] = self._states[:, compliant_kernels.BENDS :][:, :n]
         self.members[:, :3] = self._states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]]
-        if wrong.any() and not wrong.all():
+        if wrong.all():
+            self._rest()
+        elif wrong.any():
             # A member that diverged begins anew as another one is.
             others = self._rng.choice(np.flatnonzero(~wrong), size=int(wrong.sum()))
             self.members[wrong] = self.members[others]
+
+    def _rest(self) -> None:
+        """Begin anew, at rest, somewhere."""
+        modules = self.rows["gain"].start
+        self.members[:, :modules] = 0.0
+        self._of("friction")[:] = self.spreads.friction * self._drawn("friction")
+        self._of("turning")[:] = self.spreads.turning * self._drawn("turning")
+        self._draw_modules()
+        self._of("bend")[:] = self._of("bias")
+        self.placed = False
+        self._momenta()
 
     def _springs(self) -> np.ndarray:
         """Return stiffness (N·m/rad) and damping (N·m·s/rad) of each member, shape (members, 2)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -92,6 +93,8 @@ class MqttLink(Link):
         self.connected, self._why = not reason.is_failure, str(reason)
         if self.connected:
             self.counts["connected"] += 1
+            # Else small messages wait for the acknowledgement of the one before, up to 40 ms.
+            client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
                 client.subscribe([(each, 0) for each in self._topics])
         self._answered.set()

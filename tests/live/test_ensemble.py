@@ -18,6 +18,7 @@ ALONE = Spreads(
     pressure=0.0,
     drift=0.0,
     slip=0.0,
+    turning=0.0,
 )
 
 
@@ -93,3 +94,15 @@ def test_it_is_laid_where_it_is_seen():
     found = ensemble.poses().mean(axis=0)
     assert found[[0, 2, 3, 4], :2] == pytest.approx(seen[[0, 2, 3, 4], :2], abs=3e-3)
     assert ensemble.mean("heading") == pytest.approx(turn, abs=0.02)
+
+
+def test_members_that_all_diverge_begin_anew():
+    ensemble = Ensemble(load_robot("gen4"), members=8)
+    ensemble.placed = True
+    ensemble.members[:, ensemble.rows["motion"]] = np.nan
+    n = ensemble.spec.segments
+    air = Air(np.zeros((1, n, 2)), np.full(n, 48e3), np.zeros((n, 2)))
+    for _ in range(3):
+        ensemble.advance(air, 0.02)
+    assert np.isfinite(ensemble.members).all()
+    assert not ensemble.placed
