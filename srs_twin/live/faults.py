@@ -310,7 +310,9 @@ class FaultBank(Remembers):
         weight = np.where(there[..., None], seen / variance[..., None], 0.0)
         self.mean = self.mean + weight * off[..., None]
         self._spread = self._spread - weight[..., :, None] * seen[..., None, :]
-        return np.where(there, -0.5 * (off**2 / variance + np.log(2 * math.pi * variance)), 0.0)
+        # Student's t: what the lags miss is now and then far off, under every hypothesis.
+        log = -np.log1p(off**2 / variance / _TAILS) * (_TAILS + 1) / 2 - np.log(variance * 2 * math.pi) / 2
+        return np.where(there, log, 0.0)
 
     def _unlike_readings(self, told: np.ndarray) -> np.ndarray:
         """Return the logarithms of how likely it is to hear nothing, or the same again."""
