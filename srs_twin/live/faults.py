@@ -12,6 +12,9 @@ whatever the lags do not tell bend it by (it fades with ρ a tick), and s the se
 under one of the hypotheses. All are linear in (b, g⁺, g⁻, d, s): one Kalman filter a hypothesis, mixed as by
 Blom and Bar-Shalom (1988), the interacting multiple model estimator. Faults begin seldom and do not heal.
 
+How pressures differ from the lags is learnt while a segment is sound, by how long ago its valves switched:
+chambers of one robot repeat themselves.
+
 A supply that starves makes every segment weak at once: what is weak in one segment alone is no supply.
 """
 
@@ -71,6 +74,8 @@ _SAME = np.array([[each.name == name for name in _NAMES] for each in HYPOTHESES]
 _WEAK = _NAMES.index("weak")
 _ALIKE = ((1, 4), (2, 3))
 """Where the two chambers take turns, one that never vents bends as if the other one never filled."""
+_AGES, _AGE_S, _MOST_SEEN = 25, 0.02, 40
+"""For how many ages of a valve's state, of which length, pressures are learnt, from how many at most."""
 _TAILS = 4.0  # degrees of freedom of Student's t
 _AT_REST = 1e-6  # rad
 _BIAS, _PLUS, _MINUS, _LOAD, _SENSOR = range(5)
@@ -90,7 +95,8 @@ class BankSettings:
         loss: share of readings that are lost.
         gain: spread of the modules' gains.
         bias: of their bends without pressure, rad.
-        pressure: what a pressure may differ from its lag's by, as a share of the supply's.
+        pressure: what a pressure may differ from its lag's by, as a share of the supply's, before it has been
+            seen, and at the least.
         load: RMS of d, as a share of the largest bend.
         load_time: over which d fades, s.
         wander: by what a bias (rad) and a gain wander, a square root of a second.
@@ -106,7 +112,7 @@ class BankSettings:
     loss: float = 0.05
     gain: float = 0.15
     bias: float = 0.05
-    pressure: float = 0.12
+    pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
     wander: tuple[float, float] = (0.0014, 0.0035)
@@ -129,6 +135,9 @@ class FaultBank(Remembers):
         "_spread",
         "_pressure",
         "_delayed",
+        "_filling",
+        "_age",
+        "_habit",
         "_last",
         "_since",
         "_either",
@@ -152,6 +161,11 @@ class FaultBank(Remembers):
         self._settles = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
+        # Since when valves are as they are, and what was seen of pressures so long after they switched: how
+        # often, mean and variance.
+        self._filling, self._age = np.zeros((count, 2), dtype=int), np.zeros((count, 2))
+        self._habit = np.zeros((count, 2, 2, _AGES, 3))
+        self._habit[..., 0], self._habit[..., 2] = 1.0, settings.pressure[0] ** 2
         self._does = np.array([[each.plus, each.minus] for each in HYPOTHESES])
         self._sensor = np.array([each.sensor for each in HYPOTHESES])
         self._severe = np.array([[each.leak, each.weak] for each in HYPOTHESES])
@@ -212,6 +226,9 @@ class FaultBank(Remembers):
         """
         self.time += span
         self._mix(span)
+        filling = (np.asarray(opens) > 0.5).astype(int)
+        self._age = np.where(filling == self._filling, self._age + span, 0.0)
+        self._filling = filling
         self._fill_chambers(np.asarray(opens, dtype=float), span)
 
     def read(
@@ -329,10 +346,22 @@ class FaultBank(Remembers):
 
     def _unlike_pressures(self, told: np.ndarray, span: float) -> np.ndarray:
         """Return the logarithms of how likely pressures are; what lags miss of them lasts, so few count."""
-        s = self.settings
-        share = np.nan_to_num((told[:, None] - self._pressure) / (s.pressure * self._supply))
-        log = -np.log1p(share**2 / _TAILS) * (_TAILS + 1) / 2
-        return np.asarray(log.sum(axis=-1) * min(span / s.load_time, 1.0))
+        first, least = self.settings.pressure
+        off = np.nan_to_num((told[:, None] - self._pressure) / self._supply)
+        age = np.minimum(self._age / _AGE_S, _AGES - 1).astype(int)
+        place = *np.indices(told.shape), self._filling, age
+        seen, usual, variance = np.moveaxis(self._habit[place], -1, 0)
+        # What valves do that do not obey was never seen.
+        obeys = np.isin(self._does, (OBEYS, LEAKS))
+        off = off - np.where(obeys, usual[:, None], 0.0)
+        spread = np.where(obeys, np.sqrt(variance)[:, None] + least, first)
+        log = -np.log1p((off / spread) ** 2 / _TAILS) * (_TAILS + 1) / 2 - np.log(spread)
+        learns = ~np.isnan(told) & (self.probability[:, :1] > 0.9)
+        more = np.where(learns, np.minimum(seen + 1, _MOST_SEEN), seen)
+        news = np.where(learns, off[:, 0], 0.0)
+        variance = np.where(learns, variance + (news**2 - variance) / more, variance)
+        self._habit[place] = np.stack([more, usual + news / more, variance], axis=-1)
+        return np.asarray(log.sum(axis=-1) * min(span / self.settings.load_time, 1.0))
 
     def _name(self) -> None:
         """Name what has been sure for long enough."""
