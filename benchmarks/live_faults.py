@@ -1,6 +1,6 @@
 """Faults of a robot on the air: what its shadow names rightly, how fast, and false alarms.
 
-    uv run python benchmarks/live_faults.py [--seeds 20] [--healthy-h 1] [--json FILE]
+    uv run python benchmarks/live_faults.py [--seeds 20] [--hours 1] [--json FILE]
 
 The robot and what its messages suffer are those of `live_runs`. A fault is observable from when a healthy
 robot, without noise, would have answered otherwise by three times the noise; it is in time within a gait
@@ -27,7 +27,7 @@ def main() -> None:
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--seeds", type=int, default=20)
     words.add_argument("--first", type=int, default=0)
-    words.add_argument("--healthy-h", type=float, default=1.0, help="healthy hours, simulated")
+    words.add_argument("--hours", type=float, default=1.0, help="healthy hours, simulated")
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
     kept: dict[str, Any] = {"faults": [], "alarms": []}
@@ -49,10 +49,10 @@ def main() -> None:
         print("with pressures" if pressures else "without pressures", flush=True)
         print(table(["fault", "in time", "named", "alone", "after, median, s", "others accused"], lines))
         hour = 600.0
-        healthy = [(10_000 + k, hour, pressures) for k in range(round(given.healthy_h * 3600 / hour))]
+        healthy = [(10_000 + k, hour, pressures) for k in range(round(given.hours * 3600 / hour))]
         accused = [name for done in each(alarms, healthy) for name in done.result or ()]
         kept["alarms"] += [{"pressures": pressures, "named": name} for name in accused]
-        print(f"{len(accused)} false alarms in {given.healthy_h:g} healthy hours: {accused}\n", flush=True)
+        print(f"{len(accused)} false alarms in {given.hours:g} healthy hours: {accused}\n", flush=True)
     if given.json:
         given.json.write_text(json.dumps(kept, indent=1, default=float) + "\n", "utf-8")
 
