@@ -34,8 +34,7 @@ REPORTED_S = 0.02
 SILENT_S = 0.2
 """A robot without commands vents after so long."""
 LOST_AFTER_S = 1.0
-"""Without a robot's message for so long nothing is known of it; without frames for so long, if there were
-any, not where it is."""
+"""Without a robot's message for so long nothing is known of it."""
 LARGEST_SD_M = 0.05
 """Where the robot is known less well than this, it is lost."""
 MISSING_FRAMES = 8
