@@ -15,10 +15,12 @@ import argparse
 import json
 import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,7 +32,8 @@ from timing import machine
 from srs_twin.io.files import atomic_write
 from srs_twin.planning import Plan, Primitives, Problem, Settings, load_footprint, plan
 from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world, strewn
-from srs_twin.world import World
+from srs_twin.scenario.map_file import read_map
+from srs_twin.world import Bounds, Goal, Polygon, Pose, World
 
 SPEED, STEP_S = 0.2, 1.0
 ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
@@ -134,6 +137,57 @@ def safety(worlds: int) -> dict[str, Any]:
     }
 
 
+MAP = (364, 242, 0.033)
+"""Columns, rows, side of a cell (m) of a map of 12 m by 8 m."""
+FULL = 10_000
+"""Its occupied cells, or some more."""
+
+
+def full_map(seed: int) -> tuple[Polygon, ...]:
+    """Return rectangles of a picture strewn with them, 5 cells apart or more, but for two corners."""
+    from PIL import Image
+
+    columns, rows, cell = MAP
+    drawn, picture = np.random.default_rng(seed), np.full((rows, columns), 255, dtype=np.uint8)
+    while np.sum(picture == 0) < FULL:
+        wide, high = drawn.integers(3, 10, 2)
+        x, y = drawn.integers(0, columns - wide), drawn.integers(0, rows - high)
+        ends = (x < 40 and y > rows - 40) or (x > columns - 40 and y < 40)
+        if not ends and (picture[max(y - 5, 0) : y + high + 5, max(x - 5, 0) : x + wide + 5] > 0).all():
+            picture[y : y + high, x : x + wide] = 0
+    with TemporaryDirectory() as room:
+        Image.fromarray(picture).save(Path(room, "map.pgm"))
+        said = (
+            "image: map.pgm",
+            f"resolution: {cell}",
+            "origin: [0, 0, 0]",
+            "occupied_thresh: 0.65",
+            "free_thresh: 0.2",
+        )
+        Path(room, "map.yaml").write_text("\n".join(said), "utf-8")
+        return read_map(Path(room, "map.yaml"))
+
+
+def maps(count: int) -> str:
+    """Plan from corner to corner of so many maps, with and without transients."""
+    rows = []
+    for name in ("gen2_section52", "gen2_gait"):
+        seconds, lengths = [], []
+        for seed in range(count):
+            world = World((), Bounds((0.0, 12.0), (0.0, 8.0)), polygons=full_map(seed))
+            problem = Problem(
+                Pose(0.5, 0.5, 0.3), Goal(11.5, 7.4, None, radius=0.03), world, load_footprint(name)
+            )
+            begun = time.process_time()
+            answer = plan(problem)
+            seconds.append(time.process_time() - begun)
+            if answer.found:
+                lengths.append(f"{answer.length:.1f}")
+        least, most = min(seconds), max(seconds)
+        rows.append([name, f"{least:.2f} to {most:.2f}", f"{len(lengths)} of {count}", ", ".join(lengths)])
+    return table(["footprint", "processor time, s", "found", "lengths, m"], rows)
+
+
 def tables(found: dict[str, Any]) -> str:
     """Return a study as Markdown."""
     names = [name for name in found if name in planners()]
@@ -177,11 +231,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--draws", type=int, default=50, help="draws for each count of obstacles")
     parser.add_argument("--worlds", type=int, default=1000, help="drawn problems of the safety part")
+    parser.add_argument("--maps", type=int, default=5, help="maps of many occupied cells")
     parser.add_argument("--json", type=Path, help="write all numbers here")
     parser.add_argument("--plot", type=Path, help="draw success here")
     given = parser.parse_args(words)
     found, narrow = summary(study(given.draws)), summary(study(given.draws, NARROW_COUNTS, narrow_problem))
     print(f"{tables(found)}\n\nNarrow fields:\n\n{tables(narrow)}")
+    print(f"\nMaps of {FULL} occupied cells:\n\n{maps(given.maps)}")
     safe = safety(given.worlds)
     print("\n" + "\n".join(f"{key}: {value}" for key, value in safe.items()))
     if given.json:

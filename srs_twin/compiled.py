@@ -19,6 +19,8 @@ from srs_twin.errors import CacheWarning
 # The order of sums may change, never what becomes of infinities and NaN.
 _ARITHMETIC = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _ARITHMETIC}
+# What makes no arrays need not count who holds those it is given, which takes most of a small kernel's time.
+_BORROWED: Any = {"_nrt": False}
 _BARE: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _CONSTANTS = (bool, int, float, complex, str, type(None))
 _warned = False
@@ -31,7 +33,9 @@ def tell_once(notice: Callable[[], None]) -> None:
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function on its first call, free of the interpreter's lock, and keep the machine code.
+    """Compile a function that makes no arrays, on its first call; keep the machine code.
+
+    It runs free of the interpreter's lock.
 
     numba keeps one file of machine code a function and drops it when the function's own source file has
     changed, by a comment too. What the function inlined from other files it does not look at: a corrected
@@ -39,6 +43,11 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     computes: its bytecode, that of every kernel it calls, and the constants they use.
     Where nothing can be kept, every process compiles for itself, with one `CacheWarning`.
     """
+    return _kept(njit(**_OPTIONS, **_BORROWED)(function), function)
+
+
+def allocating(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that makes arrays; else as `compiled`."""
     return _kept(njit(**_OPTIONS)(function), function)
 
 
@@ -47,7 +56,7 @@ def inside(function: Callable[..., Any]) -> Callable[..., Any]:
 
     For one that takes records of arrays that takes longer to compile than the function itself.
     """
-    return _kept(njit(**_OPTIONS, **_BARE)(function), function)
+    return _kept(njit(**_OPTIONS, **_BORROWED, **_BARE)(function), function)
 
 
 def _kept(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,7 +107,7 @@ def _warn(why: str) -> None:
 @functools.cache
 def _stamp(function: Any) -> str:
     """Return what changes with anything that decides what a function computes, but with no comment."""
-    total = hashlib.sha256(f"{function.__module__} {sorted(_ARITHMETIC)}".encode())
+    total = hashlib.sha256(f"{function.__module__} {sorted(_ARITHMETIC)} {sorted(_BORROWED)}".encode())
     for part in _meaning(function.__code__, function.__globals__, set()):
         total.update(part.encode() + b"\0")
     return total.hexdigest()

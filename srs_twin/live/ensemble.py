@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.live.modules import BIAS, FILL, GAIN, VENT, ModuleFilter
 from srs_twin.plants.analytical import compliant_kernels, kernels
@@ -517,7 +517,7 @@ class Ensemble:
         _set_momenta(self._states, self._of("motion").copy(), self._springs(), self._solid, self._floor)
 
 
-@compiled
+@allocating
 def _advance(states, velocities, steps, moments, springs, mu, solid, floor):  # type: ignore[no-untyped-def]
     """Advance bodies in place; say which of them made all steps."""
     fine = np.empty(states.shape[0], dtype=np.bool_)
@@ -539,7 +539,7 @@ def _with_mu(floor, mu):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@compiled
+@allocating
 def _set_momenta(states, velocities, springs, solid, floor):  # type: ignore[no-untyped-def]
     """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
     n, size = solid.mass.shape[0], velocities.shape[1]
@@ -559,7 +559,7 @@ def _set_momenta(states, velocities, springs, solid, floor):  # type: ignore[no-
             state[ahead + segments + j] = momentum[3 + j]
 
 
-@compiled
+@allocating
 def _correct(members, predicted, told, variances, masks, together):  # type: ignore[no-untyped-def]  # noqa: D417
     """Take numbers one after another (module docstring); return by what each is off, in standard deviations.
 

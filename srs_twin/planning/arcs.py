@@ -73,41 +73,52 @@ def blocked(x, y, heading, curvature, length, ahead, behind, left, right, around
     # Long regions in pieces, which reach into fewer cells.
     count = max(1, int(np.ceil(h / max(corner[2], left + right))))
     part = h / count
+    end = along(0.0, 0.0, 0.0, curvature, part)
+    region = curvature, part, left, right, end[0], end[1], np.cos(end[2]), np.sin(end[2])
     for k in range(count):
-        middle = along(x, y, heading, curvature, (2 * k + 1) * part - h)
-        if _touches(*middle, curvature, part, left, right, around):
+        at_x, at_y, turned = along(x, y, heading, curvature, (2 * k + 1) * part - h)
+        if _touches((at_x, at_y, np.cos(turned), np.sin(turned)), region, around):
             return True
     return False
 
 
 @compiled
-def _touches(x, y, heading, curvature, h, left, right, around):  # type: ignore[no-untyped-def]
-    """Say whether the region about the middle of an arc, half of it h long, touches a circle or a side."""
+def _touches(middle, region, around):  # type: ignore[no-untyped-def]
+    """Say whether the region about the middle of an arc touches a circle or a side.
+
+    Args:
+        middle: x, y, m, and the heading's cosine and sine.
+        region: curvature, h, left and right edges, u, w and the direction's cosine and sine at its end.
+        around: as for `blocked`.
+    """
     circles, sides, _, corner, first, lists = around
-    c, s, reach = np.cos(heading), np.sin(heading), h + max(left, right)
-    end_u, end_w, end = along(0.0, 0.0, 0.0, curvature, h)
-    ec, es = np.cos(end), np.sin(end)
-    columns = _cells_within(x - corner[0], reach + MARGIN, corner[2], first.shape[0])
-    rows = _cells_within(y - corner[1], reach + MARGIN, corner[2], first.shape[1])
+    reach = region[1] + max(region[2], region[3]) + MARGIN
+    columns = _cells_within(middle[0] - corner[0], reach, corner[2], first.shape[0])
+    rows = _cells_within(middle[1] - corner[1], reach, corner[2], first.shape[1])
     for column in range(columns[0], columns[1]):
         for row in range(rows[0], rows[1]):
             for item in range(first[column, row, 0], first[column, row, 1]):
-                k = lists[item]
-                if k < circles.shape[0]:
-                    dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + MARGIN
-                    if dx * dx + dy * dy < (reach + radius) * (reach + radius):
-                        # The region is its own mirror image across its middle: u may be taken to be ahead.
-                        u, w = abs(c * dx + s * dy), c * dy - s * dx
-                        if _distance(u, w, curvature, h, left, right, end_u, end_w, ec, es) < radius:
-                            return True
-                    continue
-                k -= circles.shape[0]
-                ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
-                if _from_origin(ax, ay, bx, by) < reach:
-                    au, aw, bu, bw = c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx
-                    if _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):
-                        return True
+                if _thing_touches(lists[item], circles, sides, middle, region):
+                    return True
     return False
+
+
+@compiled
+def _thing_touches(k, circles, sides, middle, region):  # type: ignore[no-untyped-def]
+    """Say whether a circle touches a region, or a side: those are numbered after all circles."""
+    x, y, c, s = middle
+    reach = region[1] + max(region[2], region[3])
+    if k < circles.shape[0]:
+        dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + MARGIN
+        if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
+            return False
+        # The region is its own mirror image across its middle, so u may be taken to be ahead.
+        return _distance(abs(c * dx + s * dy), c * dy - s * dx, *region) < radius
+    k -= circles.shape[0]
+    ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
+    if _from_origin(ax, ay, bx, by) >= reach:
+        return False
+    return _crosses(c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, *region)
 
 
 @compiled
@@ -150,19 +161,21 @@ def _from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 def _crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
     """Say whether a line segment has a part in the region."""
     du, dw = bu - au, bw - aw
-    cuts = np.empty(8)
-    cuts[0], cuts[1] = 0.0, 1.0
-    cuts[2] = _ratio(ec * (end_u - au) + es * (end_w - aw), ec * du + es * dw)
-    cuts[3] = _ratio(-ec * (end_u + au) - es * (end_w - aw), ec * du - es * dw)
     # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
     c = curvature * (au * au + aw * aw) - 2 * aw
-    cuts[4], cuts[5] = _roots(a, b, c + 2 * left - curvature * left * left)
-    cuts[6], cuts[7] = _roots(a, b, c - 2 * right - curvature * right * right)
-    cuts.sort()
-    for k in range(7):
-        t = (cuts[k] + cuts[k + 1]) / 2
+    in_front = _ratio(ec * (end_u - au) + es * (end_w - aw), ec * du + es * dw)
+    behind = _ratio(-ec * (end_u + au) - es * (end_w - aw), ec * du - es * dw)
+    on_left = _roots(a, b, c + 2 * left - curvature * left * left)
+    on_right = _roots(a, b, c - 2 * right - curvature * right * right)
+    cuts = 0.0, in_front, behind, on_left[0], on_left[1], on_right[0], on_right[1]
+    for first in cuts:
+        last = 1.0
+        for cut in cuts:
+            if first < cut < last:
+                last = cut
+        t = (first + last) / 2
         n, s = place(au + t * du, aw + t * dw, curvature)
         if abs(s) <= h and -right <= n <= left:
             return True

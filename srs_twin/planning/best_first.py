@@ -378,7 +378,7 @@ def _connects(frontier, node, search, best):  # type: ignore[no-untyped-def]
     path = word(*way[:3], target.x, target.y, target.heading, target.free, target.turning)
     if cost + path[3] + path[4] + path[5] >= best:
         return False
-    return passes(way, path, search.moves, search.around)
+    return passes(way, path, search.moves, search.around)[0]
 
 
 @compiled
@@ -389,13 +389,14 @@ def at_rest(x, y, heading, moves):  # type: ignore[no-untyped-def]
 
 @compiled
 def passes(way, path, moves, around):  # type: ignore[no-untyped-def]
-    """Say whether a Dubins path, as `dubins.word` returns it, is free; `way` as in `one_arc`."""
+    """Return whether a Dubins path, as `dubins.word` returns it, is free, and the way on from its end."""
+    free = True
     for piece in range(3):
         if path[3 + piece] > 0:
             free, way = one_arc(way, moves.turns[0, 1 + int(path[piece])], path[3 + piece], moves, around)
             if not free:
-                return False
-    return True
+                break
+    return free, way
 
 
 @compiled

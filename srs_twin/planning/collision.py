@@ -64,7 +64,7 @@ def in_cells(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.nda
     if count == 0:
         return np.array([0.0, 0.0, 1.0]), np.zeros((0, 0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
     corner, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
-    cell = max(float(extent.max()) / min(max(math.isqrt(count), 1), _MOST_CELLS), 1e-9)
+    cell = max(float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MOST_CELLS), 1e-9)
     columns, rows = (int(each / cell) + 1 for each in extent)
     begin, end = ((each - corner) // cell for each in (low, high))
     listed: list[list[int]] = [[] for _ in range(columns * rows)]

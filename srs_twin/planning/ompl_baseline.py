@@ -16,7 +16,7 @@ from srs_twin.planning.best_first import Moves, at_rest, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import Pieces, shortest, word
 from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, path_of
-from srs_twin.planning.search import shortened
+from srs_twin.planning.shortening import shortened
 from srs_twin.planning.tree import moves_of
 from srs_twin.world import Pose
 
@@ -81,7 +81,7 @@ def _motion_validator(base: Any) -> Any:
 
         def passes(self, a: Pose, b: Pose) -> bool:
             path = word(a.x, a.y, a.heading, b.x, b.y, b.heading, False, self.radius)
-            return bool(passes(at_rest(*a, self.moves), path, self.moves, self.around))
+            return bool(passes(at_rest(*a, self.moves), path, self.moves, self.around)[0])
 
         def checkMotion(self, a: Any, b: Any, last: Any = None) -> bool:  # noqa: N802
             return self.passes(_pose(a), _pose(b))

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.planning.footprint import Footprint
 from srs_twin.world import Goal, Pose
 
@@ -88,7 +88,7 @@ def _moves(tight: float, step: float, sector: float) -> np.ndarray:
     return np.array(rows)
 
 
-@compiled
+@allocating
 def _runs_out(one, other, tight, clearance, step, cell, seen, moves, most, around):  # type: ignore[no-untyped-def]
     """Say whether the cells reached from one end run out before they lead far away or near the other."""
     sectors, side = seen.shape[2], seen.shape[0] // 2

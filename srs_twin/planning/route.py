@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.planning.arcs import along, place
 from srs_twin.planning.problem import Segment
 from srs_twin.world import Pose
@@ -103,7 +103,7 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
     return s_best, n_best, heading_best, curvature_best
 
 
-@compiled
+@allocating
 def _all_nearest(points, arcs):  # type: ignore[no-untyped-def]
     """Return s and n of each point, shape (k, 2)."""
     found = np.empty((len(points), 2))

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.errors import InputError
 from srs_twin.memory import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
@@ -115,7 +115,7 @@ class LagPneumatics(Pneumatics):
         return trace
 
 
-@compiled
+@allocating
 def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):  # type: ignore[no-untyped-def]
     """Fill a trace at `times`, advance to the end of a schedule, return the air drawn (J).
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bent, volume
 from srs_twin.pneumatics.flow import flow
 
@@ -216,7 +216,7 @@ def _step(y, books, h, begun, state, given, actual, air, work):  # type: ignore[
     return drawn, come
 
 
-@compiled
+@allocating
 def follow(y, books, schedule, times, substep, given, actual, air, pressure, trace):  # type: ignore[no-untyped-def]
     """Advance y and books in place over a schedule and fill `pressure` (end) and a trace at `times`.
 
@@ -272,7 +272,7 @@ def follow(y, books, schedule, times, substep, given, actual, air, pressure, tra
             pressure[j, side] = y[j, side] / size - AMBIENT_PA
 
 
-@compiled
+@allocating
 def _look(times, first_row, until, begun, h, ends, state, given, actual, air, trace):  # type: ignore[no-untyped-def]
     """Fill rows of a trace inside a step from the cubics through values and slopes at its ends.
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.arrays import check_positive, joined
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating
 from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.friction import AT_TRACK, LAWS
 from srs_twin.memory import Remembers, fingerprint, names
@@ -189,7 +189,7 @@ class ClampedBends(Body):
         return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
 
 
-@compiled
+@allocating
 def hang(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
     """Fill what follows from the bends of a chain that is held at its head.
 

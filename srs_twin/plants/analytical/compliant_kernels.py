@@ -24,7 +24,7 @@ import math
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.plants.analytical.floor import connector_friction, smoothed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
@@ -222,7 +222,7 @@ def _draw_on(u, rate, time, last):  # type: ignore[no-untyped-def]
         u[j] += rate[j] * time
 
 
-@compiled
+@allocating
 def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped-def]
     """Advance a body in place over the given steps; return how many were made: fewer, if one failed.
 

@@ -38,7 +38,7 @@ import math
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.plants.analytical.floor import fill_forces, floor_forces
 from srs_twin.plants.analytical.kinematics import COS, ROWS, SIN, SPIN, VX, VY, X, Y, chord_terms, pose_body
 
@@ -46,7 +46,7 @@ _SLOPE, _SPAN = 0, 2  # columns of L' e and of L e among the chords
 _CHORD = 4
 
 
-@compiled
+@allocating
 def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyped-def]
     """Fill the segments' net moments that the given bends need.
 
@@ -312,7 +312,7 @@ def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type:
     return first and second
 
 
-@compiled
+@allocating
 def observe(motion, solid, floor, position, theta, force, energy):  # type: ignore[no-untyped-def]
     """Fill what follows from the states, in the world frame.
 

@@ -24,7 +24,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compiled import allocating, compiled
 from srs_twin.plants.analytical.floor import smoothed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
@@ -145,7 +145,7 @@ def _unevenness(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
     return h * math.sqrt(x * x + y * y + turning * turning)
 
 
-@compiled
+@allocating
 def advance(now, steps, trace, marks, model, tolerance, seen):  # type: ignore[no-untyped-def]
     """Advance a body in place over the given steps.
 
