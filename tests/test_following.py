@@ -43,7 +43,8 @@ def ours():
 
 def follow(
     plan, *, start=(0.0, 0.0, 0.0), law=None, camera=CLEAR, delay=0.0, duration=30.0, seed=0, radius=0.05,
-    stray=None, replans=3, replan=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0, **snake,
+    stray=None, replans=3, replan=None, submit=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0,
+    **snake,
 ):  # fmt: skip
     """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag."""
     wheel = Wheel()
@@ -57,6 +58,7 @@ def follow(
         BODY,
         conditions,
         replan=replan,
+        submit=submit,
         world=world,
         body=BODY.reduced(margin=margin),
     )
@@ -342,6 +344,47 @@ def test_a_new_plan_leads_to_the_goal():
         plan, start=(0.0, 0.2, 0.4), stray=0.15, replan=replan, goal=Goal(1.5, 0.0, None, 5.0)
     )
     assert follower.ending == "goal_reached" and len(follower.plans) == 2
+
+
+class Later:
+    """What another thread has done when it is asked for the tenth time."""
+
+    def __init__(self, job):
+        self.job, self.asked = job, 0
+
+    def done(self):
+        self.asked += 1
+        return self.asked == 10
+
+    def result(self):
+        return self.job()
+
+
+def test_a_snake_goes_on_along_the_old_plan_until_another_thread_has_made_one():
+    jobs = []
+
+    def submit(job):
+        jobs.append(Later(job))
+        return jobs[-1]
+
+    def replan(pose, _share):
+        return a_plan(start=pose)
+
+    slow, plant, _ = follow(
+        a_plan(),
+        start=(0.0, 0.2, 0.4),
+        stray=0.15,
+        replan=replan,
+        submit=submit,
+        goal=Goal(1.5, 0.0, None, 5.0),
+    )
+    fast, _, _ = follow(
+        a_plan(), start=(0.0, 0.2, 0.4), stray=0.15, replan=replan, goal=Goal(1.5, 0.0, None, 5.0)
+    )
+    assert slow.ending == fast.ending == "goal_reached" and len(jobs) == 1
+    (_, at_once), (_, later) = fast.plans, slow.plans
+    assert later[0] == pytest.approx(at_once[0] + 10 * plant.tick)
+    assert later[1].segments[0].start == at_once[1].segments[0].start
 
 
 def test_a_controller_without_an_offset_is_refused():

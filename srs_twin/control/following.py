@@ -12,7 +12,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import KW_ONLY, asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,6 +60,9 @@ _NOWHERE = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, mat
 
 Replan = Callable[[Pose, float], Plan]
 """Pose and share of the margin → plan."""
+
+Renewal = tuple[Plan | None, str, float]
+"""A plan, or None and why there is none with the whole margin; and the share of it."""
 
 _HORIZON = 0.6
 """How far ahead the body is looked after, m."""
@@ -108,6 +113,7 @@ class Follower(Controller):
         body: the footprint that the plan was made with, recorded with the run; None: the same.
         world: recorded with the run.
         replan: makes a new plan from a pose; None: nobody does.
+        submit: has another thread make them, while the snake goes on; None: it waits for them.
         finished: at its end.
         ending: why, of `ENDINGS`; None while it goes on.
         plans: (time, plan) of each, the first at 0.
@@ -132,6 +138,7 @@ class Follower(Controller):
     body: Footprint | None = None
     world: World = World()
     replan: Replan | None = None
+    submit: Callable[[Callable[[], Renewal]], Future[Renewal]] | None = None
 
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
@@ -158,6 +165,7 @@ class Follower(Controller):
         self._here = _NOWHERE
         self._tries, self._not_before = 0, 0.0
         self._renewal = ""
+        self._coming: tuple[str, Future[Renewal]] | None = None
         self._running_up = self.conditions.run_up > 0 and self.conditions.stray is not None
         self._events: list[Event] = []
         self.finished, self.ending, self.plans = False, None, []
@@ -170,6 +178,10 @@ class Follower(Controller):
     def step(self, state: SnakeState) -> np.ndarray:
         """See `Controller.step`."""
         time = float(state.time)
+        if self._coming and self._coming[1].done() and not self.finished:
+            why, coming = self._coming
+            self._coming = None
+            self._renewed(time, why, coming.result())
         frame = self._frames.take(state) if not self.finished else None
         if frame is not None:
             self._mean.add(time, frame)
@@ -294,7 +306,9 @@ class Follower(Controller):
         return False
 
     def _again(self, time: float, pose: Pose, why: str) -> None:
-        """Plan anew from a pose; without a new plan, a snake that still has one goes on along it."""
+        """Plan anew from a pose, unless that is being done."""
+        if self._coming:
+            return
         if self.replan is None or self._tries >= self.conditions.replans:
             if why not in _GOING_ON:
                 self._end(time, why)
@@ -305,7 +319,15 @@ class Follower(Controller):
             return
         self._tries += why not in ("run_up", "fault", "start")
         self._not_before = time + PATIENCE_PERIODS * self._period
-        plan, reason, share = _new_plan(self.replan, pose)
+        job = partial(_new_plan, self.replan, pose)
+        if self.submit is None:
+            self._renewed(time, why, job())
+        else:
+            self._coming = why, self.submit(job)
+
+    def _renewed(self, time: float, why: str, found: Renewal) -> None:
+        """Take a new plan; without one, a snake that still has an old one goes on along it."""
+        plan, reason, share = found
         if plan is not None:
             margin = "" if share == 1 else f", {share:.0%} of the margin"
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why}{margin})"
@@ -337,8 +359,8 @@ class Follower(Controller):
         self.gait.offset = offset  # type: ignore[attr-defined]  # checked when made
 
 
-def _new_plan(replan: Replan, pose: Pose) -> tuple[Plan | None, str, float]:
-    """Return a plan from a pose, or None and why there is none with the whole margin; and its share."""
+def _new_plan(replan: Replan, pose: Pose) -> Renewal:
+    """Return a plan from a pose, with as much of the margin as there is room for."""
     reasons = []
     for share in _SHARES:
         try:

@@ -94,6 +94,8 @@ class Session:
         done = 0
         pending: Future[Prediction] | None = None
         with ThreadPoolExecutor(2) as pool:
+            if self._helm is not None:
+                self._helm.follower.submit = pool.submit
             while not stop() and done * TICK_S < duration and not self._over():
                 tick = time.monotonic()
                 self._tick(clock(), tick - first)
