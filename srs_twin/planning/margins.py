@@ -31,6 +31,7 @@ class ConditionsFile(Strict):
     """Under which a follower was tried."""
 
     plant: Literal["analytical", "twin"] = Field(description="What was run.")
+    chambers: Literal["lag", "orifice"] = Field("lag", description="How its chambers fill.")
     follower: Literal["bearing", "path"] = Field(description="Which follower.")
     gain_spread: Share = Field(0.0, description="Of the modules' gains, 0 to 1.")
     tau_spread: Share = Field(0.0, description="Of their lags, 0 to 1.")
@@ -43,7 +44,7 @@ class ConditionsFile(Strict):
 
     def covers(self, other: ConditionsFile) -> bool:
         """Say whether what was tried under these holds under others too: theirs are no harder."""
-        same = ("plant", "follower", "run_up_m")
+        same = ("plant", "chambers", "follower", "run_up_m")
         return all(getattr(self, each) == getattr(other, each) for each in same) and all(
             getattr(self, each) >= getattr(other, each) - 1e-12 for each in _HARDER
         )

@@ -420,13 +420,14 @@ class FollowFile(ControllerSection):
             replan=None if planner.file.kind == "given" else planner.plan_from,
         )
 
-    def conditions(self, plant: str, robot: RobotFile, planner: PlannerFile) -> ConditionsFile:
+    def conditions(self, plant: str, chambers: str, robot: RobotFile, planner: PlannerFile) -> ConditionsFile:
         """Return what makes following hard, as margins with a probability are measured."""
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {
                 **{name: each.value for name, each in spreads.items() if each is not None},
                 "plant": plant,
+                "chambers": chambers,
                 "follower": self.follower,
                 "turn_share": planner.turn_share,
                 "delay_s": self.delay_s,

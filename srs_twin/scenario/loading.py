@@ -227,7 +227,8 @@ def _planner(document: Document, file: ScenarioFile, robot: RobotFile, world: Wo
     try:
         footprint = load_footprint_file(file.planner.footprint)
         key = ("planner",)
-        tried = [file.controller.conditions(plant, robot, file.planner) for plant in file.plants.running]
+        chambers, running = file.pneumatics.kind, file.plants.running
+        tried = [file.controller.conditions(plant, chambers, robot, file.planner) for plant in running]
         return RoutePlanner.of(file.planner, footprint, file.start.build(), world, tried)
     except InputError as error:
         document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])

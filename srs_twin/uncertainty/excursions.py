@@ -130,7 +130,7 @@ def excursions(
     if planner is None or not isinstance(controller, FollowFile):
         raise InputError(f"{scenario.name}: it follows no plan; margins belong to controller.kind: follow")
     robot = RobotFile.model_validate(scenario.document["robot"])
-    conditions = controller.conditions(plant, robot, planner)
+    conditions = controller.conditions(plant, scenario.file.pneumatics.kind, robot, planner)
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0}
     same = {"footprint": planner.footprint, "turn_share": planner.turn_share}
     alone = {

@@ -51,7 +51,14 @@ def test_margins_hold_under_conditions_no_harder_than_measured():
     # Of several the nearest, not the luckiest: harder conditions that went well by chance do not count.
     luckier = [*blocks, tried([0.01] * 20, gain_spread=0.3)]
     assert margin(luckier, 0.9, wanted[:1]).path == 0.03
-    for other in ({"gain_spread": 0.3}, {"delay_s": 0.2}, {"run_up_m": 0.3}, {"tau_spread": 0.1}):
+    others = (
+        {"gain_spread": 0.3},
+        {"delay_s": 0.2},
+        {"run_up_m": 0.3},
+        {"tau_spread": 0.1},
+        {"chambers": "orifice"},
+    )
+    for other in others:
         with pytest.raises(InputError, match="no excursions were measured for"):
             margin(blocks, 0.9, [conditions(**other)])
 
