@@ -17,6 +17,7 @@ from pathlib import Path
 from grid import table
 from live_runs import Run, steered
 
+SCENARIOS = {"orifice": "follow_orifice", "lag": "follow_fig57"}
 SINCE, LIMIT_S = 6.0, 90.0
 STEERABLE = (
     *(f"dead_sensor:{j}" for j in (1, 2, 3, 4)), *(f"dead_sensor:{j}=frozen" for j in (1, 3)),
@@ -31,10 +32,11 @@ OTHERS = ("starved=empty", "")
 def main() -> None:
     """Run and print."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--scenario", default="follow_fig57")
-    words.add_argument("--pneumatics", default="orifice", help="chambers of the robot")
+    words.add_argument("--scenario", help="default: that with the footprint of such chambers")
+    words.add_argument("--pneumatics", default="orifice", choices=SCENARIOS, help="chambers of the robot")
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
+    scenario = given.scenario or SCENARIOS[given.pneumatics]
     # Chambers that lag do not begin to leak.
     steerable = [each for each in STEERABLE if given.pneumatics == "orifice" or "leak" not in each]
     runs = [
@@ -45,7 +47,7 @@ def main() -> None:
         for k, fault in enumerate((*steerable, *OTHERS))
     ]  # fmt: skip
     with ProcessPoolExecutor() as pool:
-        rows = list(pool.map(steered, [(run, given.scenario) for run in runs]))
+        rows = list(pool.map(steered, [(run, scenario) for run in runs]))
     lines = [
         [
             row["fault"] or "no camera", str(row["ending"]), f"{row['time_s']:.0f}",

@@ -86,6 +86,7 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
         (["gen2", "--frequency", "-1"], "frequency -1 Hz is not allowed"),
         (["gen4", "--controller", "ilc", "--target", "0"], "ilc target 0.0 is not allowed"),
         (["gen2", "--periods", "-3"], "periods -3 is not allowed"),
+        (["gen2", "--chambers", "orifce"], "unknown chambers 'orifce'; did you mean orifice?"),
         (["gen2", "--phases", "1000000"], "phases 1000000 is not allowed; it must be from 1 to 64"),
         (["gen2", "--name", "../x"], "--name: '../x' is not allowed; lower-case letters"),
         (["gen2", "--out", "/dev/null/x"], "cannot write there"),
@@ -166,8 +167,9 @@ def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
 
 
 SHIPPED = {
-    "gen2_gait": ("gen2", "gait", 2.0, 48.3e3, 0.2),
-    "gen4_ilc": ("gen4", "ilc", 1.5, 131e3, 0.3),
+    "gen2_gait": ("gen2", "gait", 2.0, 48.3e3, 0.2, "lag"),
+    "gen4_ilc": ("gen4", "ilc", 1.5, 131e3, 0.3, "lag"),
+    "gen2_orifice": ("gen2", "gait", 2.0, 48.3e3, 0.2, "orifice"),
 }
 
 
@@ -178,14 +180,14 @@ CURRENT = [pytest.param(name, marks=[pytest.mark.slow] if name == LEARNT else []
 @pytest.mark.parametrize("name", CURRENT)
 def test_shipped_measurements_are_current(name):
     """One offset is run again at one phase of the gait; the file's row is the mean over several."""
-    robot, controller, frequency, supply, offset = SHIPPED[name]
+    robot, controller, frequency, supply, offset, chambers = SHIPPED[name]
     spec = load_robot(robot)
     first, second = (shipped_folder("footprint") / f"{name}.yaml").read_text("utf-8").splitlines()[:2]
     assert first.startswith(f"# measured by: srs-twin calibrate footprint {robot} --name {name} ")
     assert f"--pressure {supply / 1000:g} " in first and " --no-transients" not in first
     assert second.endswith(robot_hash(spec)), "the robot has changed; measure it again with the command above"
 
-    drive = Drive(spec, frequency, supply, controller)
+    drive = Drive(spec, frequency, supply, controller, chambers=chambers)
     job = drive.steady_job(drive.plant_maker(), offset, 0.0, Study.periods)
     again = steady_path(
         drive, rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ), Study.periods

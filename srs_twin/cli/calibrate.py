@@ -371,6 +371,7 @@ def footprint(
     pressure: PressureOption = None,
     target: Annotated[float, option("--target RAD")] = 0.7,
     plant: Annotated[str, option("--plant NAME")] = "twin",
+    chambers: Annotated[str, option("--chambers NAME")] = "lag",
     offsets: Annotated[str | None, option("--offsets LIST")] = None,
     transients: Annotated[bool, option("--transients/--no-transients")] = True,
     periods: Annotated[int, option("--periods N")] = 6,
@@ -391,6 +392,7 @@ def footprint(
         frequency: Of the gait. [default: 2, ilc 1.5]
         target: Bend that ilc aims at.
         plant: twin or analytical.
+        chambers: lag, or orifice for compressible flow.
         offsets: As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
         transients: Measure changes of offset.
         periods: Gait periods measured of each run.
@@ -409,7 +411,7 @@ def footprint(
     spec = load_robot(robot)
     supply = spec.supply.nominal if pressure is None else 1000 * pressure
     beat = _FREQUENCY_HZ.get(controller, 1.0) if frequency is None else frequency
-    drive = Drive(spec, beat, supply, controller, target, plant)
+    drive = Drive(spec, beat, supply, controller, target, plant, chambers=chambers)
     study = study_of(
         drive, offsets=wanted, changes=None if transients else (), periods=periods, phases=phases
     )

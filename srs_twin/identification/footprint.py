@@ -25,6 +25,7 @@ from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, me
 from srs_twin.io.files import read_text, shown
 from srs_twin.planning.footprint import FootprintFile, Transient
 from srs_twin.plants.base import Plant
+from srs_twin.pneumatics import KINDS
 from srs_twin.recordings.recording import named_in_errors
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
@@ -51,6 +52,7 @@ class Drive:
         target: of learning, rad.
         plant: "twin", "analytical" (model compliant on wheels), or what makes a plant of the right tick.
         steering: of learning, see `ILC`.
+        chambers: "lag" or "orifice", of a plant that is named.
     """
 
     spec: RobotSpec
@@ -60,18 +62,21 @@ class Drive:
     target: float = 0.7
     plant: str | Callable[[], Plant] = "twin"
     steering: str = TARGETS
+    chambers: str = "lag"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be driven.
 
         Raises:
             InputError: a number out of its range, or a pressure above what the robot may be given in pulses.
-            UnknownNameError: a controller or plant that there is not.
+            UnknownNameError: a controller, plant or chambers that there are not.
         """
         if self.controller not in CONTROLLERS:
             raise UnknownNameError("controller", self.controller, CONTROLLERS)
         if isinstance(self.plant, str) and self.plant not in PLANTS:
             raise UnknownNameError("plant", self.plant, PLANTS)
+        if self.chambers not in KINDS:
+            raise UnknownNameError("chambers", self.chambers, KINDS)
         given = ("pressure", self.supply_pa / 1000, "kPa"), ("frequency", self.frequency, "Hz")
         for name, value, unit in given:
             if not (math.isfinite(value) and value > 0):
@@ -157,7 +162,9 @@ def ticks(time: float) -> float:
 
 
 def _plant(drive: Drive) -> Plant:
-    settings: dict[str, Any] = {"supply_pa": drive.supply_pa, "tick": TICK}
+    settings: dict[str, Any] = {
+        "supply_pa": drive.supply_pa, "tick": TICK, "pneumatics": drive.chambers,
+    }  # fmt: skip
     if drive.plant == "twin":
         from srs_twin.plants.twin import TwinSnake
 
@@ -436,6 +443,8 @@ def command(study: Study, robot: str, name: str) -> str:
         words.append(f"--target {drive.target:g}")
     if drive.plant != "twin":
         words.append(f"--plant {drive.plant}")
+    if drive.chambers != "lag":
+        words.append(f"--chambers {drive.chambers}")
     if study.offsets != drive.offsets:
         words.append("--offsets=" + ",".join(f"{offset:g}" for offset in study.offsets))
     if study.changes != changes_between(study.offsets):
@@ -509,7 +518,8 @@ def _source(measured: Measured) -> str:
 def _plant_text(drive: Drive) -> str:
     if not isinstance(drive.plant, str):
         return "a plant of one's own"
-    return {"twin": "the twin", "analytical": "the analytical model compliant"}[drive.plant]
+    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[drive.plant]
+    return named if drive.chambers == "lag" else f"{named} with {drive.chambers} chambers"
 
 
 def rows(measured: Measured) -> list[Sequence[str]]:

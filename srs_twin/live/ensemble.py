@@ -15,6 +15,7 @@ Measurements are taken one by one by the ensemble square root filter (Whitaker a
 - inflation: what a correction takes of the spread is given back by a share (relaxation to prior spread,
   Whitaker and Hamill 2012);
 - outliers: a number further off than four standard deviations counts as if it were that much noisier;
+- rolling: a bend that is corrected turns and carries the body as one that bends among its wheels does;
 - adaptation: what wanders does so more where measurements are further off than expected, and less where they
   are not.
 """
@@ -225,8 +226,9 @@ class Ensemble:
             What they are off by, over the standard deviation that was expected, NaN where there are none.
         """
         variances = np.full(self._segments, self.noise.bend**2)
-        predicted, masks = self._of("bend").copy(), self._masks["bend"]
-        off = self._correct(predicted, bends, variances, masks, together=False)
+        before, masks = self._of("bend").copy(), self._masks["bend"]
+        off = self._correct(before.copy(), bends, variances, masks, together=False)
+        self._roll(self._of("bend") - before)
         self._adapt("unexplained", off)
         self._learn(~np.isnan(bends))
         return off
@@ -341,6 +343,7 @@ class Ensemble:
         """
         other = copy.copy(self)
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
+        other._own = {name: own[:members] for name, own in self._own.items()}
         other._scales = {name: each.copy() for name, each in self._scales.items()}
         other._rng = np.random.default_rng(0)
 
@@ -414,6 +417,30 @@ class Ensemble:
         np.clip(slides, -_MOST_FRICTION, _MOST_FRICTION, out=slides)
         self._momenta()
         return off
+
+    def _roll(self, bent: np.ndarray) -> None:
+        """Have members whose bends were corrected lie where their wheels then have rolled to.
+
+        Bends that change turn the body as well: it goes the way of least friction, here that of the mean
+        shape with friction in proportion to speed.
+
+        Args:
+            bent: by what the bends were corrected, shape (members, segments), rad.
+        """
+        g, mu, middle = self.spec.geometry, self.spec.friction, self.mean("bend")
+        small = 1e-4 * np.eye(self._segments + 1, self._segments, -1)
+        shapes = body_shape(middle + small, self._mass, g.segment_length, g.rigid_gap)
+        place, moves = shapes[0], (shapes[1:] - shapes[0]) / 1e-4
+        heading = relative_headings(middle)
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        ways = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0]])
+        turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
+        body = np.concatenate([ways, np.sum(ways * turns, axis=-1, keepdims=True)], axis=-1).reshape(-1, 3)
+        own = np.einsum("kic,jic->kij", ways, moves).reshape(-1, self._segments)
+        x, y, turn = (bent @ -np.linalg.lstsq(body, own, rcond=None)[0].T).T
+        c, s = np.cos(self._of("heading")[:, 0]), np.sin(self._of("heading")[:, 0])
+        self.members[:, :3] += np.column_stack([c * x - s * y, s * x + c * y, turn])
+        self._momenta()
 
     def _adapt(self, name: str, off: np.ndarray) -> None:
         """Let what wanders wander more where measurements are further off than expected, else less."""

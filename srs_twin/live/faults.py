@@ -104,7 +104,7 @@ class BankSettings:
     """
 
     begins: float = 5e-4
-    sure: float = 0.99
+    sure: float = 0.97
     patience: float = 0.2
     learns: float = 2.0
     noise: float = 0.02
@@ -369,9 +369,14 @@ class FaultBank(Remembers):
         likely = self.probability @ _SAME
         if self.time < s.learns:
             return
-        self._since = np.where(likely > s.sure, np.minimum(self._since, self.time), np.inf)
-        if (likely[:, _WEAK] > 0.5).sum() * 2 > len(likely):
+        weak, count = likely[:, _WEAK], len(likely)
+        if (weak > 0.5).sum() * 2 > count:
             named[0, 0] = _WEAK
+        if count > 1:
+            others = (weak.sum() - weak) / (count - 1)
+            likely[:, _WEAK] = weak * np.minimum(2 * others, 1.0)
+            likely /= likely.sum(axis=1, keepdims=True)
+        self._since = np.where(likely > s.sure, np.minimum(self._since, self.time), np.inf)
         for j, m in np.argwhere(self.time - self._since >= s.patience - 1e-9):
             # Of two that were named together one may have turned out to be right.
             if m and (named[j + 1, 0] < 0 or m in named[j + 1]) and not (m == _WEAK or named[0, 0] >= 0):

@@ -106,3 +106,34 @@ def test_members_that_all_diverge_begin_anew():
         ensemble.advance(air, 0.02)
     assert np.isfinite(ensemble.members).all()
     assert not ensemble.placed
+    ensemble.members[:, ensemble.rows["motion"]] = np.nan
+    assert np.isfinite(ensemble.ahead(3)([air], 0.02)).all()
+
+
+@pytest.mark.parametrize("robot", ["gen2", "gen4"])
+def test_bodies_that_are_corrected_roll_the_way_of_least_friction(robot):
+    """No place beside the one that they come to has wheels slide less."""
+    spec = load_robot(robot)
+    ensemble = Ensemble(spec, members=8, spreads=ALONE)
+    ensemble.members[:, ensemble.rows["bend"]] = [0.5, 0.1, -0.4, -0.2]
+    ensemble.members[:, ensemble.rows["heading"]] = 0.7
+    begun, first = ensemble.members.copy(), ensemble.poses()[0]
+
+    def slides():
+        x, y = (ensemble.poses()[0] - first)[:, :2].T
+        c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
+        ahead, aside = c * x + s * y, c * y - s * x
+        return float(np.sum(spec.friction.mu_t * ahead**2 + spec.friction.mu_n * aside**2))
+
+    for bent in 0.01 * np.eye(4):
+        ensemble.members[:] = begun
+        ensemble.members[:, ensemble.rows["bend"]] += bent
+        stays = slides()
+        ensemble._roll(np.tile(bent, (8, 1)))
+        least = slides()
+        assert least < 0.9 * stays
+        for column, by in ((0, 1e-5), (1, 1e-5), (2, 1e-4)):
+            for side in (-by, by):
+                ensemble.members[:, column] += side
+                assert slides() > least
+                ensemble.members[:, column] -= side

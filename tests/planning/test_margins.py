@@ -71,7 +71,7 @@ def test_excursions_survive_their_file(tmp_path):
     assert again.footprint() == file.footprint()
 
 
-@pytest.mark.parametrize("name", ["gen2_gait", "gen4_ilc"])
+@pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
 def test_shipped_footprints_keep_a_hundred_runs_on_each_plant(name):
     kept = load_footprint_file(name).excursions
     assert {each.conditions.plant for each in kept} == {"analytical", "twin"}
