@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from srs_twin.cli import say
-from srs_twin.cli.options import JsonOption, QuietOption, RobotArgument, option, print_json
+from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotArgument, option, print_json
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,6 +49,9 @@ def emulate(
     fault: Annotated[list[str] | None, option("--fault FAULT")] = None,
     spread: Annotated[float, option("--gain-spread S", min=0.0, max=0.5)] = 0.1,
     noise: Annotated[float, option("--noise-rad S", min=0.0, max=1.0)] = 0.02,
+    chambers: Annotated[str, option("--chambers NAME")] = "orifice",
+    pressure: PressureOption = None,
+    start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0",
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0,
     jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0,
     duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
@@ -71,6 +74,8 @@ def emulate(
         fault: What breaks, as stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2, starved@4; repeatable.
         spread: Of the gains of its modules.
         noise: Of its bend sensors, RMS, rad.
+        chambers: orifice for compressible flow, or lag.
+        start: Where it lies at first, m and rad, as --start=0.2,-0.1,0.5.
         loss: Share of its messages that is lost.
         jitter: By how much each of them is late at most.
         duration: Ends it. [default: Ctrl-C does]
@@ -84,7 +89,10 @@ def emulate(
     from srs_twin.live.messages import COMMAND
     from srs_twin.live.optitrack import NatNetServer
 
-    made = EmulatedRobot(robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise)
+    made = EmulatedRobot(
+        robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise, pneumatics=chambers,
+        supply_kpa=pressure, start=_pose(start),
+    )  # fmt: skip
     known = name or Path(robot).stem
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM):
@@ -106,3 +114,18 @@ def emulate(
         print_json(told)
     elif not quiet:
         say(f"{told['ticks']:.0f} ticks of {made.tick:g} s, {told['late']:.0f} of them late")
+
+
+def _pose(text: str) -> tuple[float, float, float]:
+    """Return x, y (m) and heading (rad) of a text.
+
+    Raises:
+        InputError: it is no three finite numbers.
+    """
+    try:
+        x, y, heading = (float(each) for each in text.split(","))
+    except ValueError:
+        x = y = heading = math.nan
+    if not math.isfinite(x + y + heading):
+        raise InputError(f"--start '{text}' is no place such as 0.2,-0.1,0.5: x and y in m, heading in rad")
+    return x, y, heading

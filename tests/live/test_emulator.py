@@ -153,6 +153,8 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         (("--fault", "stuck@1"), "unknown fault 'stuck'"),
         ((), f"no broker answers at 127.0.0.1:{port}"),
         (("--name", "a/b"), "cannot be part of a topic"),
+        (("--start", "1,2"), "--start '1,2' is no place such as 0.2,-0.1,0.5"),
+        (("--chambers", "orifce"), "did you mean orifice?"),
     ):
         done = srs_twin("emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path)
         assert done.returncode == 2
