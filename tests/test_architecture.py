@@ -41,6 +41,7 @@ ORDER = (
         "attribution",
         "sweep",
         "uncertainty",
+        "optimization",
     ),
     *("reproduction", "envs", "doctor", "cli"),
 )

@@ -15,6 +15,7 @@ from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor import doctor
 from srs_twin.cli.emulate import emulate
 from srs_twin.cli.inspect import inspect
+from srs_twin.cli.optimize import optimize
 from srs_twin.cli.options import option, with_options
 from srs_twin.cli.plan import plan
 from srs_twin.cli.render import render
@@ -43,6 +44,7 @@ verbs = (
     plan,
     replay,
     sweep,
+    optimize,
     uncertainty,
     reproduce,
     view,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
@@ -87,9 +87,11 @@ class Counting(Display):
         total: how many there are.
     """
 
-    def __init__(self, title: str, total: int, *, quiet: bool = False) -> None:
+    def __init__(
+        self, title: str, total: int, *, quiet: bool = False, beside: Callable[[], str] = str
+    ) -> None:
         super().__init__(title, quiet=quiet)
-        self.total = total
+        self.total, self._beside = total, beside
         self._done = self._failed = 0
         self._first = 0.0  # s, when the first run was done: workers take a while to start
 
@@ -118,7 +120,8 @@ class Counting(Display):
 
     def _pace(self) -> str:
         failed = f", {self._failed} failed" if self._failed else ""
-        return f"{failed}, {self._rate():.3g}/s"
+        beside = f", {said}" if (said := self._beside()) else ""
+        return f"{failed}, {self._rate():.3g}/s{beside}"
 
     def _line(self) -> str:
         left = (self.total - self._done) / self._rate()

@@ -64,7 +64,7 @@ def sweep(
         without: Leave out the points with this value; may be repeated.
         plants: analytical, twin or both. [default: the sweep's]
     """
-    chosen = _engine(engine, workers, address)
+    chosen = chosen_engine(engine, workers, address)
     from srs_twin.sweep import load_sweep, open_sweep
 
     found = load_sweep(given, set=changed_fields.changes(), plants=plants_of(plants))
@@ -122,7 +122,13 @@ def wanted_points(found: Sweep, without: Sequence[str]) -> set[str]:
     return set(wanted)
 
 
-def _engine(name: str, workers: int | None, address: str | None) -> Engine:
+def chosen_engine(name: str, workers: int | None, address: str | None) -> Engine:
+    """Return the engine of a name.
+
+    Raises:
+        InputError: it cannot be had so.
+        UnknownNameError: there is no such engine.
+    """
     if name == "local":
         from srs_twin.parallel import start_server
 

@@ -25,6 +25,7 @@ _FOLDERS = {
     "footprint": "calibration/footprints",
     "scenario": "scenarios",
     "sweep": "scenarios/sweeps",
+    "study": "scenarios/studies",
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
@@ -62,7 +63,7 @@ def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     anything else is a name, looked up in the shipped folder.
 
     Args:
-        kind: "robot", "footprint", "scenario", "sweep" or "table".
+        kind: "robot", "footprint", "scenario", "sweep", "study" or "table".
         name_or_path: as a person wrote it.
 
     Raises:

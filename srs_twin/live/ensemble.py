@@ -29,18 +29,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
 from srs_twin.geometry import body_shape, relative_headings
+from srs_twin.live.ensemble_kernels import advance, correct, set_momenta
 from srs_twin.live.modules import BIAS, FILL, GAIN, VENT, ModuleFilter
 from srs_twin.plants.analytical import compliant_kernels, kernels
-from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
-from srs_twin.plants.analytical.kinematics import ROWS, Solid
+from srs_twin.plants.analytical.floor import floor_friction
+from srs_twin.plants.analytical.kinematics import Solid
 from srs_twin.pneumatics.chambers import free_bends
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
 """Steps of the members, to which times of measurements are rounded."""
-_OUTLIER = 4.0
 _MEMORY, _ADAPTS, _SCALES = 25, 0.03, (0.2, 10.0)
 """Measurements that tell how far they are off, by which power of it what wanders follows, and how far."""
 _ASTRAY, _FRAMES = 6.0, 5
@@ -362,8 +361,8 @@ class Ensemble:
         air = Air(np.zeros((1, n, 2)), np.zeros(n), np.zeros((n, 2)))
         self.ahead(2)([air], STEP_S)
         nothing = np.full((len(self.members), n), 0.0), np.full(n, np.nan), np.ones(n)
-        _correct(self.members.copy(), *nothing, self._masks["bend"], False)
-        _correct(
+        correct(self.members.copy(), *nothing, self._masks["bend"], False)
+        correct(
             self.members.copy(),
             *nothing,
             np.broadcast_to(self._masks["pose"], self._masks["bend"].shape),
@@ -405,7 +404,7 @@ class Ensemble:
         together: bool,
     ) -> np.ndarray:
         before = self.members.std(axis=0)
-        off = _correct(self.members, predicted, told, variances, masks, together)
+        off = correct(self.members, predicted, told, variances, masks, together)
         after = self.members.std(axis=0)
         grown = 1 + self.spreads.inflation * (before - after) / np.maximum(after, 1e-12)
         friction = self.rows["friction"]
@@ -507,7 +506,7 @@ class Ensemble:
         moments = moments.reshape(count, slots * steps, 2, n)
         mu = spec.friction.mu_t * np.exp(self._of("friction")[:, 0])
         velocities = self._of("motion").copy()
-        fine = _advance(self._states, velocities, np.full(slots * steps, h), moments, springs, mu,
+        fine = advance(self._states, velocities, np.full(slots * steps, h), moments, springs, mu,
                         self._solid, self._floor)  # fmt: skip
         wrong = ~fine | ~np.isfinite(self._states).all(axis=1) | (np.abs(velocities[:, :3]).max(axis=1) > 20)
         self._of("motion")[:] = velocities
@@ -541,102 +540,4 @@ class Ensemble:
         n = self._segments
         self._states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]] = self.members[:, :3]
         self._states[:, compliant_kernels.BENDS :][:, :n] = self._of("bend")
-        _set_momenta(self._states, self._of("motion").copy(), self._springs(), self._solid, self._floor)
-
-
-@allocating
-def _advance(states, velocities, steps, moments, springs, mu, solid, floor):  # type: ignore[no-untyped-def]
-    """Advance bodies in place; say which of them made all steps."""
-    fine = np.empty(states.shape[0], dtype=np.bool_)
-    marks = np.empty(0, dtype=np.int64)
-    seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
-    for m in range(states.shape[0]):
-        model = solid, (springs[m, 0], springs[m, 1]), _with_mu(floor, mu[m])
-        now = states[m], velocities[m]
-        fine[m] = compliant_kernels.advance(now, steps, moments[m], marks, model, seen) == steps.shape[0]
-    return fine
-
-
-@compiled
-def _with_mu(floor, mu):  # type: ignore[no-untyped-def]
-    """Return a floor with another μ_t."""
-    return FloorFriction(
-        floor.case, floor.track, mu, floor.mu_n, floor.slip, floor.drag, floor.lean, floor.down,
-        floor.pull_x, floor.pull_y,
-    )  # fmt: skip
-
-
-@allocating
-def _set_momenta(states, velocities, springs, solid, floor):  # type: ignore[no-untyped-def]
-    """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
-    n, size = solid.mass.shape[0], velocities.shape[1]
-    segments, ahead = n - 1, compliant_kernels.BENDS
-    momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
-    work = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
-    moment = np.zeros(segments)
-    for m in range(states.shape[0]):
-        state, u = states[m], velocities[m]
-        c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
-        state[kernels.STATE_VX], state[kernels.STATE_VY] = c * u[0] - s * u[1], s * u[0] + c * u[1]
-        model = solid, (springs[m, 0], springs[m, 1]), floor
-        bend = state[ahead : ahead + segments]
-        compliant_kernels.balance(bend, u, moment, 0.0, model, momentum, force, matrix, work)
-        state[kernels.MOMENT] = momentum[2]
-        for j in range(segments):
-            state[ahead + segments + j] = momentum[3 + j]
-
-
-@allocating
-def _correct(members, predicted, told, variances, masks, together):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Take numbers one after another (module docstring); return by what each is off, in standard deviations.
-
-    Args:
-        members: in place, shape (members, columns).
-        predicted: what each member would measure, in place, shape (members, numbers).
-        told: the numbers, NaN where there are none.
-        variances: of their noise.
-        masks: how far each corrects a column, 0 to 1, shape (numbers, columns).
-        together: whether a number also corrects what later ones are predicted to be.
-    """
-    count, width = members.shape
-    off = np.full(told.shape[0], np.nan)
-    for k in range(told.shape[0]):
-        if np.isnan(told[k]):
-            continue
-        mean = 0.0
-        for m in range(count):
-            mean += predicted[m, k] / count
-        spread = 0.0
-        for m in range(count):
-            spread += (predicted[m, k] - mean) ** 2 / (count - 1)
-        apart = told[k] - mean
-        off[k] = apart / math.sqrt(spread + variances[k])
-        noise = max(variances[k], (apart / _OUTLIER) ** 2 - spread)
-        total = spread + noise
-        # The square root filter's share of the gain by which members come nearer to their mean.
-        share = 1 / (1 + math.sqrt(noise / total))
-        for column in range(width):
-            if masks[k, column] == 0.0:
-                continue
-            middle = 0.0
-            for m in range(count):
-                middle += members[m, column] / count
-            together_with = own = 0.0
-            for m in range(count):
-                together_with += (predicted[m, k] - mean) * (members[m, column] - middle) / (count - 1)
-                own += (members[m, column] - middle) ** 2 / (count - 1)
-            # Of a correlation r that so many members show, what is beyond chance.
-            found = together_with**2 / max(own * spread, 1e-300)
-            believed = max(1 - (1 - found) / ((count - 2) * max(found, 1e-12)), 0.0)
-            gain = masks[k, column] * believed * together_with / total
-            for m in range(count):
-                members[m, column] += gain * (apart - share * (predicted[m, k] - mean))
-        if together:
-            for later in range(k + 1, told.shape[0]):
-                together_with = 0.0
-                for m in range(count):
-                    together_with += (predicted[m, k] - mean) * predicted[m, later] / (count - 1)
-                gain = together_with / total
-                for m in range(count):
-                    predicted[m, later] += gain * (apart - share * (predicted[m, k] - mean))
-    return off
+        set_momenta(self._states, self._of("motion").copy(), self._springs(), self._solid, self._floor)

@@ -94,16 +94,7 @@ class Study:
     @cached_property
     def partner(self) -> Mapping[str, Any] | None:
         """The scenario with `compliant` as its analytical plant; None where that cannot run it."""
-        twin = self.scenario.plants.get("twin") or TwinFile()
-        assert isinstance(twin, TwinFile), "so the scenario's model has it"
-        settings = {"model": COMPLIANT, "friction": twin.friction or LAW_OF[twin.wheels], "gaps": twin.gaps}
-        document = {**self.scenario.document, "plants": {"analytical": settings}, "expect": []}
-        try:
-            found = parse_scenario(document, name=self.scenario.name)
-            found.build_plant("analytical")
-        except InputError:
-            return None
-        return found.document
+        return compliant_partner(self.scenario)
 
     @property
     def parts(self) -> dict[str, int]:
@@ -178,6 +169,20 @@ class Study:
                 opened.finish()
             found[part] = _columns(folder / part / "results.parquet", sweep)
         return Propagation(self, found)
+
+
+def compliant_partner(scenario: Scenario) -> Mapping[str, Any] | None:
+    """Return plain data of a scenario with `compliant` as its only plant; None where that cannot run it."""
+    twin = scenario.plants.get("twin") or TwinFile()
+    assert isinstance(twin, TwinFile), "so the scenario's model has it"
+    settings = {"model": COMPLIANT, "friction": twin.friction or LAW_OF[twin.wheels], "gaps": twin.gaps}
+    document = {**scenario.document, "plants": {"analytical": settings}, "expect": []}
+    try:
+        found = parse_scenario(document, name=scenario.name)
+        found.build_plant("analytical")
+    except InputError:
+        return None
+    return found.document
 
 
 def _at(document: Any, name: str) -> Any:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from srs_twin import AnalyticalSnake, Gait, load_robot
-from srs_twin.live.ensemble import Air, Ensemble, Spreads, _correct
+from srs_twin.live.ensemble import Air, Ensemble, Spreads
+from srs_twin.live.ensemble_kernels import correct
 
 ALONE = Spreads(
     gain=0.0,
@@ -30,7 +31,7 @@ def test_a_number_corrects_as_the_kalman_filter_does():
     gain = covariance[:, 0] / (covariance[0, 0] + noise)
     predicted = members[:, :1].copy()
     kept = members.copy()
-    off = _correct(kept, predicted, np.array([told]), np.array([noise]), np.ones((1, 2)), False)
+    off = correct(kept, predicted, np.array([told]), np.array([noise]), np.ones((1, 2)), False)
     assert off[0] == pytest.approx((told - mean[0]) / np.sqrt(covariance[0, 0] + noise))
     assert kept.mean(axis=0) == pytest.approx(mean + gain * (told - mean[0]), abs=1e-4)
     assert np.cov(kept.T) == pytest.approx(covariance - np.outer(gain, covariance[0]), abs=1e-4)
@@ -42,7 +43,7 @@ def test_chance_correlations_correct_nothing():
     for _ in range(200):
         members = rng.normal(size=(32, 2))
         before = members.copy()
-        _correct(members, before[:, :1].copy(), np.array([1.0]), np.array([0.1]), np.ones((1, 2)), False)
+        correct(members, before[:, :1].copy(), np.array([1.0]), np.array([0.1]), np.ones((1, 2)), False)
         moved.append(np.abs(members - before).mean(axis=0))
     own, other = np.mean(moved, axis=0)
     assert other < 0.1 * own
@@ -52,7 +53,7 @@ def test_far_off_numbers_count_less():
     members = np.random.default_rng(5).normal(size=(200, 1))
     near, far = members.copy(), members.copy()
     for copy, told in ((near, 3.0), (far, 300.0)):
-        _correct(copy, copy.copy(), np.array([told]), np.array([0.1]), np.ones((1, 1)), False)
+        correct(copy, copy.copy(), np.array([told]), np.array([0.1]), np.ones((1, 1)), False)
     assert far.mean() < 20 * near.mean()
 
 

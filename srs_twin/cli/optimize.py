@@ -1,0 +1,131 @@
+"""`srs-twin optimize`: which robot and gait are best, by many cheap runs and few of the twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from srs_twin.cli import interruptible, say
+from srs_twin.cli.options import (
+    NO_CHANGES,
+    ChangeOptions,
+    JsonOption,
+    QuietOption,
+    argument,
+    at_once,
+    option,
+    print_json,
+)
+from srs_twin.cli.progress import Counting
+
+if TYPE_CHECKING:
+    from srs_twin.optimization.answer import Answer
+    from srs_twin.optimization.loading import Study
+    from srs_twin.sweep.task import Row
+
+STUDIES = Path("runs/studies")
+
+
+def optimize(
+    given: Annotated[str, argument("STUDY", of=["study"])],
+    out: Annotated[str | None, option("--out DIR")] = None,
+    engine: Annotated[str, option("--engine NAME")] = "local",
+    workers: Annotated[int | None, at_once("--workers N")] = None,
+    address: Annotated[str | None, option("--address HOST:PORT")] = None,
+    changed: Annotated[bool, option("--changed")] = False,
+    changed_fields: ChangeOptions = NO_CHANGES,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the best robot or gait for a question in a file.
+
+    Searches the analytical model compliant, and corrects it by few runs of the twin; every result is the
+    twin's. What an earlier start left in the folder is kept, and it goes on from there.
+
+    Options:
+        given: A shipped study or a file.
+        out: Folder of results. [default: runs/studies/STUDY]
+        engine: Who runs the designs: local or ray.
+        address: Of a Ray cluster. [default: a Ray of this machine's own]
+        changed: Go on in a folder of another version; keep what still belongs.
+    """
+    from srs_twin.cli.sweep import chosen_engine
+
+    runner = chosen_engine(engine, workers, address)
+    from srs_twin.optimization import load_study, search
+    from srs_twin.optimization.answer import Answer
+    from srs_twin.optimization.runs import Runs
+
+    study = load_study(given, set=changed_fields.changes())
+    folder = Path(out) if out else STUDIES / study.name
+    budget = study.file.budget
+    total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)
+    best = _Best(study)
+    with Counting(study.name, total, quiet=quiet, beside=best.text) as counting:
+
+        def told(part: str, row: Row) -> None:
+            best.take(part, row)
+            counting(failed=row.exit_code != 0)
+
+        with interruptible(f"what was run is kept in {folder}, start again to go on"):
+            with Runs(study, folder, runner, told, changed=changed) as runs:
+                answer = Answer.of(study, search(study, runs), runs)
+            files = answer.write(folder)
+    if as_json:
+        print_json(answer.document())
+    elif not quiet:
+        _show(answer)
+    say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
+
+
+class _Best:
+    """The best result so far of the first objective, for the line of progress."""
+
+    def __init__(self, study: Study) -> None:
+        self._objective, self._values = study.file.objectives[0], dict[str, float]()
+
+    def take(self, part: str, row: Row) -> None:
+        """Take a run that has finished."""
+        from srs_twin.optimization.runs import metric_of
+
+        value = metric_of(row, part, self._objective.metric)
+        best = max if self._objective.goal == "maximize" else min
+        if value == value:
+            self._values[part] = best(value, self._values.get(part, value))
+
+    def text(self) -> str:
+        """Return it in words."""
+        return ", ".join(f"{part} {value:.4g}" for part, value in self._values.items())
+
+
+def _show(answer: Answer) -> None:
+    """Print the best designs, and what the page says of them."""
+    from srs_twin.cli.fitting import print_table
+    from srs_twin.viewing.plots.labels import field_label, metric_label
+
+    study, told = answer.study, answer.document()
+    lines: list[tuple[str, ...]] = []
+    for each in told["best"]:
+        lines.append((*(f"{value:.4g}" for value in each["variables"].values()), *_metrics(each["metrics"])))
+    empty = [""] * study.space.size
+    lines.append((*empty, *_metrics(told["begun"])))
+    heads = (*map(field_label, study.space.variables), *map(metric_label, answer.metrics))
+    print_table(heads, lines)
+    print("the last line is the scenario as it stands")
+    for k, each in enumerate(told["best"][:3]):
+        for metric, gain in each["gains"].items():
+            ends = gain["interval_95"]
+            sure = "" if ends is None else f" (95 %: {_share(ends[0])} to {_share(ends[1])})"
+            print(f"best/{k + 1}: {metric_label(metric)} {_share(gain['share'])}{sure}")
+        if not each["survives"]:
+            print(f"best/{k + 1}: more than 1 % changes as the twin is refined")
+    counts = ", ".join(f"{count} runs of {part}" for part, count in told["evaluations"].items())
+    print(counts)
+
+
+def _metrics(values: dict[str, Any]) -> tuple[str, ...]:
+    return tuple("–" if value is None else f"{value:.4g}" for value in values.values())
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:+.1f} %"

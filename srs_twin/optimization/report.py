@@ -1,0 +1,103 @@
+"""Pictures and report.html of a study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srs_twin.io.files import write_text
+from srs_twin.optimization.search import costs
+from srs_twin.viewing.html.page import Table, image, render
+from srs_twin.viewing.plots.labels import field_label, metric_label
+from srs_twin.viewing.plots.studies import draw_convergence, draw_front, draw_parallel
+from srs_twin.viewing.plots.sweeps import save
+
+if TYPE_CHECKING:
+    from srs_twin.optimization.answer import Answer
+
+
+def write_report(folder: Path, answer: Answer) -> list[str]:
+    """Write pictures and page; return their names.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    study = answer.study
+    goals, begun = study.file.objectives, answer.document()["begun"]
+    twin = [run for run in answer.optimum.runs if run.part == "twin"]
+    values = np.array([[run.metric(each.metric) for each in goals] for run in twin])
+    labels = [metric_label(each.metric) for each in goals]
+    start = [begun[each.metric] for each in goals]
+    figures = {}
+    if len(goals) == 1:
+        best = goals[0].goal == "maximize"
+        figures["convergence"] = draw_convergence(values[:, 0], labels[0], start[0], maximize=best)
+    else:
+        front = np.array([[run.metric(each.metric) for each in goals] for run in answer.optimum.best])
+        figures["front"] = draw_front(values, front, labels, start)
+    shares = np.array([run.shares for run in twin])
+    ranks = np.argsort(np.argsort(costs(study, twin)[:, 0]))
+    ends = [(each.low, each.high) for each in study.file.variables.values()]
+    figures["parallel"] = draw_parallel(shares, ranks, list(map(field_label, study.space.variables)), ends)
+    pictures = []
+    for name, (figure, caption) in figures.items():
+        save(figure, folder / f"{name}.png")
+        pictures.append(image((folder / f"{name}.png").read_bytes(), "png", caption))
+    made = [(name, str(value)) for name, value in answer.document()["versions"].items()]
+    write_text(
+        folder / "report.html",
+        render(
+            "optimization/report.html",
+            title=study.title,
+            subtitle=", ".join(f"{n} runs of {part}" for part, n in answer.document()["evaluations"].items()),
+            best=_best(answer),
+            plots=pictures,
+            likeness=_likeness(answer),
+            made_with=Table(["", ""], made),
+        ),
+    )
+    return [*(f"{name}.png" for name in figures), "report.html"]
+
+
+def _best(answer: Answer) -> Table:
+    study, told = answer.study, answer.document()
+    headings = ["", *map(field_label, study.space.variables), *map(metric_label, answer.metrics)]
+    headings += [f"{metric_label(each.metric)}, gain" for each in study.file.objectives] + ["refined"]
+    rows = [
+        ["as it stands", *[""] * study.space.size, *(_text(told["begun"][name]) for name in answer.metrics)]
+    ]
+    rows[0] += [""] * (len(headings) - len(rows[0]))
+    for each in told["best"]:
+        row = [each["scenario"], *(f"{value:.4g}" for value in each["variables"].values())]
+        for name in answer.metrics:
+            ends = (each["intervals"] or {}).get(name)
+            row.append(
+                _text(each["metrics"][name]) + (f" ({_text(ends[0])} to {_text(ends[1])})" if ends else "")
+            )
+        for gain in each["gains"].values():
+            ends = gain["interval_95"]
+            row.append(_share(gain["share"]) + (f" ({_share(ends[0])} to {_share(ends[1])})" if ends else ""))
+        row.append(f"changes by {_share(max(filter(None, each['refined'].values()), default=0.0))}")
+        rows.append(row)
+    note = "In brackets: 95 % under what is uncertain of the robot." if answer.samples else ""
+    return Table(headings, rows, range(1, len(headings)), note)
+
+
+def _likeness(answer: Answer) -> str:
+    said = []
+    for name, found in answer.document()["fidelities"].items():
+        if found is not None:
+            label = metric_label(name)
+            every, near = _text(found["all"]), _text(found["near"])
+            said.append(f"{label}: {every} over all designs, {near} over the better half")
+    return "; ".join(said)
+
+
+def _text(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:+.1f} %"

@@ -1,0 +1,201 @@
+"""Studies: the file, the search on functions whose optima are known, resuming, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.optimization import load_study, search
+from srs_twin.optimization.runs import Runs
+from srs_twin.optimization.search import front
+from srs_twin.parallel import Done
+from srs_twin.scenario import load_scenario
+from srs_twin.sweep.task import DONE, FAILED, Row
+
+STUDY = """
+scenario: gen2_straight
+variables:
+  controller.frequency_hz: {{low: 0.5, high: 3.0}}
+  controller.phase_step_rad: {{low: 0.4, high: 2.6}}
+objectives: [{objectives}]
+constraints: [{constraints}]
+budget: {{compliant: {compliant}, twin: {twin}}}
+seed: {seed}
+"""
+SPEED = "{metric: com_speed_m_s, goal: maximize}"
+COST = "{metric: cost_of_transport, goal: minimize}"
+
+
+def study(tmp_path, *, objectives=SPEED, constraints="", twin=24, compliant=150, seed=0):
+    path = tmp_path / "question.yaml"
+    path.write_text(
+        STUDY.format(
+            objectives=objectives, constraints=constraints, twin=twin, compliant=compliant, seed=seed
+        ),
+        "utf-8",
+    )
+    return load_study(path)
+
+
+def speed(f, p, part):
+    """A hill; that of the cheap model stands elsewhere, is lower and tilted."""
+    if part == "compliant":
+        return 0.3 * math.exp(-(((f - 1.7) / 0.7) ** 2) - ((p - 1.3) / 0.5) ** 2) + 0.01 * f
+    return 0.4 * math.exp(-(((f - 2.0) / 0.6) ** 2) - ((p - 1.45) / 0.4) ** 2)
+
+
+def cost(f, p, part):
+    return 0.2 + (0.1 if part == "twin" else 0.08) * f**2
+
+
+class Engine:
+    """Gives speed and cost by formula; counts what it was asked for."""
+
+    def __init__(self, breaks_after=math.inf):
+        self.keys, self._left = [], breaks_after
+
+    def __call__(self, experiment, points):
+        (plant,) = experiment.plants
+        part = {"analytical": "compliant"}.get(plant, plant)
+        for number, point in enumerate(points):
+            if self._left <= 0:
+                raise KeyboardInterrupt
+            self._left -= 1
+            self.keys.append(point.key)
+            f, p = (
+                point.changes.get(f"controller.{name}", 1.0) for name in ("frequency_hz", "phase_step_rad")
+            )
+            if f > 2.9:
+                yield Done(number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None)
+                continue
+            values = {
+                f"{plant}.com_speed_m_s": speed(f, p, part),
+                f"{plant}.cost_of_transport": cost(f, p, part),
+            }
+            yield Done(number, Row(point.key, DONE, values), None)
+
+
+def answered(asked, folder, engine=None):
+    with Runs(asked, folder, engine or Engine()) as runs:
+        return search(asked, runs)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_few_runs_of_the_twin_find_its_optimum_that_the_cheap_model_misses(tmp_path, seed):
+    asked = study(tmp_path, seed=seed)
+    found = answered(asked, tmp_path / "out")
+    (best,) = found.best
+    assert best.part == "twin" and sum(run.part == "twin" for run in found.runs) == 24
+    assert best.metric("com_speed_m_s") > 0.98 * 0.4
+    cheap = max(
+        (run for run in found.runs if run.part == "compliant"), key=lambda run: run.metric("com_speed_m_s")
+    )
+    assert speed(*asked.space.values(cheap.shares), "twin") < 0.9 * 0.4
+
+
+def test_constraints_are_kept(tmp_path):
+    """The fastest gait that costs 0.4 has f = sqrt 2."""
+    asked = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=30)
+    (best,) = answered(asked, tmp_path / "out").best
+    assert best.metric("cost_of_transport") <= 0.4
+    assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
+
+
+def test_a_front_is_that_of_the_formulas(tmp_path):
+    """At the best phase all frequencies up to the fastest one are on it; little of its area is lost."""
+    asked = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=40, compliant=300)
+    best = answered(asked, tmp_path / "out").best
+    found = np.array([[run.metric("com_speed_m_s"), run.metric("cost_of_transport")] for run in best])
+    assert front(found * [-1, 1]).all()
+
+    def area(points):
+        """Of what points with speed s and cost c beat, down to no speed and up to a cost of 0.7."""
+        order = points[np.argsort(points[:, 1])]
+        order = order[order[:, 1] < 0.7]
+        least = np.append(order[1:, 1], 0.7)
+        return float(np.sum(np.maximum.accumulate(order[:, 0]) * (least - order[:, 1])))
+
+    f = np.linspace(0.5, 2.0, 400)  # beyond, it is slower and costs more
+    truth = np.array([[speed(each, 1.45, "twin"), cost(each, 1.45, "twin")] for each in f])
+    assert area(found) > 0.93 * area(truth)
+
+
+def test_what_was_interrupted_goes_on_and_comes_to_the_same(tmp_path):
+    asked = study(tmp_path)
+    whole = answered(asked, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        answered(asked, tmp_path / "out", Engine(breaks_after=130))
+    engine = Engine()
+    again = answered(asked, tmp_path / "out", engine)
+    assert [run.row.key for run in again.runs] == [run.row.key for run in whole.runs]
+    assert len(engine.keys) == len({run.row.key for run in whole.runs}) - 130
+    other = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
+    assert answered(other, tmp_path / "out").best  # the same runs answer another question of the same fields
+    path = tmp_path / "question.yaml"
+    path.write_text(path.read_text("utf-8").replace("gen2_straight", "gen2_turn"), "utf-8")
+    with pytest.raises(InputError, match="of another study"):
+        answered(load_study(path), tmp_path / "out")
+
+
+def test_segments_keep_length_and_mass(tmp_path):
+    path = tmp_path / "body.yaml"
+    path.write_text(
+        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 8, whole: true, "
+        f"hold: [total_length, total_mass]}}\nobjectives: [{SPEED}]\n",
+        "utf-8",
+    )
+    asked = load_study(path)
+    before = load_scenario("gen2_straight").robot
+    for count, share in ((2, 0.0), (5, 0.5), (8, 1.0)):
+        changes = asked.space.changes(np.array([share]))
+        from srs_twin.scenario import parse_scenario
+
+        robot = parse_scenario(asked.experiments["twin"].document(changes)).robot
+        assert robot.segments == count
+        assert robot.geometry.body_length == pytest.approx(before.geometry.body_length)
+        assert robot.mass.array().sum() == pytest.approx(before.mass.array().sum())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("frequency_hz", "frequncy_hz", "unknown key; did you mean frequency_hz?"),
+        ("low: 0.5, high: 3.0", "low: 3.0, high: 0.5", "low 3 is not below high 0.5"),
+        ("low: 0.5, high: 3.0", "low: -1, high: 3.0", "controller.frequency_hz"),
+        ("com_speed_m_s", "com_sped_m_s", "did you mean com_speed_m_s"),
+        ("maximize", "maximise", "did you mean maximize"),
+        ("gen2_straight", "gen2_strait", "did you mean gen2_straight"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_with_its_place(tmp_path, old, new, why):
+    study(tmp_path)
+    path = tmp_path / "question.yaml"
+    path.write_text(path.read_text("utf-8").replace(old, new), "utf-8")
+    with pytest.raises(InputFileError) as error:
+        load_study(path)
+    assert why in str(error.value) and f"{path.name}:" in str(error.value)
+
+
+def test_the_command_answers_and_its_best_scenario_runs(srs_twin, tmp_path):
+    path = tmp_path / "question.yaml"
+    path.write_text(STUDY.format(objectives=SPEED, constraints="", twin=6, compliant=24, seed=3), "utf-8")
+    words = ("optimize", "question.yaml", "--set", "duration_s=2", "--out", "found", "--json")
+    done = srs_twin(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    (best,) = told["best"]
+    assert best["plant"] == "twin" and told["evaluations"]["twin"] == 6
+    table = pq.read_table(tmp_path / "found/evaluations.parquet")
+    twin = [row for row in table.to_pylist() if row["part"] == "twin"]
+    assert best["metrics"]["com_speed_m_s"] == max(row["com_speed_m_s"] or 0.0 for row in twin)
+    assert srs_twin("run", "found/best/1.yaml", "--out", "again", "--quiet", cwd=tmp_path).returncode == 0
+    again = json.loads((tmp_path / "again/metrics.json").read_text("utf-8"))
+    assert again["plants"]["twin"]["com_speed_m_s"] == pytest.approx(
+        best["metrics"]["com_speed_m_s"], rel=1e-9
+    )
+    assert json.loads(srs_twin(*words, cwd=tmp_path).stdout) == told
