@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 from srs_twin import load_robot, load_scenario
 from srs_twin.cli.app import command
 from srs_twin.io.files import shipped_names
+from srs_twin.optimization import load_study
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.sweep.loading import load_sweep
@@ -149,7 +150,8 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
     printed = {**base, **document}
     with path.open("w", encoding="utf-8") as file:
         yaml.dump(printed, file)
-    load = load_sweep if "vary" in printed else load_robot if "geometry" in printed else load_scenario
+    loaders = {"vary": load_sweep, "geometry": load_robot, "objectives": load_study}
+    load = next((load for key, load in loaders.items() if key in printed), load_scenario)
     assert load(str(path))
 
 

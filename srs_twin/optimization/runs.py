@@ -122,9 +122,9 @@ class Runs(AbstractContextManager["Runs"]):
                     self._told(part, row)
         return [self._known[point.key] for point in points]
 
-    def count(self, part: str) -> int:
-        """Return how many designs were asked for at a fidelity."""
-        return sum(run.part == part for run in self.asked)
+    def forget(self) -> None:
+        """Begin another search: what was asked for is not told any more, and not run again either."""
+        self.asked, self._seen = [], {}
 
     def _settle(self, folder: Path, part: str, store: RowStore, *, changed: bool) -> None:
         """Refuse a folder that belongs to another study, unless told; note whose it is."""
