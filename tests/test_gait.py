@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from snakes import chain, robot
 
-from srs_twin import Gait, InputError, RobotSpec
+from srs_twin import Gait, InputError, RobotSpec, load_robot
 
 pytestmark = pytest.mark.fast
 
@@ -158,3 +158,41 @@ def test_refuses_offsets_that_leave_no_wave(offset):
 def test_refuses_ticks_off_the_slot_raster():
     with pytest.raises(InputError, match=r"tick 0.02005 s is no multiple of valve slot 0.0001 s"):
         Gait(2.0).reset(robot(), 0.02005)
+
+
+@given(
+    rest=st.floats(0.0, 0.9),
+    offset=st.floats(-0.5, 0.5),
+    shifts=st.lists(st.floats(-3, 3), min_size=4, max_size=4),
+)
+@settings(max_examples=50)
+def test_scripts_of_any_wave_are_what_its_ticks_give(rest, offset, shifts):
+    """The wave of a tick, slot by slot, is what the script has there."""
+    spec = load_robot("gen2")
+    gait = Gait(2.0, offset, phases=shifts, rest_share=rest)
+    gait.reset(spec, 0.02)
+    script = gait.script(1.0)
+    for k in range(50):
+        valves = gait.valves_at(0.02 * k)
+        slots = valves if valves.ndim == 3 else np.broadcast_to(valves, (200, *valves.shape))
+        for slot in (0, 99, 199):
+            time = 0.02 * k + (slot + 0.5) * 1e-4
+            row = np.searchsorted(script.starts, time, side="right") - 1
+            assert (script.states[row] == slots[slot]).all()
+
+
+def test_a_rest_without_offset_vents_its_share():
+    gait = Gait(2.0, rest_share=0.3)
+    gait.reset(load_robot("gen2"), 0.02)
+    script = gait.script(1.0)
+    lasts = np.diff(np.append(script.starts, 1.0))
+    assert lasts @ (script.states == -1).all(axis=-1) == pytest.approx(np.full(4, 0.3), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [({"rest_share": 1.0}, "gait rest 1.0"), ({"phases": [0.1, 0.2]}, "2 phases, but gen2 has 4")],
+)
+def test_waves_that_cannot_be_are_refused(more, why):
+    with pytest.raises(InputError, match=why):
+        Gait(2.0, **more).reset(load_robot("gen2"), 0.02)

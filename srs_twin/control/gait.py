@@ -5,11 +5,18 @@ $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\
 S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 the reverse; sign(0) = +1. The wave
 runs head to tail and drives the snake forward (E12: Eq. 13 as printed runs the other way). φ > 0 turns
 left. The mirror image of a gait is −φ together with ψ shifted by π.
+
+Other waves than the dissertation's: each segment may lag by α_j more, and both chambers may vent for a share
+r of the time, about the wave's changes of sign,
+
+$$ S_j = 0 \quad \text{where} \quad
+   |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,8 +49,9 @@ class Gait(Controller):
     layouts = ("3/2", "in_out")
 
     def __init__(
-        self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None
-    ) -> None:
+        self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None,
+        phases: Sequence[float] | None = None, rest_share: float | None = None,
+    ) -> None:  # fmt: skip
         """Make the gait.
 
         Args:
@@ -51,14 +59,21 @@ class Gait(Controller):
             offset: φ, between −1 and 1, positive to the left.
             phase: ψ at the start, rad.
             phase_step: β, rad; None takes the robot's.
+            phases: α, rad, one a segment; None: none.
+            rest_share: r, at least 0 and below 1; None: 0.
 
         Raises:
-            InputError: a frequency that is not above 0, or an offset out of range (also when set later).
+            InputError: a frequency that is not above 0, or an offset or a rest out of range (also when set
+                later).
         """
+        rest_share = rest_share or 0.0
+        if not 0 <= rest_share < 1:
+            raise InputError(f"gait rest {rest_share!r} is not allowed; it must be at least 0 and below 1")
         self.frequency = _checked_frequency(frequency)
         self.offset = offset
         self.phase = phase
-        self._phase_step = phase_step
+        self._phase_step, self._phases = phase_step, phases or ()
+        self._rest = math.sin(math.pi / 2 * rest_share)
 
     @property
     def offset(self) -> float:
@@ -90,10 +105,18 @@ class Gait(Controller):
         return 2 * math.pi * self.frequency * time - float(self.lag[0])
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Take β from the robot unless one was given, and the slots from the tick."""
+        """Take β from the robot unless one was given, and the slots from the tick.
+
+        Raises:
+            InputError: phases of another robot.
+        """
+        if len(self._phases) not in (0, spec.segments):
+            raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
         slots = whole_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
         step = spec.phase_step if self._phase_step is None else self._phase_step
         self.lag = step * np.arange(spec.segments) - self.phase
+        if self._phases:
+            self.lag = self.lag + np.asarray(self._phases)
         self._middle = (np.arange(slots) + 0.5) / slots
         self._tick = tick
 
@@ -117,8 +140,9 @@ class Gait(Controller):
         if self._shorter_half_wave() < 2 * slot:
             return Schedule.of_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
         # Where S changes, and the slots beside it: rounding may place an edge one slot off.
-        rise, period = math.asin(self._offset), 1 / self.frequency
-        phases = np.add.outer(self.lag, [-rise, math.pi + rise]).ravel() / (2 * math.pi) * period
+        period, (up, down) = 1 / self.frequency, self._crossings()
+        turns = [-up, math.pi + up, -down, math.pi + down] if self._rest else [-up, math.pi + up]
+        phases = np.add.outer(self.lag, turns).ravel() / (2 * math.pi) * period
         numbers = np.arange(math.floor(-phases.max() / period), math.ceil(duration / period) + 1)
         edges = np.ceil(np.add.outer(phases, period * numbers).ravel() / slot - 0.5)
         near = np.add.outer(edges, [-1, 0, 1]).ravel()
@@ -132,14 +156,23 @@ class Gait(Controller):
         return {"offset": self._offset}
 
     def _shorter_half_wave(self) -> float:
-        """Return how long S keeps its less frequent sign, s."""
-        return (math.pi - 2 * math.asin(abs(self._offset))) / (2 * math.pi * self.frequency)
+        """Return how long S is at least what it is, s."""
+        up, down = self._crossings()
+        lasts = [math.pi + 2 * up, math.pi - 2 * down, *([down - up] if self._rest else [])]
+        return min(each for each in lasts if each > 0) / (2 * math.pi * self.frequency)
+
+    def _crossings(self) -> tuple[float, float]:
+        """Return the angles, with their signs changed, at which S begins to be 1 and ends to be −1, rad."""
+        levels = self._offset - self._rest, self._offset + self._rest
+        up, down = (math.asin(min(max(each, -1.0), 1.0)) for each in levels)
+        return up, down
 
     def _wave(self, time: np.ndarray) -> np.ndarray:
         """Return S, shape (times, segments), int8."""
         value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.lag) + self._offset
         # Rounding must not decide the sign of an exact zero.
-        return np.where(value >= -1e-12, 1, -1).astype(np.int8)
+        low, high = -self._rest - 1e-12, self._rest - 1e-12
+        return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self._rest else -1).astype(np.int8)
 
 
 def _checked_frequency(frequency: float) -> float:
@@ -148,5 +181,5 @@ def _checked_frequency(frequency: float) -> float:
 
 
 def _antagonistic(wave: np.ndarray) -> np.ndarray:
-    """Return valves (…, segments, 2) from the signs S (…, segments)."""
-    return np.stack([wave, -wave], axis=-1)
+    """Return valves (…, segments, 2) from the signs S (…, segments); at 0 both chambers vent."""
+    return np.stack([2 * (wave > 0) - 1, 2 * (wave < 0) - 1], axis=-1).astype(np.int8)

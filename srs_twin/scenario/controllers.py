@@ -39,6 +39,7 @@ _RIGHT = math.pi / 2
 _FREQUENCY = quantity(0.01, 50.0)
 _PHASE = quantity(-6.3, 6.3)
 _PHASE_STEP = quantity(-6.3, 6.3)
+_Phases = Annotated[list[Annotated[float, Field(ge=-6.3, le=6.3)]], Field(max_length=200)]
 _CARRIER = quantity(1.0, 1000.0)
 _SLOPE = quantity(0.001, 1000.0)
 
@@ -97,6 +98,11 @@ class GaitFile(ControllerSection):
     """Phase at the start."""
     phase_step_rad: float | None = _PHASE_STEP
     """Lag of each segment behind the one before it (default: the robot's)."""
+    phases_rad: _Phases | None = constructor_default()
+    """By how much each segment lags more than that, one a segment (default: none)."""
+    rest_share: float | None = quantity(0.0, 0.95)
+    """Share of the time for which both chambers of a segment vent, about the changes of the wave's sign
+    (default: none)."""
 
 
 class LearningFile(ControllerSection):
