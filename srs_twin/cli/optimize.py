@@ -117,6 +117,10 @@ def _show(answer: Answer) -> None:
             ends = gain["interval_95"]
             sure = "" if ends is None else f" (95 %: {_share(ends[0])} to {_share(ends[1])})"
             print(f"best/{k + 1}: {metric_label(metric)} {_share(gain['share'])}{sure}")
+        if not each["keeps_constraints"]:
+            print(
+                f"best/{k + 1}: it misses the constraints, as every run of the twin did; it misses them least"
+            )
         if not each["survives"]:
             print(f"best/{k + 1}: more than 1 % changes as the twin is refined")
     counts = ", ".join(f"{count} runs of {part}" for part, count in told["evaluations"].items())

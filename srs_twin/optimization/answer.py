@@ -16,7 +16,7 @@ from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import write_text
 from srs_twin.optimization.loading import Study
 from srs_twin.optimization.runs import Runs, metric_of
-from srs_twin.optimization.search import Optimum
+from srs_twin.optimization.search import Optimum, excesses
 from srs_twin.provenance import versions
 from srs_twin.robot.file import RobotFile
 from srs_twin.sweep.points import Changes
@@ -85,6 +85,7 @@ class Answer:
                 {
                     "variables": dict(zip(study.space.variables, values, strict=True)),
                     "metrics": metrics, "plant": "twin", "scenario": f"best/{k + 1}.yaml",
+                    "keeps_constraints": bool((excesses(study, [run]) <= 0).all()),
                     "refined": {name: self.change(k, name) for name in names},
                     "survives": self.survives(k),
                     "intervals": {name: self.interval(k, name) for name in names} if self.samples else None,

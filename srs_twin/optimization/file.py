@@ -76,7 +76,9 @@ class StudyFile(Section):
     """One line for people (default: the name)."""
     scenario: PathOrName
     """A shipped name or the path of a file."""
-    fixed: dict[FieldName, Plain] = Field({}, description="Fields with another value than the scenario's.")
+    fixed: dict[FieldName, Plain | list[Plain]] = Field(
+        {}, description="Fields with another value than the scenario's."
+    )
     variables: dict[FieldName, VariableFile] = Field(
         min_length=1, max_length=20, description="Fields that are chosen."
     )

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from srs_twin.errors import InputError
 from srs_twin.optimization.loading import Study
 from srs_twin.optimization.runs import Run, Runs
 from srs_twin.sweep.task import DONE, Row
@@ -65,14 +66,14 @@ def search(study: Study, runs: Runs) -> Optimum:
         runs: who runs designs.
 
     Raises:
-        InputError: no run of the twin keeps the constraints, or a row cannot be kept.
+        InputError: no run of the twin has a result, or a row cannot be kept.
     """
     asked = _Search(study, runs)
     if "compliant" in study.experiments:
         asked.cheaply()
     asked.first()
-    while asked.left():
-        asked.more()
+    while asked.left() and asked.more():
+        pass
     return Optimum(asked.best(), tuple(runs.asked))
 
 
@@ -150,16 +151,20 @@ class _Search:
         for weight in self._weights(count - len(apart)):
             order = np.argsort(self._scalars(self._cheap, weight))
             designs = (self._cheap[k].shares for k in order)
-            chosen.append(next(d for d in designs if _far(d, chosen)))
+            chosen += [
+                each for each in [next((d for d in designs if _far(d, chosen)), None)] if each is not None
+            ]
         self._try("twin", np.array([*chosen, *apart]))
 
     def left(self) -> int:
         """Return how many runs of the twin may still come."""
         return self._study.file.budget.twin - len(self._costly)
 
-    def more(self) -> None:
-        """Run the twin where it is expected to improve most."""
+    def more(self) -> bool:
+        """Run the twin where it is expected to improve most; say whether there was anything left to run."""
         candidates = self._candidates()
+        if not candidates:
+            return False
         at = self._predicted(self._costly, candidates)
         chosen: list[np.ndarray] = []
         believed = self._told(self._costly)
@@ -167,18 +172,30 @@ class _Search:
             score = self._improvement(*at, believed)
             score[[not _far(run.shares, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
+            if score[k] < 0:
+                break
             chosen.append(candidates[k].shares)
             believed = np.vstack([believed, at[0][k]])  # as if it had turned out as expected
         self._try("twin", np.array(chosen))
+        return True
 
     def best(self) -> tuple[Run, ...]:
-        """Return the best runs of the twin; those that keep the constraints best where none does."""
-        excess = np.maximum(excesses(self._study, self._costly), 0.0)
-        missed = np.nan_to_num(excess.sum(axis=1), nan=np.inf) if excess.size else np.zeros(len(self._costly))
-        kept = [run for run, miss in zip(self._costly, missed, strict=True) if miss <= missed.min()]
+        """Return the best runs of the twin; those that keep the constraints best where none does.
+
+        Raises:
+            InputError: none has a result.
+        """
+        ran = [run for run in self._costly if np.isfinite(self._told([run])).all()]
+        if not ran:
+            why = next(
+                (run.row.reason for run in self._costly if run.row.reason), "its metrics are not there"
+            )
+            raise InputError(f"no run of the twin has a result: {why}")
+        excess = np.maximum(excesses(self._study, ran), 0.0).sum(axis=1)
+        kept = [run for run, miss in zip(ran, excess, strict=True) if miss <= excess.min()]
         found = costs(self._study, kept)
         if self._many == 1:
-            return (kept[int(np.nanargmin(found[:, 0]))],)
+            return (kept[int(np.argmin(found[:, 0]))],)
         members = [kept[k] for k in np.flatnonzero(front(found))]
         return tuple(sorted(members, key=lambda run: costs(self._study, [run])[0, 0]))
 
@@ -231,13 +248,14 @@ class _Search:
         about = np.array([best[k].shares for k in self._rng.integers(len(best), size=_AROUND)])
         near = _NEAR * 0.5 ** (self._rng.integers(0, 4, size=_AROUND))[:, None]
         fresh = np.clip(about + near * self._rng.normal(size=about.shape), 0.0, 1.0)
-        if self._cheap:
-            if len(self._cheap) + _AROUND <= self._study.file.budget.compliant:
-                self._try("compliant", self._study.space.settled(fresh))
-            ran = [run.shares for run in self._costly]
-            return [run for run in self._cheap if _far(run.shares, ran)]
-        everywhere = self._study.space.settled(np.vstack([fresh, self._spread(256)]))
-        return [Run("twin", shares, Row("", DONE)) for shares in everywhere]
+        if self._cheap and len(self._cheap) + _AROUND <= self._study.file.budget.compliant:
+            self._try("compliant", self._study.space.settled(fresh))
+        there = self._cheap
+        if not there:
+            everywhere = self._study.space.settled(np.vstack([fresh, self._spread(256)]))
+            there = [Run("twin", shares, Row("", DONE)) for shares in everywhere]
+        ran = [run.shares for run in self._costly]
+        return [run for run in there if _far(run.shares, ran)]
 
     def _predicted(self, known: list[Run], candidates: list[Run]) -> tuple[np.ndarray, np.ndarray]:
         """Return means and standard deviations of what the twin would give, shape (candidates, outputs)."""

@@ -70,7 +70,7 @@ class Experiment:
             document["duration_s"] = _duration(document, self.plants, self.periods)
         return document
 
-    def with_change(self, document: Any, name: str, value: Value) -> Any:
+    def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
         """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
         whole: Any = self.robots.get(str(value), value) if name == "robot" else value
         where = path_of(name)
@@ -125,7 +125,7 @@ class Sweep:
         return tuple(found.values())
 
 
-def _planned_by(document: Any, kind: Value) -> Any:
+def _planned_by(document: Any, kind: Any) -> Any:
     """Return plain data of a scenario without what another kind of planner knows nothing of."""
     planner = document.get("planner")
     if not isinstance(planner, Mapping) or kind not in PLANNER_FILES:
@@ -134,7 +134,7 @@ def _planned_by(document: Any, kind: Value) -> Any:
     return {**document, "planner": {key: each for key, each in planner.items() if key in known}}
 
 
-def changed(data: Any, loc: Loc, value: Value) -> Any:
+def changed(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     """Return plain data with one value replaced; what is on the way is copied, the rest shared.
 
     A plain value in place of a robot's record changes its number: unit stays, status and source say so.

@@ -10,11 +10,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from srs_twin.errors import InputError, InputFileError
+from srs_twin.io.files import shipped_names
 from srs_twin.optimization import load_study, search
 from srs_twin.optimization.runs import Runs
 from srs_twin.optimization.search import front
 from srs_twin.parallel import Done
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.sweep.task import DONE, FAILED, Row
 
 STUDY = """
@@ -106,6 +107,33 @@ def test_constraints_are_kept(tmp_path):
     assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
 
 
+def test_constraints_that_nothing_keeps_and_spaces_that_run_out_end_a_search(tmp_path):
+    asked = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.1}")
+    (best,) = answered(asked, tmp_path / "out").best
+    assert best.metric("cost_of_transport") == pytest.approx(cost(0.5, 0, "twin"), rel=0.01)
+    few = tmp_path / "few.yaml"
+    few.write_text(
+        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 4, whole: true}\n"
+        f"objectives: [{SPEED}]\n",
+        "utf-8",
+    )
+    found = answered(load_study(few), tmp_path / "few")
+    assert {load_study(few).space.values(run.shares) for run in found.runs} == {(2,), (3,), (4,)}
+
+
+def test_a_twin_that_never_succeeds_is_said_to_be_at_fault(tmp_path):
+    class Broken(Engine):
+        def __call__(self, experiment, points):
+            if experiment.plants == ("analytical",):
+                yield from super().__call__(experiment, points)
+                return
+            for number, point in enumerate(points):
+                yield Done(number, Row(point.key, FAILED, {}, 0.0, "it diverged", 3), None)
+
+    with pytest.raises(InputError, match="no run of the twin has a result: it diverged"):
+        answered(study(tmp_path), tmp_path / "out", Broken())
+
+
 def test_a_front_is_that_of_the_formulas(tmp_path):
     """At the best phase all frequencies up to the fastest one are on it; little of its area is lost."""
     asked = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=40, compliant=300)
@@ -153,8 +181,6 @@ def test_segments_keep_length_and_mass(tmp_path):
     before = load_scenario("gen2_straight").robot
     for count, share in ((2, 0.0), (5, 0.5), (8, 1.0)):
         changes = asked.space.changes(np.array([share]))
-        from srs_twin.scenario import parse_scenario
-
         robot = parse_scenario(asked.experiments["twin"].document(changes)).robot
         assert robot.segments == count
         assert robot.geometry.body_length == pytest.approx(before.geometry.body_length)
@@ -199,3 +225,12 @@ def test_the_command_answers_and_its_best_scenario_runs(srs_twin, tmp_path):
         best["metrics"]["com_speed_m_s"], rel=1e-9
     )
     assert json.loads(srs_twin(*words, cwd=tmp_path).stdout) == told
+
+
+@pytest.mark.parametrize("name", shipped_names("study"))
+def test_shipped_studies_load_and_their_designs_are_scenarios(name):
+    asked = load_study(name)
+    assert set(asked.experiments) == {"compliant", "twin"}
+    for share in (0.0, 0.5, 1.0):
+        design = asked.space.changes(np.full(asked.space.size, share))
+        assert parse_scenario(asked.experiments["twin"].document(design)).robot.segments >= 2
