@@ -113,6 +113,8 @@ def _show(answer: Answer) -> None:
     print_table(heads, lines)
     print("the last line is the scenario as it stands")
     for k, each in enumerate(told["best"][:3]):
+        if (share := each["beats_next"]) is not None:
+            print(f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of the drawn robots")
         for metric, gain in each["gains"].items():
             ends = gain["interval_95"]
             sure = "" if ends is None else f" (95 %: {_share(ends[0])} to {_share(ends[1])})"

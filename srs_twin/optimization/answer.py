@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,22 @@ class Answer:
             every = [{**robot, **design} for design in ({}, *designs) for robot in robots]
             found = runs.rows("twin", every)
             drawn = [found[k * count : (k + 1) * count] for k in range(1 + len(designs))]
-        return cls(study, optimum, begun, refined, tuple(map(tuple, drawn)))
+        answer = cls(study, optimum, begun, refined, tuple(map(tuple, drawn)))
+        return answer if study.file.objectives[0].quantile is None else answer.robust()
+
+    def robust(self) -> Answer:
+        """Return it with the best designs in the order of the objective's quantile."""
+        objective = self.study.file.objectives[0]
+        sign = -1.0 if objective.goal == "maximize" else 1.0
+        count = len(self.optimum.best)
+        told = [
+            np.nanquantile(self._drawn(k + 1, objective.metric), objective.quantile or 0.5)
+            for k in range(count)
+        ]
+        order = np.argsort(sign * np.array(told))
+        best = Optimum(tuple(self.optimum.best[k] for k in order), self.optimum.runs)
+        samples = (self.samples[0], *(self.samples[k + 1] for k in order))
+        return replace(self, optimum=best, refined=tuple(self.refined[k] for k in order), samples=samples)
 
     def document(self) -> dict[str, Any]:
         """Return plain data of it, as `--json` prints it."""
@@ -89,6 +104,7 @@ class Answer:
                     "refined": {name: self.change(k, name) for name in names},
                     "survives": self.survives(k),
                     "intervals": {name: self.interval(k, name) for name in names} if self.samples else None,
+                    "beats_next": self.beats_next(k),
                     "gains": {o.metric: self.gain(k, o.metric) for o in study.file.objectives},
                 }
             )  # fmt: skip
@@ -120,6 +136,14 @@ class Answer:
     def interval(self, k: int, name: str) -> list[float | None]:
         """Return the ends of 95 % of a metric of a best design under what is uncertain of the robot."""
         return _ends(self._drawn(k + 1, name))
+
+    def beats_next(self, k: int) -> float | None:
+        """Return for which share of the drawn robots a design is better than the next one; None: not known."""
+        if not self.samples or len(self.study.file.objectives) > 1 or k + 2 >= len(self.samples):
+            return None
+        objective = self.study.file.objectives[0]
+        mine, other = (self._drawn(which, objective.metric) for which in (k + 1, k + 2))
+        return float(np.mean(mine > other if objective.goal == "maximize" else mine < other))
 
     def gain(self, k: int, name: str) -> dict[str, Any]:
         """Return by which share a best design is above the scenario as it stands, and 95 % of that."""

@@ -41,6 +41,9 @@ class ObjectiveFile(Section):
     """One of `srs-twin list --metrics`."""
     goal: Literal["maximize", "minimize"]
     """Which of both."""
+    quantile: float | None = quantity(0.01, 0.99, None)
+    """Of the designs that are told of, the one is best whose results under what is uncertain of the robot
+    (budget.uncertain) have the best such quantile (default: the result of the robot as it stands counts)."""
 
 
 class ConstraintFile(Section):
@@ -95,4 +98,7 @@ class StudyFile(Section):
         for name, variable in self.variables.items():
             if variable.hold and name != SEGMENTS:
                 raise ValueError(f"hold belongs to {SEGMENTS}, not to {name}")
+        robust = any(each.quantile is not None for each in self.objectives)
+        if robust and not (self.budget.uncertain and len(self.objectives) == 1):
+            raise ValueError("quantile takes one objective, and a budget of uncertain runs")
         return self

@@ -36,6 +36,8 @@ _NEAR, _AROUND = 0.08, 8
 _FIRST = 0.3
 """Share of the twin's budget that the cheap model alone decides."""
 _APART = 1e-3
+_SHOWN, _OTHERS = 3, 0.1
+"""Designs that are told of, so far from each other."""
 _CHEAP = 0.6
 """Share of the cheap budget that CMA-ES has; the rest is for candidates."""
 _POPULATION = 12
@@ -50,7 +52,8 @@ class Optimum:
     """What a search found.
 
     Attributes:
-        best: runs of the twin: the best one, or with two objectives the Pareto front, by the first of them.
+        best: runs of the twin: the best one and others that are apart from it, the better first; with two
+            objectives the Pareto front, by the first of them.
         runs: all of them in their order.
     """
 
@@ -195,7 +198,11 @@ class _Search:
         kept = [run for run, miss in zip(ran, excess, strict=True) if miss <= excess.min()]
         found = costs(self._study, kept)
         if self._many == 1:
-            return (kept[int(np.argmin(found[:, 0]))],)
+            chosen: list[Run] = []
+            for k in np.argsort(found[:, 0]):
+                if _far(kept[k].shares, [run.shares for run in chosen], _OTHERS) and len(chosen) < _SHOWN:
+                    chosen.append(kept[k])
+            return tuple(chosen)
         members = [kept[k] for k in np.flatnonzero(front(found))]
         return tuple(sorted(members, key=lambda run: costs(self._study, [run])[0, 0]))
 
@@ -245,6 +252,7 @@ class _Search:
     def _candidates(self) -> list[Run]:
         """Return designs that the twin may run: what the cheap model has run, and neighbours of the best."""
         best = self.best()
+        best = best[:1] if self._many == 1 else best
         about = np.array([best[k].shares for k in self._rng.integers(len(best), size=_AROUND)])
         near = _NEAR * 0.5 ** (self._rng.integers(0, 4, size=_AROUND))[:, None]
         fresh = np.clip(about + near * self._rng.normal(size=about.shape), 0.0, 1.0)
@@ -331,5 +339,5 @@ def _process(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, 
     return middle + scale * process.at(at), scale * np.sqrt(np.maximum(variance, 1e-12))
 
 
-def _far(design: np.ndarray, others: Sequence[np.ndarray]) -> bool:
-    return all(math.dist(design, other) > _APART for other in others)
+def _far(design: np.ndarray, others: Sequence[np.ndarray], by: float = _APART) -> bool:
+    return all(math.dist(design, other) > by for other in others)
