@@ -138,7 +138,7 @@ class Answer:
         return _ends(self._drawn(k + 1, name))
 
     def beats_next(self, k: int) -> float | None:
-        """Return for which share of the drawn robots a design is better than the next one; None: not known."""
+        """Return for which share of the drawn robots a design is better than the next; None: not known."""
         if not self.samples or len(self.study.file.objectives) > 1 or k + 2 >= len(self.samples):
             return None
         objective = self.study.file.objectives[0]
