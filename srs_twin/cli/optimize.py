@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from srs_twin.cli import interruptible, say
 from srs_twin.cli.options import (
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from srs_twin.sweep.task import Row
 
 STUDIES = Path("runs/studies")
+_COLUMNS = 6
 
 
 def optimize(
@@ -55,11 +56,13 @@ def optimize(
     from srs_twin.optimization import load_study, search
     from srs_twin.optimization.answer import Answer
     from srs_twin.optimization.runs import Runs
+    from srs_twin.optimization.search import TOLD
 
     study = load_study(given, set=changed_fields.changes())
     folder = Path(out) if out else STUDIES / study.name
     budget = study.file.budget
     total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)
+    total += 1 + TOLD * (2 + budget.uncertain) + budget.uncertain  # of what the best are worth
     best = _Best(study)
     with Counting(study.name, total, quiet=quiet, beside=best.text) as counting:
 
@@ -104,14 +107,16 @@ def _show(answer: Answer) -> None:
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
     study, told = answer.study, answer.document()
-    lines: list[tuple[str, ...]] = []
-    for each in told["best"]:
-        lines.append((*(f"{value:.4g}" for value in each["variables"].values()), *_metrics(each["metrics"])))
-    empty = [""] * study.space.size
-    lines.append((*empty, *_metrics(told["begun"])))
-    heads = (*map(field_label, study.space.variables), *map(metric_label, answer.metrics))
-    print_table(heads, lines)
-    print("the last line is the scenario as it stands")
+    shown = told["best"][:_COLUMNS]
+    lines = []
+    for name in study.space.variables:
+        lines.append((field_label(name), "", *(f"{each['variables'][name]:.4g}" for each in shown)))
+    for name in answer.metrics:
+        values = [told["begun"][name], *(each["metrics"][name] for each in shown)]
+        lines.append((metric_label(name), *("–" if value is None else f"{value:.4g}" for value in values)))
+    print_table(("", "as it stands", *(f"best/{k + 1}" for k in range(len(shown)))), lines, left=(0,))
+    if len(told["best"]) > _COLUMNS:
+        print(f"{len(told['best'])} designs on the front; study.json has all")
     for k, each in enumerate(told["best"][:3]):
         if (share := each["beats_next"]) is not None:
             print(f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of the drawn robots")
@@ -127,10 +132,6 @@ def _show(answer: Answer) -> None:
             print(f"best/{k + 1}: more than 1 % changes as the twin is refined")
     counts = ", ".join(f"{count} runs of {part}" for part, count in told["evaluations"].items())
     print(counts)
-
-
-def _metrics(values: dict[str, Any]) -> tuple[str, ...]:
-    return tuple("–" if value is None else f"{value:.4g}" for value in values.values())
 
 
 def _share(value: float | None) -> str:

@@ -124,7 +124,7 @@ class Counting(Display):
         return f"{failed}, {self._rate():.3g}/s{beside}"
 
     def _line(self) -> str:
-        left = (self.total - self._done) / self._rate()
+        left = max(self.total - self._done, 0) / self._rate()
         return f"{self.title}: {self._done} of {self.total}{self._pace()}, {left:.0f} s left"
 
     def _bar(self) -> tuple[str, float, str]:

@@ -36,7 +36,7 @@ _NEAR, _AROUND = 0.08, 8
 _FIRST = 0.3
 """Share of the twin's budget that the cheap model alone decides."""
 _APART = 1e-3
-_SHOWN, _OTHERS = 3, 0.1
+TOLD, _OTHERS = 3, 0.1
 """Designs that are told of, so far from each other."""
 _CHEAP = 0.6
 """Share of the cheap budget that CMA-ES has; the rest is for candidates."""
@@ -200,7 +200,7 @@ class _Search:
         if self._many == 1:
             chosen: list[Run] = []
             for k in np.argsort(found[:, 0]):
-                if _far(kept[k].shares, [run.shares for run in chosen], _OTHERS) and len(chosen) < _SHOWN:
+                if _far(kept[k].shares, [run.shares for run in chosen], _OTHERS) and len(chosen) < TOLD:
                     chosen.append(kept[k])
             return tuple(chosen)
         members = [kept[k] for k in np.flatnonzero(front(found))]

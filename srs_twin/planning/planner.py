@@ -19,6 +19,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -213,8 +214,8 @@ def plan_shaped(problem: Problem, settings: Settings, begin: Sequence[Segment] =
     """
     made: list[Plan] = []
 
-    def planned(asked: Problem) -> Plan:
-        made.append(plan(asked, settings))
+    def planned(asked: Problem, *, smooth: bool = True) -> Plan:
+        made.append(plan(asked, replace(settings, smooth=settings.smooth and smooth)))
         return made[-1]
 
     found = _shaped_plan(problem, planned, begin)
@@ -223,7 +224,7 @@ def plan_shaped(problem: Problem, settings: Settings, begin: Sequence[Segment] =
     )
 
 
-def _shaped_plan(problem: Problem, planned: Callable[[Problem], Plan], begin: Sequence[Segment]) -> Plan:
+def _shaped_plan(problem: Problem, planned: Callable[..., Plan], begin: Sequence[Segment]) -> Plan:
     body = problem.footprint
     first = planned(problem)
     if not first.found:
@@ -231,11 +232,13 @@ def _shaped_plan(problem: Problem, planned: Callable[[Problem], Plan], begin: Se
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    for room in _ROOM:
+    # Ways that were not shortened keep farther away from things.
+    for smooth, room in product((True, False), _ROOM):
         wide = replace(problem, footprint=body.reduced(margin=room))
         aimed = problem.goal
         for _ in range(_AIMS):
-            found = planned(replace(wide, goal=aimed)) if room or aimed != problem.goal else first
+            own = smooth and not room and aimed == problem.goal
+            found = first if own else planned(replace(wide, goal=aimed), smooth=smooth)
             if not found.found or not found.segments:
                 break
             path = shaped((*begin, *found.segments), body)
