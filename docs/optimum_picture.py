@@ -19,8 +19,8 @@ from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, load_scenario
 from srs_twin.trajectory import Trajectory
 
-SECONDS, FRAME_S, FROM_S = 4.0, 0.05, 2.0
-LONG, HIGH, GRID_M = 1.9, 0.22, 0.1
+SECONDS, FRAME_S, FROM_S = 3.2, 0.04, 2.0
+LONG, HIGH, GRID_M = 2.1, 0.2, 0.1
 
 
 def way(scenario: Scenario) -> Trajectory:
@@ -31,7 +31,7 @@ def way(scenario: Scenario) -> Trajectory:
 
 def places(run: Trajectory, row: int, begun: int) -> np.ndarray:
     """Return x, y, heading of the connectors, x from where the body was when the picture begins."""
-    count = sum(name.startswith("theta_") for name in run.names)
+    count = sum(name.startswith("theta_") for name in run.columns)
     found = np.array([[run[f"{c}_{i}"][row] for c in ("x", "y", "theta")] for i in range(1, count + 1)])
     return found - [run["com_x"][begun], run["com_y"][begun], 0.0]
 
@@ -41,7 +41,7 @@ def picture(runs: list[tuple[str, Scenario, Trajectory]], row: int, begun: int) 
     figure = Figure(figsize=(8.0, 2.9), dpi=100)
     canvas = FigureCanvasAgg(figure)
     for k, (text, scenario, run) in enumerate(runs):
-        axes = figure.add_axes((0.0, 0.52 - 0.5 * k, 1.0, 0.42))
+        axes = figure.add_axes((0.0, 0.56 - 0.47 * k, 1.0, 0.42))
         geometry = scenario.robot.geometry
         color = KNOWN if k else TRUE
         tubes(axes, places(run, row, begun), geometry, [color] * scenario.robot.segments, zorder=2)
@@ -54,7 +54,7 @@ def picture(runs: list[tuple[str, Scenario, Trajectory]], row: int, begun: int) 
         axes.grid(color="#dde1e6")
         axes.tick_params(left=False, labelleft=False, bottom=False, labelbottom=False)
         axes.text(0.01, 0.92, text, transform=axes.transAxes, va="top", fontsize=10)
-    figure.text(0.99, 0.02, f"{run.time[row] - run.time[begun]:.1f} s, grid of 0.1 m", ha="right", fontsize=9)
+    figure.text(0.99, 0.01, f"{run.time[row] - run.time[begun]:.1f} s, grid of 0.1 m", ha="right", fontsize=9)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

@@ -10,18 +10,19 @@ from srs_twin.cli import console, new_table
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
 
-_KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics")
-_SCHEMAS = ("scenario", "sweep")
+_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers", "metrics")
+_SHIPPED = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
+_SCHEMAS = ("scenario", "sweep", "study")
 
 
 def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List scenarios, robots, sweeps, controllers, metrics.
+    """List scenarios, robots, studies, metrics and the like.
 
     Options:
-        kind: scenarios, robots, sweeps, controllers or metrics. [default: all]
+        kind: scenarios, robots, sweeps, studies, controllers or metrics. [default: all]
     """
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
@@ -55,8 +56,8 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
         for name, meaning in meanings().items():
             yield {"name": name, "unit": units[name], "meaning": meaning}
     else:
-        for name in shipped_names(kind.removesuffix("s")):
-            title = load_yaml(find(kind.removesuffix("s"), name)).get("title")
+        for name in shipped_names(_SHIPPED[kind]):
+            title = load_yaml(find(_SHIPPED[kind], name)).get("title")
             yield {"name": name, "title": title or name}
 
 
@@ -131,10 +132,10 @@ def _words(value: Any) -> str:
 def schema(
     kind: Annotated[str, argument("KIND")] = "scenario",
 ) -> None:
-    """Print the JSON Schema of scenario files, or of sweep files.
+    """Print the JSON Schema of scenario, sweep or study files.
 
     Options:
-        kind: Of which files: scenario or sweep.
+        kind: Of which files: scenario, sweep or study.
     """
     if kind not in _SCHEMAS:
         raise UnknownNameError("kind of file", kind, _SCHEMAS)
@@ -142,6 +143,10 @@ def schema(
         from srs_twin.sweep.file import sweep_json_schema
 
         found = sweep_json_schema()
+    elif kind == "study":
+        from srs_twin.optimization.file import study_json_schema
+
+        found = study_json_schema()
     else:
         from srs_twin.scenario import scenario_json_schema
 

@@ -53,7 +53,9 @@ def shipped_names(kind: str) -> list[str]:
     return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 
-_LISTED = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")}
+_LISTED = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")} | {
+    "study": "`srs-twin list studies`"
+}
 
 
 def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:

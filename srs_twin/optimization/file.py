@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -102,3 +102,8 @@ class StudyFile(Section):
         if robust and not (self.budget.uncertain and len(self.objectives) == 1):
             raise ValueError("quantile takes one objective, and a budget of uncertain runs")
         return self
+
+
+def study_json_schema() -> dict[str, Any]:
+    """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | StudyFile.model_json_schema()
