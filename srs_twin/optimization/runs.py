@@ -113,13 +113,14 @@ class Runs(AbstractContextManager["Runs"]):
         experiment, plant = self._study.experiments[part], PLANTS[part]
         points = [Point(run_key(experiment.document(each), (plant,)), each) for each in changes]
         missing = list({p.key: p for p in points if p.key not in self._known}.values())
-        with closing(self._engine(experiment, missing)) as rows:  # type: ignore[type-var]
-            for done in rows:
-                row = done.result or failed_row(missing[done.number].key, done.error)
-                self._stores[part].add(row)
-                self._known[row.key] = row
-                if self._told is not None:
-                    self._told(part, row)
+        if missing:  # an engine may take seconds to begin
+            with closing(self._engine(experiment, missing)) as rows:  # type: ignore[type-var]
+                for done in rows:
+                    row = done.result or failed_row(missing[done.number].key, done.error)
+                    self._stores[part].add(row)
+                    self._known[row.key] = row
+                    if self._told is not None:
+                        self._told(part, row)
         return [self._known[point.key] for point in points]
 
     def forget(self) -> None:
