@@ -31,8 +31,8 @@ from srs_twin.sweep.task import DONE, Row
 from srs_twin.uncertainty.surrogates import GaussianProcess
 
 _TOGETHER = 2
-_NEAR, _AROUND = 0.08, 8
-"""Spread of fresh candidates about the best designs, and how many each round."""
+_NEAR, _AROUND = 0.08, {1: 8, 2: 16}
+"""Spread of fresh candidates about the best designs; how many each round, by the number of objectives."""
 _FIRST = 0.3
 """Share of the twin's budget that the cheap model alone decides."""
 _APART = 1e-3
@@ -253,10 +253,11 @@ class _Search:
         """Return designs that the twin may run: what the cheap model has run, and neighbours of the best."""
         best = self.best()
         best = best[:1] if self._many == 1 else best
-        about = np.array([best[k].shares for k in self._rng.integers(len(best), size=_AROUND)])
-        near = _NEAR * 0.5 ** (self._rng.integers(0, 4, size=_AROUND))[:, None]
+        count = _AROUND[self._many]
+        about = np.array([best[k].shares for k in self._rng.integers(len(best), size=count)])
+        near = _NEAR * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         fresh = np.clip(about + near * self._rng.normal(size=about.shape), 0.0, 1.0)
-        if self._cheap and len(self._cheap) + _AROUND <= self._study.file.budget.compliant:
+        if self._cheap and len(self._cheap) + count <= self._study.file.budget.compliant:
             self._try("compliant", self._study.space.settled(fresh))
         there = self._cheap
         if not there:
