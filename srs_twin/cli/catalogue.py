@@ -10,7 +10,9 @@ from srs_twin.cli import console, new_table
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
 
-_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers", "metrics")
+_KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
+_ALL = _KINDS[:-1]
+"""What is listed together: `--json` has these keys, which files of others rely on."""
 _SHIPPED = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
 _SCHEMAS = ("scenario", "sweep", "study")
 
@@ -22,11 +24,11 @@ def list_(
     """List scenarios, robots, studies, metrics and the like.
 
     Options:
-        kind: scenarios, robots, sweeps, studies, controllers or metrics. [default: all]
+        kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but studies]
     """
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
-    found = {name: list(_listed(name)) for name in _KINDS if kind in (None, name)}
+    found = {name: list(_listed(name)) for name in (_ALL if kind is None else (kind,))}
     if as_json:
         print_json(found)
         return
