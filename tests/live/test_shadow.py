@@ -85,13 +85,13 @@ def test_helms_refuse_what_cannot_be_steered():
 @pytest.mark.parametrize("fault", ["", "dead_sensor:2=silent@8", "lost_marker:3@8", "leak:2+=slow@8"])
 def test_a_robot_is_steered_to_the_goal(fault):
     run = Run(3, 60.0, robot="gen2", frequency=2.0, fault=fault)
-    done = steered((run, "follow_fig57"))
+    done = steered((run, "follow_orifice"))
     assert done["ending"] == "goal_reached", done
     assert done["clearance_m"] > 0
 
 
 def test_a_robot_that_is_lost_is_vented():
     run = Run(5, 9.0, robot="gen2", frequency=2.0, cameras_s=4.0, loss=0.0)
-    done = steered((run, "follow_fig57"))
+    done = steered((run, "follow_orifice"))
     assert done["ending"] in (None, "estimate_lost")
     assert done["clearance_m"] > 0
