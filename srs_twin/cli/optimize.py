@@ -104,6 +104,7 @@ class _Best:
 def _show(answer: Answer) -> None:
     """Print the best designs, and what the page says of them."""
     from srs_twin.cli.fitting import print_table
+    from srs_twin.optimization.report import share_text
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
     study, told = answer.study, answer.document()
@@ -122,8 +123,8 @@ def _show(answer: Answer) -> None:
             print(f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of the drawn robots")
         for metric, gain in each["gains"].items():
             ends = gain["interval_95"]
-            sure = "" if ends is None else f" (95 %: {_share(ends[0])} to {_share(ends[1])})"
-            print(f"best/{k + 1}: {metric_label(metric)} {_share(gain['share'])}{sure}")
+            sure = "" if ends is None else f" (95 %: {share_text(ends[0])} to {share_text(ends[1])})"
+            print(f"best/{k + 1}: {metric_label(metric)} {share_text(gain['share'])}{sure}")
         if not each["keeps_constraints"]:
             print(
                 f"best/{k + 1}: it misses the constraints, as every run of the twin did; it misses them least"
@@ -132,7 +133,3 @@ def _show(answer: Answer) -> None:
             print(f"best/{k + 1}: more than 1 % changes as the twin is refined")
     counts = ", ".join(f"{count} runs of {part}" for part, count in told["evaluations"].items())
     print(counts)
-
-
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:+.1f} %"

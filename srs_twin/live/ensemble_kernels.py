@@ -12,6 +12,7 @@ from srs_twin.plants.analytical.floor import FloorFriction
 from srs_twin.plants.analytical.kinematics import ROWS
 
 OUTLIER = 4.0
+"""Standard deviations from which on a number counts as if it were that much noisier."""
 
 
 @allocating

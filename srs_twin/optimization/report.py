@@ -78,8 +78,11 @@ def _best(answer: Answer) -> Table:
             )
         for gain in each["gains"].values():
             ends = gain["interval_95"]
-            row.append(_share(gain["share"]) + (f" ({_share(ends[0])} to {_share(ends[1])})" if ends else ""))
-        row.append(f"changes by {_share(max(filter(None, each['refined'].values()), default=0.0))}")
+            row.append(
+                share_text(gain["share"])
+                + (f" ({share_text(ends[0])} to {share_text(ends[1])})" if ends else "")
+            )
+        row.append(f"changes by {share_text(max(filter(None, each['refined'].values()), default=0.0))}")
         rows.append(row)
     note = "In brackets: 95 % under what is uncertain of the robot." if answer.samples else ""
     return Table(headings, rows, range(1, len(headings)), note)
@@ -99,5 +102,6 @@ def _text(value: float | None) -> str:
     return "–" if value is None else f"{value:.4g}"
 
 
-def _share(value: float | None) -> str:
+def share_text(value: float | None) -> str:
+    """Return a share in per cent, with its sign."""
     return "–" if value is None else f"{100 * value:+.1f} %"

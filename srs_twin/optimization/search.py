@@ -154,9 +154,9 @@ class _Search:
         for weight in self._weights(count - len(apart)):
             order = np.argsort(self._scalars(self._cheap, weight))
             designs = (self._cheap[k].shares for k in order)
-            chosen += [
-                each for each in [next((d for d in designs if _far(d, chosen)), None)] if each is not None
-            ]
+            other = next((d for d in designs if _far(d, chosen)), None)
+            if other is not None:
+                chosen.append(other)
         self._try("twin", np.array([*chosen, *apart]))
 
     def left(self) -> int:
