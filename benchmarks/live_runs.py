@@ -232,14 +232,22 @@ def parts(kind: str, seed: int, segments: int = 4) -> tuple[str, str, str]:
 
 def observable(run: Run) -> float:
     """Return from when on noiseless readings (or frames) differ from a healthy robot's by 3 σ, s."""
-    sick, sound = run.emulated(noise_rad=0.0), run.emulated(noise_rad=0.0, fault=False)
     if "lost_marker" in run.fault:
         return BREAKS_S
-    for k, command in enumerate(run.commands(sick)):
-        sick.step(command)
+    sound = run.emulated(noise_rad=0.0, fault=False)
+    sick: EmulatedRobot | None = None
+    for k, command in enumerate(run.commands(sound)):
+        now = k * sound.tick
+        if sick is None and now > BREAKS_S - 2 * sound.tick:  # until then both are the same
+            sick = run.emulated(noise_rad=0.0)
+            stuck = sick.twin.pneumatics.stuck
+            sick.twin.restore(sound.twin.save())
+            sick.twin.pneumatics.stuck = stuck
         sound.step(command)
-        if np.abs(np.nan_to_num(sick.bends() - sound.bends(), nan=9.0)).max() >= 3 * NOISE_RAD:
-            return (k + 1) * sick.tick
+        if sick is not None:
+            sick.step(command)
+            if np.abs(np.nan_to_num(sick.bends() - sound.bends(), nan=9.0)).max() >= 3 * NOISE_RAD:
+                return now + sound.tick
     return np.inf
 
 

@@ -36,17 +36,24 @@ class SenderClock:
         """Know nothing yet."""
         self.offset, self.jumps = math.nan, 0
         self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._least: deque[tuple[float, float]] = deque()  # those after which none was quicker, quickest first
 
     def take(self, sent: float, arrived: float) -> float:
         """Take a message's times and return when it was sent on our clock, s."""
         apart = arrived - sent
         if self._seen and abs(apart - self.offset) > STEP_S:
             self._seen.clear()
+            self._least.clear()
             self.jumps += 1
         self._seen.append((arrived, apart))
         while self._seen[0][0] < arrived - WINDOW_S:
             self._seen.popleft()
-        self.offset = min(each for _, each in self._seen)
+        while self._least and self._least[-1][1] >= apart:
+            self._least.pop()
+        self._least.append((arrived, apart))
+        while self._least[0][0] < self._seen[0][0]:
+            self._least.popleft()
+        self.offset = self._least[0][1]
         return sent + self.offset
 
     def late(self, share: float) -> float:

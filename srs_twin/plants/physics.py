@@ -273,7 +273,11 @@ class SnakePhysics(dm.Physics, Remembers):
         return self._pneumatics.advance(schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates())
 
     def run(self, pressure: np.ndarray) -> StepBatch:
-        """Advance the bodies under given pressures.
+        """Advance the bodies under given pressures; `roll` and `recorded` in one."""
+        return self.recorded(*self.roll(pressure))
+
+    def roll(self, pressure: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Advance the bodies under given pressures; what `recorded` takes of any number of steps.
 
         Args:
             pressure: of each chamber at each step's beginning and at the end, shape (steps + 1, segments, 2),
@@ -283,7 +287,7 @@ class SnakePhysics(dm.Physics, Remembers):
         pressure = pressure[:-1] if self.loaded is None else (pressure[:-1] + pressure[1:]) / 2
         # MuJoCo's muscles are linear in their control.
         felt = as_felt(self._spec, pressure).reshape(len(pressure), -1)
-        return self.recorded(*(self._roll(felt) if self.loaded is None else self.loaded.run(felt)))
+        return self._roll(felt) if self.loaded is None else self.loaded.run(felt)
 
     def recorded(
         self,

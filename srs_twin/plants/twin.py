@@ -252,14 +252,14 @@ class TwinSnake(PneumaticPlant):
             most = 1  # its closed chambers are stiff springs, stable with the bends of each step
         else:
             most = max(1, math.floor(felt / self.timestep * (1 + 1e-9)))
-        traces, records = [], []
+        traces, rolled = [], []
         for first in range(0, steps, most):
             last = min(first + most, steps)
             part = schedule.part(first * self.timestep, last * self.timestep)
             trace = self.physics.fill(part, last - first)
-            records.append(self.physics.run(trace.pressure))
+            rolled.append(self.physics.roll(trace.pressure))
             traces.append(trace.at(np.arange(1, last - first + 1)))
-        return joined(traces), joined(records)
+        return joined(traces), self.physics.recorded(*map(np.concatenate, zip(*rolled, strict=True)))
 
     def _history(self, times: np.ndarray, trace: Trace, record: StepBatch, steps: int) -> SnakeState:
         """Return what was to be seen at these times, each at the end of so many steps."""

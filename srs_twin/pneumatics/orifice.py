@@ -220,13 +220,13 @@ class OrificePneumatics(Pneumatics):
         if bend is not None:
             actual[0] = bend
             actual[1] = 0.0 if bend_rate is None else bend_rate
-        pressure = np.empty((self._segments, 2))
+        end = np.empty((self._segments, 2)), np.empty(self._segments)
         given = bend is not None
-        follow(state, books, schedule, times, self._substep, given, actual, self._plumbing, pressure, trace)
+        follow(state, books, schedule, times, self._substep, given, actual, self._plumbing, end, trace)
         np.multiply(trace.air, self._worth, out=trace.air)
         self._state, self._books = state, books
-        free = [bent(x, self._plumbing.law)[0] for x in state[:, 2]]
-        self.pressure, self.bend, self.air = pressure, self.rest_bend + free, self._worth * books[1]
+        self.pressure, self.bend = end
+        self.air = self._worth * float(books[1])
         return trace
 
 

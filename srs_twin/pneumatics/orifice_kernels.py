@@ -217,8 +217,8 @@ def _step(y, books, h, begun, state, given, actual, air, work):  # type: ignore[
 
 
 @allocating
-def follow(y, books, schedule, times, substep, given, actual, air, pressure, trace):  # type: ignore[no-untyped-def]
-    """Advance y and books in place over a schedule and fill `pressure` (end) and a trace at `times`.
+def follow(y, books, schedule, times, substep, given, actual, air, end, trace):  # type: ignore[no-untyped-def]
+    """Advance y and books in place over a schedule and fill `end` and a trace at `times`.
 
     Args:
         y: shape (segments, 3).
@@ -229,11 +229,12 @@ def follow(y, books, schedule, times, substep, given, actual, air, pressure, tra
         given: whether `actual` holds.
         actual: bends (rad) and their rates (rad/s) at the start, shape (2, segments).
         air: the plumbing.
-        pressure: out, gauge, at the end, shape (segments, 2), Pa.
+        end: out, at the end: pressures, gauge, shape (segments, 2), Pa, and free bends, (segments,), rad.
         trace: out; air as amount drawn, J.
     """
     span, starts, states = schedule
     segments = y.shape[0]
+    pressure, free = end
     base, dy, bend = np.empty_like(y), np.empty_like(y), np.empty(segments)
     work = base, dy, bend, np.empty((segments, 3, 2)), np.empty((segments, 2, 5))
     begin, slope, at_begin = np.empty_like(y), np.empty_like(y), np.empty(5)
@@ -247,7 +248,7 @@ def follow(y, books, schedule, times, substep, given, actual, air, pressure, tra
         at_end[3], at_end[4], _ = _slopes(y, books[0], states[run], given, bend, air, dy)
         for k in range(count):
             begun = starts[run] + k * h
-            end = stop if k + 1 == count else begun + h
+            finish = stop if k + 1 == count else begun + h
             for j in range(segments):
                 for i in range(3):
                     begin[j, i], slope[j, i] = y[j, i], dy[j, i]
@@ -258,15 +259,15 @@ def follow(y, books, schedule, times, substep, given, actual, air, pressure, tra
             for i in range(3):
                 at_end[i] = books[i]
             until = row
-            while until < times.shape[0] and (times[until] <= end or (k + 1 == count and run + 1 == runs)):
+            while until < times.shape[0] and (times[until] <= finish or (k + 1 == count and run + 1 == runs)):
                 until += 1
             if until > row:
                 ends = (begin, slope, at_begin), (y, dy, at_end)
                 _look(times, row, until, begun, h, ends, states[run], given, actual, air, trace)
                 row = until
     for j in range(segments):
-        free = air.bias[j] + bent(y[j, 2], air.law)[0]
-        turned = actual[0, j] + actual[1, j] * span if given else free
+        free[j] = air.bias[j] + bent(y[j, 2], air.law)[0]
+        turned = actual[0, j] + actual[1, j] * span if given else free[j]
         for side in range(2):
             size = volume(air.dead, air.displacement, turned, side)[0]
             pressure[j, side] = y[j, side] / size - AMBIENT_PA
