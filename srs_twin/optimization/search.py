@@ -10,7 +10,8 @@ and the best two run at a time, as if the first had turned out as expected. Cand
 model has run, and fresh neighbours of the best designs in every round.
 
 Two objectives: the cheap model is searched with several weights of a Tchebycheff scalarisation (Knowles
-2006); then it is the area that the Pareto front beats whose growth is expected (Emmerich et al. 2006).
+2006); then it is the area that the Pareto front beats whose growth is expected (Emmerich et al. 2006), and in
+turns what one of its two ends may improve by: a long way for a little area is soon left to others.
 
 Where `compliant` cannot run a scenario the twin is searched alone.
 """
@@ -35,6 +36,7 @@ _NEAR, _AROUND = 0.08, {1: 8, 2: 16}
 """Spread of fresh candidates about the best designs; how many each round, by the number of objectives."""
 _FIRST = 0.3
 """Share of the twin's budget that the cheap model alone decides."""
+_BEYOND = 0.2
 _APART = 1e-3
 TOLD, _OTHERS = 3, 0.1
 """Designs that are told of, so far from each other."""
@@ -116,6 +118,7 @@ class _Search:
         self._size, self._many = study.space.size, len(study.file.objectives)
         self._cheap: list[Run] = []
         self._costly: list[Run] = []
+        self._round = 0
 
     def cheaply(self) -> None:
         """Search the cheap model, once for one objective, for two with different weights."""
@@ -149,12 +152,12 @@ class _Search:
         if not self._cheap:
             self._try("twin", self._spread(max(count, 2 * self._size)))
             return
-        apart = self._spread(max(count // 4, 1))
+        apart = self._spread(max(count // 3, 1))
         chosen: list[np.ndarray] = []
         for weight in self._weights(count - len(apart)):
             order = np.argsort(self._scalars(self._cheap, weight))
             designs = (self._cheap[k].shares for k in order)
-            other = next((d for d in designs if _far(d, chosen)), None)
+            other = next((d for d in designs if _far(d, chosen, _OTHERS)), None)
             if other is not None:
                 chosen.append(other)
         self._try("twin", np.array([*chosen, *apart]))
@@ -168,11 +171,13 @@ class _Search:
         candidates = self._candidates()
         if not candidates:
             return False
-        at = self._predicted(self._costly, candidates)
         chosen: list[np.ndarray] = []
         believed = self._told(self._costly)
-        for _ in range(min(_TOGETHER, self.left())):
-            score = self._improvement(*at, believed)
+        for turn in range(min(_TOGETHER, self.left())):
+            end = 0 if self._many == 1 else self._round % 2 if turn else None
+            if turn == 0 or self._many == 2:
+                at = self._predicted(self._costly, candidates, end)
+            score = self._improvement(*at, believed, end)
             score[[not _far(run.shares, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
             if score[k] < 0:
@@ -180,6 +185,7 @@ class _Search:
             chosen.append(candidates[k].shares)
             believed = np.vstack([believed, at[0][k]])  # as if it had turned out as expected
         self._try("twin", np.array(chosen))
+        self._round += 1
         return True
 
     def best(self) -> tuple[Run, ...]:
@@ -188,6 +194,14 @@ class _Search:
         Raises:
             InputError: none has a result.
         """
+        if self._many == 1:
+            return self._hills(0)
+        kept = self._kept()
+        members = [kept[k] for k in np.flatnonzero(front(costs(self._study, kept)))]
+        return tuple(sorted(members, key=lambda run: costs(self._study, [run])[0, 0]))
+
+    def _kept(self) -> list[Run]:
+        """Return the runs of the twin that keep the constraints best; raises as `best`."""
         ran = [run for run in self._costly if np.isfinite(self._told([run])).all()]
         if not ran:
             why = next(
@@ -195,16 +209,15 @@ class _Search:
             )
             raise InputError(f"no run of the twin has a result: {why}")
         excess = np.maximum(excesses(self._study, ran), 0.0).sum(axis=1)
-        kept = [run for run, miss in zip(ran, excess, strict=True) if miss <= excess.min()]
-        found = costs(self._study, kept)
-        if self._many == 1:
-            chosen: list[Run] = []
-            for k in np.argsort(found[:, 0]):
-                if _far(kept[k].shares, [run.shares for run in chosen], _OTHERS) and len(chosen) < TOLD:
-                    chosen.append(kept[k])
-            return tuple(chosen)
-        members = [kept[k] for k in np.flatnonzero(front(found))]
-        return tuple(sorted(members, key=lambda run: costs(self._study, [run])[0, 0]))
+        return [run for run, miss in zip(ran, excess, strict=True) if miss <= excess.min()]
+
+    def _hills(self, objective: int) -> tuple[Run, ...]:
+        """Return the best runs of the twin by one objective that are apart from each other."""
+        kept, chosen = self._kept(), list[Run]()
+        for k in np.argsort(costs(self._study, kept)[:, objective]):
+            if _far(kept[k].shares, [run.shares for run in chosen], _OTHERS) and len(chosen) < TOLD:
+                chosen.append(kept[k])
+        return tuple(chosen)
 
     def _try(self, part: str, designs: np.ndarray) -> list[Run]:
         found = self._runs.run(part, designs)
@@ -217,7 +230,8 @@ class _Search:
         from scipy.stats import qmc
 
         drawn = qmc.Sobol(self._size, rng=self._rng).random_base2(max(count - 1, 1).bit_length())
-        return self._study.space.settled(drawn[:count])
+        # What is best lies at a bound more often than not: a share of the designs does, too.
+        return self._study.space.settled(np.clip((1 + 2 * _BEYOND) * drawn[:count] - _BEYOND, 0.0, 1.0))
 
     def _weights(self, count: int) -> list[np.ndarray]:
         if self._many == 1:
@@ -251,12 +265,18 @@ class _Search:
 
     def _candidates(self) -> list[Run]:
         """Return designs that the twin may run: what the cheap model has run, and neighbours of the best."""
-        best = self.best()
-        best = best[:1] if self._many == 1 else best
         count = _AROUND[self._many]
-        about = np.array([best[k].shares for k in self._rng.integers(len(best), size=count)])
+        hills = self._hills(self._round % self._many)  # of two objectives the one whose turn it is
+        best = hills[:1] if self._many == 1 else self.best()
+        parents = [of[k] for of in (hills, best) for k in self._rng.integers(len(of), size=count // 2)]
+        about = np.array([run.shares for run in parents])
         near = _NEAR * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         fresh = np.clip(about + near * self._rng.normal(size=about.shape), 0.0, 1.0)
+        # A third has one variable anywhere, as often as not at a bound: other hills begin there.
+        far = np.arange(0, count, 3)
+        fresh[far, self._rng.integers(self._size, size=len(far))] = np.clip(
+            self._rng.uniform(-0.5, 1.5, size=len(far)), 0.0, 1.0
+        )
         if self._cheap and len(self._cheap) + count <= self._study.file.budget.compliant:
             self._try("compliant", self._study.space.settled(fresh))
         there = self._cheap
@@ -266,8 +286,13 @@ class _Search:
         ran = [run.shares for run in self._costly]
         return [run for run in there if _far(run.shares, ran)]
 
-    def _predicted(self, known: list[Run], candidates: list[Run]) -> tuple[np.ndarray, np.ndarray]:
-        """Return means and standard deviations of what the twin would give, shape (candidates, outputs)."""
+    def _predicted(
+        self, known: list[Run], candidates: list[Run], end: int | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return means and standard deviations of what the twin would give, shape (candidates, outputs).
+
+        `end` is the objective of which only the best matters; None: there is no such one.
+        """
         told, cheap = self._told(known), self._cheaper([*known, *candidates])
         shares = 2 * np.array([run.shares for run in (*known, *candidates)]) - 1
         found = []
@@ -276,7 +301,7 @@ class _Search:
             if cheap is not None:
                 x = np.column_stack([shares, cheap[:, column]])
             there = np.flatnonzero(np.isfinite(y))
-            if self._many == 1 and column == 0:
+            if column == end:
                 # Only what is near to the best matters; far off, results would bend the process.
                 order = there[np.argsort(y[there])]
                 there = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
@@ -297,15 +322,20 @@ class _Search:
         told = np.where(np.isnan(told), middle, np.clip(told, 2 * low - middle, 2 * high - middle))
         return np.asarray((told - middle) / np.maximum(high - low, 1e-12))
 
-    def _improvement(self, mean: np.ndarray, sd: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return the expected improvement of each candidate over what is known, shape (candidates,)."""
-        many = self._many
+    def _improvement(
+        self, mean: np.ndarray, sd: np.ndarray, known: np.ndarray, end: int | None = None
+    ) -> np.ndarray:
+        """Return the expected improvement of each candidate over what is known, shape (candidates,).
+
+        `end` is the objective that is to improve; None: both, by the area.
+        """
+        many, one = self._many, end
         kept = (known[:, many:] <= 0).all(axis=1) & np.isfinite(known).all(axis=1)
         if kept.any():
             best = known[kept, :many]
-            if many == 1:
-                z = (best.min() - mean[:, 0]) / sd[:, 0]
-                score = sd[:, 0] * (z * norm.cdf(z) + norm.pdf(z))
+            if one is not None:
+                z = (best[:, one].min() - mean[:, one]) / sd[:, one]
+                score = sd[:, one] * (z * norm.cdf(z) + norm.pdf(z))
             else:
                 drawn = mean[None, :, :2] + sd[None, :, :2] * self._rng.normal(size=(_DRAWS, 1, 2))
                 score = area_gained(best, drawn).mean(axis=0)
