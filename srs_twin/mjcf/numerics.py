@@ -49,7 +49,7 @@ class Numerics:
         wheels: what the snake stands on, one of `WHEELS`; "rolling" under `loaded`.
         friction: law on the momentary loads, under `loaded`.
         load: of a wheel, that this law takes, one of `LOADS`.
-        slip_speed: below which a contact yields before it slides under that law (`friction.held`), m/s.
+        slip_speed: below which a contact yields before it slides under that law (`friction_held.held`), m/s.
         contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step, and
             under `loaded` loads flutter below 2 of them.
         slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,6 +53,28 @@ class StepBatch:
     energy: np.ndarray
     obstacle_force: np.ndarray
     power: np.ndarray
+
+
+class Columns(NamedTuple):
+    """Where the numbers of sensors stand in `sensordata`, for who steps the bodies elsewhere.
+
+    Attributes:
+        load: the first of the force on each wheel.
+        foot: the first of its foot's velocity, where friction is the engine's.
+        bump: the first of what obstacles press on each hull with.
+        pushed: forces but the wheels' that spend energy.
+        moving: the velocities that go with them.
+        energy: kinetic.
+        connectors: the bodies.
+    """
+
+    load: np.ndarray
+    foot: np.ndarray
+    bump: np.ndarray
+    pushed: np.ndarray
+    moving: np.ndarray
+    energy: int
+    connectors: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -125,21 +147,21 @@ class SnakePhysics(dm.Physics, Remembers):
     def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
         raw = self.model.ptr
         self._pneumatics, self._spec = pneumatics, spec
-        self._free = numerics.base == "free"
-        loaded = numerics.contact == "loaded" and self._free
+        self.free = numerics.base == "free"
+        loaded = numerics.contact == "loaded" and self.free
         self._rest_load = rest_loads(spec, -raw.opt.gravity[2])
-        pressed = self._free and not loaded
+        pressed = self.free and not loaded
         self._preload = preload_force(spec, numerics) if pressed else np.zeros_like(self._rest_load)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
-        feet = treads(spec) if self._free else []
+        feet = treads(spec) if self.free else []
         # Of each axle's left and right foot, shape (axles, 2, 3).
         self._force_columns = self._columns([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
         velocities = [] if loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
-        count = spec.geometry.connectors if self._free and spec.friction.drag > 0.0 else 0
+        count = spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
         drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
         self._drag_force, self._drag_velocity = (self._columns(names)[:, 0] for names in drags)
         self._attach_hulls(raw, spec)
@@ -166,6 +188,27 @@ class SnakePhysics(dm.Physics, Remembers):
             share = np.clip(pieces / 2 - piece, 0.0, 1.0)
             self._owners[segment - 1, k], self._owners[segment, k] = share, 1 - share
 
+    @property
+    def columns(self) -> Columns:
+        """Where the numbers of sensors stand."""
+        return Columns(
+            load=self._force_columns[..., 0].ravel(),
+            foot=self._foot_columns[..., 0].ravel(),
+            bump=self._hull_force[:, 0],
+            pushed=np.concatenate([self._hull_force.ravel(), self._drag_force]),
+            moving=np.concatenate([self._hull_velocity.ravel(), self._drag_velocity]),
+            energy=int(self._energy_column),
+            connectors=np.array(self._connectors),
+        )
+
+    def seen(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bends and their rates of states, shapes (…, nq) and (…, nv)."""
+        return qpos @ self._angles.T, qvel @ self._rates.T
+
+    def bumped(self, push: np.ndarray) -> np.ndarray:
+        """Return the obstacles' forces on connectors from those on hulls, shape (…, hulls, 3)."""
+        return np.einsum("ih,...hk->...ik", self._owners, push)
+
     def _columns(self, names: list[str]) -> np.ndarray:
         """Return where the three numbers of each sensor stand, shape (sensors, 3)."""
         first = np.array([self.model.ptr.sensor(name).adr[0] for name in names], dtype=int)
@@ -180,7 +223,7 @@ class SnakePhysics(dm.Physics, Remembers):
             hinges = self._angles.sum(axis=1, keepdims=True)
             bent = (self._spec.modules.array("bias")[:, None] * self._angles / hinges).sum(axis=0)
             self.data.qpos[:] += bent
-            if self._free:
+            if self.free:
                 self._turn_to(pose)
         self.refresh()
         self._pneumatics.reset()
@@ -188,7 +231,7 @@ class SnakePhysics(dm.Physics, Remembers):
         self._floor_force, self._last_push = self._no_force.copy(), self._no_force
         if self.loaded is not None:
             self.loaded.reset()
-        if self._free:
+        if self.free:
             # At rest every wheel carries its share of the weight, and its preload.
             self._floor_force[..., 2] = self._preload + self._rest_load
 
@@ -204,7 +247,7 @@ class SnakePhysics(dm.Physics, Remembers):
         Raises:
             InputError: a snake that is held at its head.
         """
-        if not self._free:
+        if not self.free:
             raise InputError("a snake that is held at its head begins at rest only")
         raw, data = self.model.ptr, self.data.ptr
         hinges = self._angles.sum(axis=1)
@@ -315,7 +358,7 @@ class SnakePhysics(dm.Physics, Remembers):
         push = sensed[:, self._hull_force]
         power = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
         power -= (sensed[:, self._drag_force] * sensed[:, self._drag_velocity]).sum(axis=1)
-        bumps = np.einsum("ih,thk->tik", self._owners, push + rubbed)
+        bumps = self.bumped(push + rubbed)
         self._floor_force, self._last_push = force.mean(axis=0), force[-1]
         return StepBatch(states, force, sensed[:, self._energy_column], bumps, power)
 
@@ -338,7 +381,7 @@ class SnakePhysics(dm.Physics, Remembers):
 
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return what is sensed at the feet, shape (steps, axles, 2, 3); 0 where there is no floor."""
-        return sensed[:, columns] if self._free else np.zeros((len(sensed), *self._no_force.shape))
+        return sensed[:, columns] if self.free else np.zeros((len(sensed), *self._no_force.shape))
 
     def refresh(self) -> None:
         """Bring places and velocities to the state's; contacts stay those of the last step's beginning."""
@@ -357,7 +400,7 @@ class SnakePhysics(dm.Physics, Remembers):
             com[k], velocity[k] = probe.subtree_com[0], probe.subtree_linvel[0]
             places[k], frames[k] = probe.xpos[self._connectors], probe.xmat[self._connectors]
         headings = np.arctan2(frames[..., 3], frames[..., 0])
-        return View(qpos, com, velocity, places, headings, qpos @ self._angles.T, qvel @ self._rates.T)
+        return View(qpos, com, velocity, places, headings, *self.seen(qpos, qvel))
 
     def _place(self, data: mujoco.MjData) -> None:
         model = self.model.ptr

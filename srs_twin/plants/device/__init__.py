@@ -1,0 +1,1 @@
+"""Twins on an accelerator: MuJoCo Warp steps them, the laws are those of the processor."""
