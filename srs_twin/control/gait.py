@@ -25,11 +25,8 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.memory import names
 from srs_twin.plants.base import SnakeState
-from srs_twin.pneumatics.valves import Schedule
+from srs_twin.pneumatics.valves import SLOT_S, Schedule
 from srs_twin.robot.spec import RobotSpec
-
-SLOT_S = 1e-4
-"""Edges inside a tick fall on a raster of 0.1 ms."""
 
 
 class Gait(Controller):

@@ -142,18 +142,10 @@ class LoadedContact(Remembers):
         self._engine = Engine(*(getattr(data, name) for name in Engine._fields))
         self._addresses = Addresses(model._address, data._address, data.ctrl, data.qacc_warmstart)
         self._kept = model, data  # addresses alone keep nothing alive
-        self._work = Work(
-            np.zeros((len(geoms), 4, 6)),
-            np.zeros((len(geoms), 2)),
-            np.zeros((len(geoms), 8)),
-            np.zeros(len(geoms)),
-            np.zeros(len(geoms)),
-            *np.zeros((4, nv, 6)),
-            np.zeros((nv, 6, 6)),
-            np.zeros(len(data.M)),
-            np.zeros(len(data.M)),
-            *np.zeros((7, nv)),
-        )
+        count, entries = len(geoms), len(data.M)
+        shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
+        shapes += [(entries,)] * 2 + [(nv,)] * 7
+        self._work = Work(*map(np.zeros, shapes))
         self._stand()
 
     @property

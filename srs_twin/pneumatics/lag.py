@@ -45,6 +45,7 @@ class Relaxation(NamedTuple):
         bias: b, shape (segments,), rad.
         law: of the bend.
         space: V₀ (m³) and A (m³/rad) of a chamber.
+        worth: what an amount of air that is drawn costs as work.
     """
 
     kinds: np.ndarray
@@ -56,6 +57,7 @@ class Relaxation(NamedTuple):
     bias: np.ndarray
     law: BendLaw
     space: tuple[float, float]
+    worth: float
 
 
 class LagPneumatics(Pneumatics):
@@ -134,13 +136,17 @@ class LagPneumatics(Pneumatics):
         mode = _fade(time, rate, self._tau, decay, lag)
         kinds = np.arange(self._kind.size).reshape(self._kind.shape)
         return Relaxation(
-            kinds, asymptote, decay, lag, mode, self._gain, self.rest_bend, self._law, self._space
+            kinds,
+            asymptote,
+            decay,
+            lag,
+            mode,
+            self._gain,
+            self.rest_bend,
+            self._law,
+            self._space,
+            self._worth,
         )
-
-    @property
-    def worth(self) -> float:
-        """What an amount of air that is drawn costs as work."""
-        return self._worth
 
     @property
     def leaks(self) -> bool:

@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 
 from pydantic import field_validator, model_validator
 
-from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
 from srs_twin.friction import AT_TRACK, Law
 from srs_twin.mjcf.numerics import Contact, LawOnLoads, Numerics
 from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.pneumatics.valves import SLOT_S
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")

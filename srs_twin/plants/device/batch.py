@@ -6,8 +6,9 @@ from one that the processor builds for each distinct robot, so no formula of the
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,9 +17,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from srs_twin.control.gait import SLOT_S, Gait
-from srs_twin.errors import DivergedError, InputError, whole_steps
-from srs_twin.parallel import Workers
+from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_steps
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
 from srs_twin.plants.device.ported import Ported, record, stacked
@@ -27,10 +26,13 @@ from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.lag import LagPneumatics
-from srs_twin.robot.spec import RobotSpec
+from srs_twin.pneumatics.valves import SLOT_S
 
 _ROOM = 4
 """For contacts and rows of constraints, as a multiple of those of a snake at rest."""
+
+_IDLE = ("dof_length",)
+"""Numbers of a model that decide when bodies may sleep, which they never do here."""
 
 _LIFTED = 1e-8
 """m."""
@@ -51,47 +53,50 @@ class WarpBatch:
 
     state: SnakeState
     errors: list[DivergedError | None]
+    _theta: np.ndarray
 
     def __init__(
-        self,
-        specs: Sequence[RobotSpec],
-        *,
-        supply_pa: Sequence[float | None],
-        threads: int | None = None,
-        device: str | None = None,
-        deterministic: bool = False,
-        **settings: Any,
+        self, twins: Sequence[TwinSnake], *, device: str | None = None, deterministic: bool = False
     ) -> None:
-        """Build one twin of each distinct robot, and put all on a device.
+        """Put twins on a device.
 
         Args:
-            specs: the robot of each run.
-            supply_pa: supply pressure of each run, Pa; None: the robot's nominal one.
-            threads: that build twins.
+            twins: of each run; those of one robot may be the same object.
             device: as Warp calls it, such as "cuda:0"; None: its preferred one.
             deterministic: sum in one order, so that a run gives the same bits again.
-            **settings: of all runs, as `TwinSnake` takes them.
 
         Raises:
-            InputError: as `TwinSnake` raises it, or what the device engine cannot do, by its name.
+            InputError: no twin at all, twins that differ in what is one for all runs, or that the device
+                engine cannot do, by its name.
         """
-        wp.config.quiet = True
         self.device = wp.get_device(device)
-        robots = list(zip(specs, supply_pa, strict=True))
-        known: dict[Any, int] = {}
-        numbers = [known.setdefault(repr(each), len(known)) for each in robots]
-        first = [numbers.index(k) for k in range(len(known))]
-        built = Workers(threads).each(
-            len(first), lambda k, _: TwinSnake(robots[first[k]][0], supply_pa=robots[first[k]][1], **settings)
-        )
-        self.twins: tuple[TwinSnake, ...] = tuple(built[k] for k in numbers)
-        self._robots, self._which = tuple(built), np.array(numbers)
+        if device is None and not self.device.is_cuda:
+            told = "engine 'warp' finds no accelerator and steps on the processor, slower than engine 'cpu'"
+            warnings.warn(told, EngineWarning, stacklevel=2)
+        self.twins = tuple(twins)
+        known: dict[int, int] = {}
+        self._which = np.array([known.setdefault(id(twin), len(known)) for twin in self.twins])
+        built = self._robots = tuple({id(twin): twin for twin in self.twins}.values())
         for twin in built:
-            _refuse(twin)
+            _refuse(twin, built[0])
         self.tick, self._h = built[0].tick, built[0].timestep
         self._loaded = built[0].contact == "loaded"
         self._put(deterministic)
         self.reset()
+
+    @staticmethod
+    def check(twin: TwinSnake) -> None:
+        """Refuse a twin of which the device engine cannot do something, by its name.
+
+        Raises:
+            InputError: it cannot.
+        """
+        _refuse(twin, twin)
+
+    @staticmethod
+    def accelerated() -> bool:
+        """Say whether there is a device that is faster than the processor."""
+        return bool(wp.get_preferred_device().is_cuda)
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -99,7 +104,7 @@ class WarpBatch:
 
     def _put(self, deterministic: bool) -> None:
         """Put models, states and records on the device, and compile what steps them."""
-        worlds, twin = len(self), self._robots[0]
+        worlds, built, twin = len(self), self._robots, self._robots[0]
         models = [each.physics.model.ptr for each in self._robots]
         raw, spec = models[0], twin.spec
         raw.opt.disableflags &= ~_AUTORESET  # the engine knows no other way
@@ -117,14 +122,15 @@ class WarpBatch:
             contacts = len(columns.load) + (hulls if self._loaded else 0)
             empty = np.zeros((spec.segments, 2))
             air = Air(empty, np.zeros(spec.segments), empty.astype(int) - 1, empty.astype(int), empty[:, 0])
-            kept = Kept(data.qpos, *np.zeros((2, contacts, 3)), np.zeros((hulls, 3)))
+            kept = Kept(data.qpos, np.zeros((contacts, 3)), np.zeros((contacts, 3)), np.zeros((hulls, 3)))
             wave = Wave(1.0, 0.0, 0.0, np.zeros(spec.segments))
-            slot = min(SLOT_S, self._h)
+            slot = self._slot = min(SLOT_S, self._h)
             self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
-            relaxations = [each.pneumatics.relaxation(slot) for each in self._robots]
+            self._air = [each.pneumatics for each in built if isinstance(each.pneumatics, LagPneumatics)]
+            relaxations = [air.relaxation(slot) for air in self._air]
             records = {
-                "relaxation": self._stack("relaxation", relaxations), "air": self._stack("air", [air]),
-                "kept": self._stack("kept", [kept]), "wave": self._stack("wave", [wave]),
+                "relaxation": self._stack(relaxations), "air": self._stack([air]),
+                "kept": self._stack([kept]), "wave": self._stack([wave]),
             }  # fmt: skip
             self._views = {name: self._view(name) for name in Bodies._fields}
             ported = {name: each for name, (each, _) in records.items()}
@@ -133,14 +139,14 @@ class WarpBatch:
             ported |= {"columns": record(Columns, columns), "bodies": record(Bodies, bodies)}
             self._own["bodies"] = self._viewed(ported["bodies"], Bodies._fields)
             self._own["columns"] = ported["columns"].one()
-            for name, value in zip(Columns._fields, columns, strict=True):
-                whole = int(value) if np.ndim(value) == 0 else wp.array(value, dtype=int)
+            for name, value in columns._asdict().items():
+                whole = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
                 setattr(self._own["columns"], name, whole)
             if self._loaded:
+                solves = [each.physics.loaded.records for each in built if each.physics.loaded is not None]
                 for name in ("contacts", "pattern", "feet", "work"):
-                    values = [each.physics.loaded.records[name] for each in self._robots]
-                    ported[name], self._own[name] = self._stack(name, values)
-                engine = twin.physics.loaded.records["engine"]
+                    ported[name], self._own[name] = self._stack([each[name] for each in solves])
+                engine = solves[0]["engine"]
                 ported["engine"] = record(type(engine), engine)
                 self._own["engine"] = self._viewed(ported["engine"], engine._fields)
                 self._own["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
@@ -159,7 +165,7 @@ class WarpBatch:
         self._kernels = kernels(ported, numbers)
         self._graphs: dict[bool, Any] = {}
 
-    def _stack(self, name: str, values: list[Any]) -> tuple[Ported, Any]:
+    def _stack(self, values: Sequence[Any]) -> tuple[Ported, Any]:
         """Return the type of a record, and those of all worlds from the robots' or one for all."""
         kind = type(values[0])
         ported = record(kind, values[0])
@@ -230,10 +236,10 @@ class WarpBatch:
             for _ in range(steps):
                 wp.capture_launch(self._graphs[gait])
 
-    def set_gaits(self, gaits: Sequence[Gait]) -> None:
-        """Give each run a gait that the device follows by itself (`run`)."""
-        for gait in gaits:
-            gait.reset(self.twins[0].spec, self.tick)
+    def set_gaits(self, gaits: Sequence[Any]) -> None:
+        """Give each run a `control.gait.Gait` that the device follows by itself (`run`, `follow`)."""
+        for gait, twin in zip(gaits, self.twins, strict=True):
+            gait.reset(twin.spec, self.tick)
         waves = [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
         fresh = stacked(record(Wave, waves[0]), waves, Wave._fields, self.device)
         for name in Wave._fields:
@@ -261,8 +267,9 @@ class WarpBatch:
             twin.reset(seed=seed)
         if worlds is None:
             self.errors = [None] * len(self)
-            self._time = 0.0
+            self._time, self._begun = 0.0, np.zeros(len(self))
             self._count.zero_()
+        self._begun[chosen] = self._time
         for k in chosen:
             self.errors[k] = None
         rest = [self._robots[k].physics for k in self._which[chosen]]
@@ -287,14 +294,16 @@ class WarpBatch:
         if self._loaded:
             feet = self._own["feet"]
             for name in ("push", "rim", "load", "slip"):
-                value = np.array([getattr(each.loaded.feet, name) for each in rest])
+                value = np.array(
+                    [getattr(each.loaded.feet, name) for each in rest if each.loaded is not None]
+                )
                 self._set(getattr(feet, name), chosen, value)
         theta = (
             np.zeros((len(self), self.twins[0].spec.geometry.connectors)) if worlds is None else self._theta
         )
         theta[chosen] = turn[:, None]
         self._theta = theta
-        self.state = self._history([self._look()], np.array([self._time]), 1)
+        self.state = self._moment(self._history([self._look()], np.array([self._time]), 1))
         return self.state
 
     def _set(self, array: Any, chosen: np.ndarray, value: Any) -> None:
@@ -306,6 +315,13 @@ class WarpBatch:
         whole = array.numpy()
         whole[chosen] = value
         array.assign(whole)
+
+    def regulate(self) -> None:
+        """Take the supplies' pressures from the twins' chambers anew, as these have been regulated since."""
+        law, fresh = self._own["relaxation"], [air.relaxation(self._slot) for air in self._air]
+        for name in ("asymptotes", "worth"):
+            rows = np.array([getattr(fresh[k], name) for k in self._which], dtype=np.float32)
+            getattr(law, name).assign(rows)
 
     def step(self, valves: Any) -> SnakeState:
         """Advance all runs by one tick and return `state`; see `TwinBatch.step`."""
@@ -335,8 +351,8 @@ class WarpBatch:
         shape, segments = tuple(valves.shape), self.twins[0].spec.segments
         if len(shape) not in (3, 4) or shape[0] != len(self) or shape[-2:] != (segments, 2):
             raise InputError(
-                f"valves of shape {shape} are not allowed; give ({len(self)}, {segments}, 2), or slots after the "
-                "runs"
+                f"valves of shape {shape} are not allowed; give ({len(self)}, {segments}, 2), or slots after "
+                "the runs"
             )
         if isinstance(valves, np.ndarray):
             self.twins[0].pneumatics.check(valves)
@@ -357,27 +373,27 @@ class WarpBatch:
         if len(schedules) != len(self):
             raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one a run")
         span = max(each.span for each in schedules if each is not None)
-        ticks = whole_steps("span", span, "tick", self.tick)
-        each = samples // ticks if samples % ticks == 0 else 0
-        if not each:
-            raise InputError(
-                f"{samples} samples of {ticks} ticks are not possible on a device; give some a tick"
-            )
-        middles = (
-            (np.arange(ticks * self._steps * self._slots) + 0.5) * span / (ticks * self._steps * self._slots)
-        )
+        ticks, slots = whole_steps("span", span, "tick", self.tick), self._steps * self._slots
+        if max(ticks, samples) % min(ticks, samples):
+            raise InputError(f"{samples} samples of {ticks} ticks: engine 'warp' takes whole ones of either")
+        middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
         idle = np.full((len(middles), self.twins[0].spec.segments, 2), -1, dtype=np.int8)
         valves = np.stack(
             [
-                idle if s is None else s.states[np.searchsorted(s.starts, middles, "right") - 1]
-                for s in schedules
+                idle if each is None else each.states[np.searchsorted(each.starts, middles, "right") - 1]
+                for each in schedules
             ]
         )
-        parts: list[list[SnakeState | None]] = [[] for _ in schedules]
-        slots = self._steps * self._slots
+        parts: list[list[SnakeState]] = [[] for _ in schedules]
         for tick in range(ticks):
-            found = self.advance(valves[:, tick * slots : (tick + 1) * slots], each)
-            for part, one in zip(parts, found, strict=True):
+            self.command(valves[:, tick * slots : (tick + 1) * slots])
+            if samples < ticks and (tick + 1) % (ticks // samples):
+                self.run(self._steps)
+                continue
+            seen = self._observed(
+                self._steps, max(samples // ticks, 1), gait=False, since=max(ticks // samples, 1)
+            )
+            for part, one in zip(parts, seen, strict=True):
                 if one is not None:
                     part.append(one)
         return [SnakeState.history(part) if part else None for part in parts]
@@ -396,27 +412,44 @@ class WarpBatch:
             "valves": air.valves,
         }
 
-    def _observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
+    def openings(self) -> np.ndarray:
+        """Return how often inlets have opened, shape (runs, segments, 2)."""
+        return np.asarray(self._own["air"].openings.numpy())
+
+    def describe(self) -> dict[str, Any]:
+        """Return what is worth recording besides what the twins say."""
+        return {"engine": "warp", "device": self.device.name}
+
+    def _observed(self, steps: int, samples: int, *, gait: bool, since: int = 1) -> list[SnakeState | None]:
+        """Step and look; the sums of the first sample may be of more such steps (`since` times as many)."""
         each = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
         rows = []
         for _ in range(samples):
             self.run(each, gait=gait)
             rows.append(self._look())
-        times = self._time + each * self._h * np.arange(1, samples + 1)
+        times = self._time + (since - 1) * steps * self._h + each * self._h * np.arange(1, samples + 1)
         self._time = float(times[-1])
         before = [error is None for error in self.errors]
-        whole = self._history(rows, times, each)
-        self.state = whole.at(-1)
+        whole = self._history(rows, times, each * since)
+        self.state = self._moment(whole)
         return [self._of(whole, k) if before[k] else None for k in range(len(self))]
+
+    def _moment(self, whole: SnakeState) -> SnakeState:
+        """Return the last sample."""
+        return replace(whole.at(-1), time=self._time - self._begun)
 
     def _of(self, whole: SnakeState, k: int) -> SnakeState | None:
         """Return one run's history up to where it diverged."""
-        own = SnakeState(whole.time, *(getattr(whole, f.name)[:, k] for f in fields(SnakeState)[1:]))
+        own = SnakeState(
+            whole.time - self._begun[k], *(getattr(whole, f.name)[:, k] for f in fields(SnakeState)[1:])
+        )
         fine = np.isfinite(own.qpos).all(axis=1) & np.isfinite(own.com).all(axis=1)
         if fine.all():
             return own
         last = int(np.argmin(fine))
-        self.errors[k] = DivergedError("twin", float(own.time[last]), "the state is not finite any more")
+        self.errors[k] = DivergedError(
+            "twin", float(np.asarray(own.time)[last]), "the state is not finite any more"
+        )
         return own.at(slice(0, last)) if last else None
 
     def _look(self) -> Any:
@@ -453,15 +486,14 @@ class WarpBatch:
         if self._loaded:
             bumps = bumps + force[..., wheels:, :]
         torque, sensed = np.empty_like(bend), bend.copy()
-        for k, twin in enumerate(self._robots):
-            mine = self._which == k
+        for number, twin in enumerate(self._robots):
+            mine = self._which == number
             law, own = twin.spec.bending, chambers[:, mine, :, :2]
             air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, own))
             torque[:, mine] = air - law.stiffness * bend[:, mine] - law.damping * rate[:, mine]
-        for k in np.arange(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
+        for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
             twin = self.twins[k]
             sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
-        worth = np.array([twin.pneumatics.worth for twin in self._robots])[self._which]
         return SnakeState(
             time=times,
             com=cut["com"][..., :2],
@@ -478,13 +510,13 @@ class WarpBatch:
             obstacle_force=physics.bumped(bumps)[..., :2],
             torque=torque,
             work=cut["spent"][..., 0] + cut["spent"][..., 1],
-            air=worth * chambers[..., 4].sum(axis=-1),
+            air=chambers[..., 4].sum(axis=-1),
             qpos=cut["qpos"],
         )
 
 
-def _refuse(twin: TwinSnake) -> None:
-    """Refuse, by its name, what the device engine cannot do.
+def _refuse(twin: TwinSnake, first: TwinSnake) -> None:
+    """Refuse, by its name, what the device engine cannot do, or not beside the first twin.
 
     Raises:
         InputError: the first such thing.
@@ -498,10 +530,15 @@ def _refuse(twin: TwinSnake) -> None:
         "stuck valves": bool(air.stuck),
         "base 'clamped'": not twin.physics.free,
         "a floor that slopes or has steps": twin.uneven,
+        "obstacles with contact 'preloaded'": twin.touches and twin.contact != "loaded",
     }
+    own, other = twin.identity(), first.identity()
+    same = own.keys() - {"robot", "robot_digest", "supply_pa"}
+    same -= set() if twin.touches or first.touches else {"world"}  # goals and rooms are not felt
+    cannot |= {f"runs that differ in {name}": own[name] != other[name] for name in sorted(same)}
     for name, there in cannot.items():
         if there:
-            raise InputError(f"engine 'warp' cannot do {name}; engine 'local' can")
+            raise InputError(f"engine 'warp' cannot do {name}; the processor can")
 
 
 def _expand(model: Any, of_each: list[mujoco.MjModel]) -> None:
@@ -514,16 +551,14 @@ def _expand(model: Any, of_each: list[mujoco.MjModel]) -> None:
     if len(distinct) == 1:
         return
     for name, array in vars(model).items():
-        if not isinstance(array, wp.array) or not hasattr(of_each[0], name):
+        if not isinstance(array, wp.array) or not hasattr(of_each[0], name) or name in _IDLE:
             continue
         values = {key: np.asarray(getattr(each, name)) for key, each in distinct.items()}
         first = next(iter(values.values()))
         if all(np.array_equal(first, value) for value in values.values()):
             continue
         if array.shape[0] != 1:
-            raise InputError(
-                f"engine 'warp' has {name} once for all runs; robots that differ in it need engine 'local'"
-            )
+            raise InputError(f"engine 'warp' has {name} once for all runs; the processor runs such robots")
         rows = np.stack([values[id(each)] for each in of_each])
         inner = array.shape[1:]
         size = wp.types.type_size(array.dtype)

@@ -32,7 +32,7 @@ class Air(NamedTuple):
         linear: x, shape (segments,), rad.
         valves: states of the last slot, shape (segments, 2).
         openings: how often each inlet has opened, same shape.
-        drawn: by each segment since the beginning, shape (segments,), J.
+        drawn: work that each segment's air has cost since the beginning, shape (segments,), J.
     """
 
     pressure: np.ndarray
@@ -156,7 +156,7 @@ def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespac
             after, _, _ = bent(x, law.law)
             after += law.bias[j]
             content = filling(state, plus, minus, after, law.space, AMBIENT_PA)
-            air.drawn[j] = air.drawn[j] + content - held
+            air.drawn[j] = air.drawn[j] + law.worth * (content - held)
             pressure[0] = plus
             pressure[1] = minus
             air.linear[j] = x

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import linecache
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ _TOLERANCES = {"_CLOSE": 1e-6, "_LEAST": 1e-15}
 """Of the rim's speed, and of a residual's square, (kg·m/s)²."""
 
 
-def ported(functions: list[Callable[..., Any]], **more: Any) -> dict[str, Any]:
+def ported(functions: Sequence[Callable[..., Any]], **more: Any) -> dict[str, Any]:
     """Return Warp functions of these, by their names.
 
     Args:
@@ -66,7 +66,7 @@ def record(kind: type, example: tuple[Any, ...]) -> Ported:
     return Ported(one, each, _of_source("\n".join(lines) + "\n", {"One": one, "Each": each}))
 
 
-def stacked(kind: Ported, examples: list[tuple[Any, ...]], names: tuple[str, ...], device: Any) -> Any:
+def stacked(kind: Ported, examples: Sequence[tuple[Any, ...]], names: tuple[str, ...], device: Any) -> Any:
     """Return the records of some worlds on a device, as one."""
     found = kind.each()
     for name, values in zip(names, zip(*examples, strict=True), strict=True):
