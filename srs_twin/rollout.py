@@ -411,7 +411,19 @@ def run_scripts(
     record_hz: float = 100,
     progress: Callable[[float], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
-    """Let each twin of a batch follow a controller that does not sense; else as `run_batch`.
+    """Let each twin of a batch follow a controller that does not sense.
+
+    Args:
+        batch: the twins.
+        controllers: one a twin.
+        duration: s, a multiple of the tick.
+        poses: one a twin, as in `rollout`; default all at the origin.
+        seed: for twins and controllers.
+        record_hz: samples a second, as in `rollout`.
+        progress: called now and then with the simulated time, s.
+
+    Returns:
+        As `run_batch`.
 
     Raises:
         InputError: a controller that senses, not one a twin, or as in `run_batch`.

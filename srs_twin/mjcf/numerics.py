@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -36,6 +36,11 @@ the two as these are at that moment, which is what the analytical model has; hal
 
 LAW_OF: dict[str, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 """What a snake stands on → the friction law that describes it."""
+
+
+PRESETS: dict[str, dict[str, Any]] = {"reference": {}, "fast": {"contact": "loaded", "timestep": 0.002}}
+"""Settings that go together: `reference` the defaults, `fast` for learning and searching; what that costs in
+truth is measured by `benchmarks/presets.py`."""
 
 
 @dataclass(frozen=True)
