@@ -65,6 +65,7 @@ def _engine(name: str, *more: Any) -> Any:
 mj_step1, mj_comVel = _engine("mj_step1"), _engine("mj_comVel")
 mj_forwardSkip = _engine("mj_forwardSkip", types.int32, types.int32)
 mj_rne = _engine("mj_rne", types.int32, types.intp)
+mj_factorM, mj_solveM = _engine("mj_factorM"), _engine("mj_solveM", types.intp, types.intp, types.int32)
 mj_integratePos = _engine("mj_integratePos", types.intp, types.float64)
 
 
@@ -172,7 +173,6 @@ class Work(NamedTuple):
         motion: what the change adds, or the forces on it, same shape.
         yielding: spatial slopes of the forces beyond each degree of freedom, shape (nv, 6, 6).
         metric: A, as M.
-        matrix: Newton's, as M.
         before: v₋, shape (nv,).
         predicted: v̂, same shape.
         bias: momentum that the last two terms of the equation give, same shape.
@@ -192,7 +192,6 @@ class Work(NamedTuple):
     motion: np.ndarray
     yielding: np.ndarray
     metric: np.ndarray
-    matrix: np.ndarray
     before: np.ndarray
     predicted: np.ndarray
     bias: np.ndarray
@@ -276,7 +275,6 @@ class LoadedContact(Remembers):
             np.zeros((nv, 6)),
             np.zeros((nv, 6)),
             np.zeros((nv, 6, 6)),
-            np.zeros(len(data.M)),
             np.zeros(len(data.M)),
             *np.zeros((7, nv)),
         )
@@ -612,9 +610,10 @@ def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped
             if not best > _SMALL * first:
                 break
             _assemble(engine, contacts, pattern, feet, work, h)
-            _factor(work.matrix, pattern)
-            _copy(work.residual, direction)
-            _substitute(work.matrix, pattern, direction)
+            mj_factorM(engine.model, engine.data)
+            mj_solveM(
+                engine.model, engine.data, direction.ctypes.data, work.residual.ctypes.data, np.int32(1)
+            )
             for i in range(change.shape[0]):
                 change[i] -= direction[i]
             scale = 1.0
@@ -667,8 +666,8 @@ def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no
 
 @inside
 def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
-    """Fill Newton's matrix: A, the normals that press, friction's slopes."""
-    matrix, rows, found, yielding = work.matrix, work.rows, work.found, work.yielding
+    """Fill Newton's matrix, where the engine keeps M: A, the normals that press, friction's slopes."""
+    matrix, rows, found, yielding = engine.M, work.rows, work.found, work.yielding
     _clear(yielding)
     for w in range(contacts.body.shape[0]):
         part = -work.theta[w] * h
@@ -697,30 +696,3 @@ def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-unty
             for a in range(6):
                 for b in range(6):
                     yielding[p, a, b] += own[a, b]
-
-
-@inside
-def _factor(matrix, pattern):  # type: ignore[no-untyped-def]
-    """Factor a matrix of M's pattern into LᵀDL, in place: no entry appears that M does not have."""
-    for k in range(pattern.entries.shape[0] - 1, -1, -1):
-        row, last = pattern.first[k], pattern.entries[k] - 1
-        over = 1 / matrix[row + last]
-        for a in range(last - 1, -1, -1):
-            part, to = matrix[row + a] * over, pattern.first[pattern.column[row + a]]
-            for b in range(a + 1):
-                matrix[to + b] -= part * matrix[row + b]
-            matrix[row + a] = part
-
-
-@inside
-def _substitute(matrix, pattern, x):  # type: ignore[no-untyped-def]
-    """Solve LᵀDL x = b in place."""
-    for i in range(x.shape[0] - 1, -1, -1):
-        for k in range(pattern.first[i], pattern.first[i] + pattern.entries[i] - 1):
-            x[pattern.column[k]] -= matrix[k] * x[i]
-    for i in range(x.shape[0]):
-        last = pattern.first[i] + pattern.entries[i] - 1
-        value = x[i] / matrix[last]
-        for k in range(pattern.first[i], last):
-            value -= matrix[k] * x[pattern.column[k]]
-        x[i] = value
