@@ -462,7 +462,8 @@ def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two spatial vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
@@ -481,14 +482,14 @@ def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
         z = engine.xpos[body, 2] + m[6] * place[0] + m[7] * place[1] + m[8] * place[2] - com[2]
         z -= contacts.radius
         for k, axis in enumerate(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0))):
-            _point(work.rows[w, k], x, y, z, axis)
+            point(work.rows[w, k], x, y, z, axis)
         row, ahead = work.rows[w, _HUB], work.rows[w, _ALONG]
         _copy(ahead, row)
         row[0], row[1] = row[0] - contacts.radius * s, row[1] + contacts.radius * c
 
 
 @inside
-def _point(row, x, y, z, axis):  # type: ignore[no-untyped-def]
+def point(row, x, y, z, axis):  # type: ignore[no-untyped-def]
     """Fill what gives the velocity of a place along an axis."""
     ex, ey, ez = axis
     row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
@@ -511,8 +512,8 @@ def _feel(engine, contacts, work):  # type: ignore[no-untyped-def]
             c, s = -fy / pressed, fx / pressed
             x, y, z = sensed[k + 3] - com[0], sensed[k + 4] - com[1], sensed[k + 5] - com[2]
             work.heading[w, 0], work.heading[w, 1] = c, s
-            _point(work.rows[w, _ALONG], x, y, z, (c, s, 0.0))
-            _point(work.rows[w, _ACROSS], x, y, z, (0.0, 0.0, 1.0))
+            point(work.rows[w, _ALONG], x, y, z, (c, s, 0.0))
+            point(work.rows[w, _ACROSS], x, y, z, (0.0, 0.0, 1.0))
 
 
 @inside
@@ -528,7 +529,7 @@ def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
 def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
     """Sum spatial forces toward the root and fill what they do on each degree of freedom."""
     for i in range(out.shape[0] - 1, -1, -1):
-        out[i] = _dot(cdof[i], motion[i])
+        out[i] = dot(cdof[i], motion[i])
         p = pattern.parent[i]
         if p >= 0:
             for k in range(6):
@@ -554,8 +555,8 @@ def _slip(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     start, gain, change = work.start[last], work.gain[last], work.motion[last]
     ahead, aside, more = work.rows[w, _ALONG], work.rows[w, _ACROSS], theta - 0.5
     return (
-        _dot(ahead, start) + more * _dot(ahead, gain) + theta * _dot(ahead, change),
-        _dot(aside, start) + more * _dot(aside, gain) + theta * _dot(aside, change),
+        dot(ahead, start) + more * dot(ahead, gain) + theta * dot(ahead, change),
+        dot(aside, start) + more * dot(aside, gain) + theta * dot(aside, change),
     )
 
 
@@ -641,7 +642,7 @@ def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no
         for k in range(6):
             found[w, k] = said[k]
         found[w, 7] = -contacts.law[3] / (h * work.theta[w]) * (said[5] - feet.rim[w])
-        rise = _dot(rows[w, _UP], motion[contacts.last[w]])
+        rise = dot(rows[w, _UP], motion[contacts.last[w]])
         found[w, 6] = rise / (h * contacts.softness[w]) if work.press[w] > 0.0 else 0.0
     other = work.yielding[:, 0]
     for i in range(other.shape[0]):
@@ -683,15 +684,15 @@ def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-unty
     for i in range(pattern.entries.shape[0] - 1, -1, -1):
         d, own, p, row = engine.cdof[i], yielding[i], pattern.parent[i], pattern.first[i]
         on = (
-            _dot(own[0], d),
-            _dot(own[1], d),
-            _dot(own[2], d),
-            _dot(own[3], d),
-            _dot(own[4], d),
-            _dot(own[5], d),
+            dot(own[0], d),
+            dot(own[1], d),
+            dot(own[2], d),
+            dot(own[3], d),
+            dot(own[4], d),
+            dot(own[5], d),
         )
         for k in range(row, row + pattern.entries[i]):
-            matrix[k] += _dot(on, engine.cdof[pattern.column[k]])
+            matrix[k] += dot(on, engine.cdof[pattern.column[k]])
         if p >= 0:
             for a in range(6):
                 for b in range(6):
