@@ -10,7 +10,7 @@ import pytest
 from snakes import chain
 
 from srs_twin import AnalyticalSnake, Gait, SnakeState, TwinSnake, rollout
-from srs_twin.plants import physics
+from srs_twin.plants import loaded, physics
 from srs_twin.world import Circle, World
 
 SPEC = chain((0.0532,) * 17)
@@ -32,6 +32,15 @@ def test_long_twins_crawl_as_the_engine_alone_has_it(options, monkeypatch):
     assert np.ptp(runs[1].stack("bend"), axis=0).min() > 0.3
     assert runs[0].stack("bend") == pytest.approx(runs[1].stack("bend"), abs=2e-6)
     assert runs[0].position == pytest.approx(runs[1].position, abs=1e-6)
+
+
+def test_normals_of_long_loaded_twins_are_the_engines(monkeypatch):
+    slow = TwinSnake(SPEC, contact="loaded")
+    monkeypatch.setattr(loaded, "_SHORT", 8)
+    fast = TwinSnake(SPEC, contact="loaded")
+    runs = [rollout(twin, Gait(2.0, 0.2), 0.5) for twin in (fast, slow)]
+    assert runs[0].stack("bend") == pytest.approx(runs[1].stack("bend"), abs=1e-9)
+    assert runs[0].position == pytest.approx(runs[1].position, abs=1e-9)
 
 
 def test_the_engine_finds_nothing_left_to_do(monkeypatch):

@@ -43,6 +43,7 @@ from srs_twin.memory import Remembers, names
 from srs_twin.mjcf import surroundings
 from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
 from srs_twin.mjcf.wheels import rest_loads, softness, treads
+from srs_twin.plants.warm_start import WarmStart, dot, point
 from srs_twin.robot.spec import RobotSpec
 
 _MOMENTARY, _ACROSS_ONLY = LOADS.index("momentary"), LOADS.index("across")
@@ -54,6 +55,7 @@ _SMALL = 1e-9  # of the first residual's square: friction is then right to some 
 _ALONG, _ACROSS, _UP, _HUB = range(4)
 _RUBS = surroundings.FRICTION
 _SINKS_IN_S = 0.05
+_SHORT = 24  # segments: normals alone cost the engine's own start less
 _SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
 
 
@@ -278,6 +280,7 @@ class LoadedContact(Remembers):
             np.zeros(len(data.M)),
             *np.zeros((7, nv)),
         )
+        self._long = WarmStart(model) if spec.segments > _SHORT else None
         self._stand()
 
     def reset(self) -> None:
@@ -324,10 +327,26 @@ class LoadedContact(Remembers):
         sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, len(self._contacts.rest), 3))
         power = np.zeros(steps)
         out = states, sensed, force, power
-        _run(self._engine, self._contacts, self._pattern, self.feet, self._work, self._h, controls, out)
+        given = self._engine, self._contacts, self._pattern, self.feet, self._work, self._h
+        if self._long is None:
+            _run(*given, controls, out)
+        else:
+            self._run_long(given, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         return states, sensed, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
+
+    def _run_long(self, given: tuple[Any, ...], controls: np.ndarray, out: tuple[np.ndarray, ...]) -> None:
+        """Do what `_run` does, with the engine's solver begun by `WarmStart`."""
+        (model, data), long = self._kept, self._long
+        assert long is not None
+        for step, control in enumerate(controls):
+            _begin(*given, control)
+            long.begin(data)
+            mujoco.mj_forwardSkip(model, data, _VELOCITIES_KNOWN, False)
+            if not _end(*given, step, out):
+                break
+        data.qfrc_applied[:] = 0.0
 
 
 def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -378,63 +397,76 @@ def _dampers(
 @compiled
 def _run(engine, contacts, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
     """Make steps; `out` is what `LoadedContact.run` returns."""
+    for step in range(controls.shape[0]):
+        _begin(engine, contacts, pattern, feet, work, h, controls[step])
+        mj_forwardSkip(engine.model, engine.data, _VELOCITIES_KNOWN, 0)
+        if not _end(engine, contacts, pattern, feet, work, h, step, out):
+            break
+    _clear(engine.qfrc_applied)
+
+
+@compiled
+def _begin(engine, contacts, pattern, feet, work, h, control):  # type: ignore[no-untyped-def]
+    """Go to the middle of a step, with the friction of the step before."""
+    _copy(control, engine.ctrl)
+    mj_integratePos(engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
+    _copy(engine.qvel, work.before)
+    mj_step1(engine.model, engine.data)
+    _look(engine, contacts, work)
+    _forces(engine.cdof, contacts, pattern, feet.push, work, engine.qfrc_applied)
+
+
+@compiled
+def _end(engine, contacts, pattern, feet, work, h, step, out):  # type: ignore[no-untyped-def]
+    """Solve friction, go to the end of a step and note what happened; return whether it is finite."""
     states, sensed, force, power = out
     model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
-    position, velocity = engine.qpos.ctypes.data, engine.qvel.ctypes.data
-    for step in range(controls.shape[0]):
-        _copy(controls[step], engine.ctrl)
-        mj_integratePos(model, position, velocity, h / 2)
-        _copy(engine.qvel, work.before)
-        mj_step1(model, data)
-        _look(engine, contacts, work)
-        _forces(engine.cdof, contacts, pattern, feet.push, work, engine.qfrc_applied)
-        mj_forwardSkip(model, data, _VELOCITIES_KNOWN, 0)
-        _copy(engine.qacc, engine.qacc_warmstart)
-        for i in range(nv):
-            work.predicted[i] = work.before[i] + h * engine.qacc[i]
-            engine.qvel[i] = 0.5 * (work.before[i] + work.predicted[i])
-        mj_comVel(model, data)
-        mj_rne(model, data, 0, work.residual.ctypes.data)
-        for i in range(nv):
-            work.bias[i] = engine.qfrc_bias[i] - work.residual[i]
-            work.bias[i] *= h
-            work.other[i] = work.predicted[i] - work.before[i]
-        _multiply(pattern, pattern.less, work.other, work.bias)
-        for k in range(work.metric.shape[0]):
-            work.metric[k] = engine.M[k] + pattern.damping[k]
-        _carry(engine.cdof, pattern, engine.qvel, work.start)
-        _carry(engine.cdof, pattern, work.other, work.gain)
-        _feel(engine, contacts, work)
-        for w in range(contacts.body.shape[0]):
-            mu = contacts.law[1] if w < contacts.wheels else _RUBS
-            grip = mu * work.press[w] / max(feet.slip[w], contacts.law[2])
-            work.theta[w] = _theta(h * grip * contacts.ease[w])
-        _solve(engine, contacts, pattern, feet, work, h)
-        total = 0.0
-        for i in range(nv):
-            engine.qvel[i] = work.predicted[i] + work.change[i]
-            total += engine.qvel[i] * engine.qvel[i]
-        if not np.isfinite(total):
-            break
-        mj_integratePos(model, position, velocity, h / 2)
-        _copy(engine.qpos, states[step, 1:])
-        _copy(engine.qvel, states[step, 1 + nq :])
-        _copy(engine.sensordata, sensed[step])
-        for w in range(contacts.body.shape[0]):
-            f_t, f_n, rim = work.found[w, 0], work.found[w, 1], work.found[w, 5]
-            along, across = _slip(contacts, work, w, 0.5)
-            power[step] -= f_t * along + f_n * across
-            gap = along - rim if contacts.kind == _WHEEL else along
-            feet.slip[w] = np.sqrt(gap * gap + across * across)
-            feet.push[w, 0], feet.push[w, 1], feet.push[w, 2] = f_t, f_n, work.found[w, 7]
-            feet.rim[w] += (rim - feet.rim[w]) / work.theta[w]
-            c, s = work.heading[w, 0], work.heading[w, 1]
-            if w < contacts.wheels:
-                force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
-                force[step, w, 2] = max(work.press[w] - work.found[w, 6], 0.0)
-            else:
-                force[step, w, 0], force[step, w, 1], force[step, w, 2] = c * f_t, s * f_t, f_n
-    _clear(engine.qfrc_applied)
+    _copy(engine.qacc, engine.qacc_warmstart)
+    for i in range(nv):
+        work.predicted[i] = work.before[i] + h * engine.qacc[i]
+        engine.qvel[i] = 0.5 * (work.before[i] + work.predicted[i])
+    mj_comVel(model, data)
+    mj_rne(model, data, 0, work.residual.ctypes.data)
+    for i in range(nv):
+        work.bias[i] = engine.qfrc_bias[i] - work.residual[i]
+        work.bias[i] *= h
+        work.other[i] = work.predicted[i] - work.before[i]
+    _multiply(pattern, pattern.less, work.other, work.bias)
+    for k in range(work.metric.shape[0]):
+        work.metric[k] = engine.M[k] + pattern.damping[k]
+    _carry(engine.cdof, pattern, engine.qvel, work.start)
+    _carry(engine.cdof, pattern, work.other, work.gain)
+    _feel(engine, contacts, work)
+    for w in range(contacts.body.shape[0]):
+        mu = contacts.law[1] if w < contacts.wheels else _RUBS
+        grip = mu * work.press[w] / max(feet.slip[w], contacts.law[2])
+        work.theta[w] = _theta(h * grip * contacts.ease[w])
+    _solve(engine, contacts, pattern, feet, work, h)
+    total = 0.0
+    for i in range(nv):
+        engine.qvel[i] = work.predicted[i] + work.change[i]
+        total += engine.qvel[i] * engine.qvel[i]
+    if not np.isfinite(total):
+        return False
+    mj_integratePos(model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
+    _copy(engine.qpos, states[step, 1:])
+    _copy(engine.qvel, states[step, 1 + nq :])
+    _copy(engine.sensordata, sensed[step])
+    for w in range(contacts.body.shape[0]):
+        f_t, f_n, rim = work.found[w, 0], work.found[w, 1], work.found[w, 5]
+        along, across = _slip(contacts, work, w, 0.5)
+        power[step] -= f_t * along + f_n * across
+        gap = along - rim if contacts.kind == _WHEEL else along
+        feet.slip[w] = np.sqrt(gap * gap + across * across)
+        feet.push[w, 0], feet.push[w, 1], feet.push[w, 2] = f_t, f_n, work.found[w, 7]
+        feet.rim[w] += (rim - feet.rim[w]) / work.theta[w]
+        c, s = work.heading[w, 0], work.heading[w, 1]
+        if w < contacts.wheels:
+            force[step, w, 0], force[step, w, 1] = c * f_t - s * f_n, s * f_t + c * f_n
+            force[step, w, 2] = max(work.press[w] - work.found[w, 6], 0.0)
+        else:
+            force[step, w, 0], force[step, w, 1], force[step, w, 2] = c * f_t, s * f_t, f_n
+    return True
 
 
 @inside
@@ -462,12 +494,6 @@ def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
 
 
 @inside
-def dot(a, b):  # type: ignore[no-untyped-def]
-    """Return the product of two spatial vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
-
-
-@inside
 def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Fill the rows of each wheel's contact, which lies below its centre, and the headings."""
     com = engine.subtree_com[1]
@@ -486,14 +512,6 @@ def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
         row, ahead = work.rows[w, _HUB], work.rows[w, _ALONG]
         _copy(ahead, row)
         row[0], row[1] = row[0] - contacts.radius * s, row[1] + contacts.radius * c
-
-
-@inside
-def point(row, x, y, z, axis):  # type: ignore[no-untyped-def]
-    """Fill what gives the velocity of a place along an axis."""
-    ex, ey, ez = axis
-    row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
-    row[3], row[4], row[5] = ex, ey, ez
 
 
 @inside

@@ -25,7 +25,6 @@ import mujoco
 import numpy as np
 
 from srs_twin.compiled import allocating, inside
-from srs_twin.plants.loaded import dot, point
 
 _MOST, _ENGINES_MOST = 60, 500  # iterations
 _OVERSHOT = 0.1  # rise after a Newton step, over the fall before it, from which it was too long
@@ -114,8 +113,13 @@ class WarmStart:
 
     def step(self, data: mujoco.MjData) -> None:
         """Make a step as `mj_step` does."""
+        mujoco.mj_step1(self._model, data)
+        self.begin(data)
+        mujoco.mj_step2(self._model, data)
+
+    def begin(self, data: mujoco.MjData) -> None:
+        """Solve what `mj_step1` has prepared and let the engine begin there."""
         model = self._model
-        mujoco.mj_step1(model, data)
         model.opt.iterations = 0  # the constraints as the integrator softens them, unsolved
         mujoco.mj_forwardSkip(model, data, _VELOCITIES_KNOWN, True)
         model.opt.iterations = _ENGINES_MOST
@@ -129,7 +133,6 @@ class WarmStart:
         _newton(self._chain, touching, (data.ne, data.nf), body, force, start)
         if np.isfinite(start).all():
             data.qacc_warmstart[:] = start
-        mujoco.mj_step2(model, data)
 
 
 @allocating
@@ -185,6 +188,20 @@ def _newton(chain, touching, rubbing, body, force, x):  # type: ignore[no-untype
         for i in range(nv):
             x[i] -= direction[i]
             fall += gradient[i] * direction[i]
+
+
+@inside
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two spatial vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
+
+
+@inside
+def point(row, x, y, z, axis):  # type: ignore[no-untyped-def]
+    """Fill what gives the velocity of a place along an axis."""
+    ex, ey, ez = axis
+    row[0], row[1], row[2] = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
+    row[3], row[4], row[5] = ex, ey, ez
 
 
 @inside
