@@ -55,7 +55,7 @@ _SMALL = 1e-9  # of the first residual's square: friction is then right to some 
 _ALONG, _ACROSS, _UP, _HUB = range(4)
 _RUBS = surroundings.FRICTION
 _SINKS_IN_S = 0.05
-_SHORT = 24  # segments: normals alone cost the engine's own start less
+_SHORT = 24  # segments, up to which the engine solves normals alone as fast as begun by `WarmStart`
 _SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
 
 
@@ -331,15 +331,16 @@ class LoadedContact(Remembers):
         if self._long is None:
             _run(*given, controls, out)
         else:
-            self._run_long(given, controls, out)
+            self._run_long(self._long, given, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         return states, sensed, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
 
-    def _run_long(self, given: tuple[Any, ...], controls: np.ndarray, out: tuple[np.ndarray, ...]) -> None:
+    def _run_long(
+        self, long: WarmStart, given: tuple[Any, ...], controls: np.ndarray, out: tuple[np.ndarray, ...]
+    ) -> None:
         """Do what `_run` does, with the engine's solver begun by `WarmStart`."""
-        (model, data), long = self._kept, self._long
-        assert long is not None
+        model, data = self._kept
         for step, control in enumerate(controls):
             _begin(*given, control)
             long.begin(data)

@@ -93,7 +93,7 @@ mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY = mujoco.mjtState.mjSTATE_INTEGRATION
-_SHORT = 8  # segments: longer ones begin the engine's solver by `WarmStart`
+_SHORT = 8  # segments, up to which snakes keep to the engine's own solver, bit for bit
 
 
 class SnakePhysics(dm.Physics, Remembers):
