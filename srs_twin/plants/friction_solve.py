@@ -10,9 +10,10 @@ ends of the chain to its root. Spatial vectors are rotation first, about the cen
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from srs_twin.compiled import inside
 from srs_twin.friction_held import held, rolling
@@ -28,9 +29,24 @@ _ALONG, _ACROSS, _UP, _HUB = range(4)
 _RUBS = surroundings.FRICTION
 
 
-class Engine(NamedTuple):
-    """What the friction solve reads and writes of the engine, named as in MjData; one world's."""
+def c_function(name: str, *more: Any) -> Any:
+    """Return a C function of MuJoCo's that takes a model, data, and more; kernels call it by its name."""
+    return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
+
+mj_factorM, mj_solveM = c_function("mj_factorM"), c_function("mj_solveM", types.intp, types.intp, types.int32)
+
+
+class Engine(NamedTuple):
+    """What the friction solve reads and writes of the engine, views named as in MjData; one world's.
+
+    Attributes:
+        model: its address, and
+        data: that of its data; other compilers than numba do without.
+    """
+
+    model: int
+    data: int
     qpos: np.ndarray
     qvel: np.ndarray
     qfrc_applied: np.ndarray
@@ -129,7 +145,7 @@ class Work(NamedTuple):
         pushed: forces that the change makes, same shape.
         yielding: spatial slopes of the forces beyond each degree of freedom, shape (nv, 6, 6).
         metric: A, as M.
-        matrix: Newton's, as M.
+        matrix: Newton's, as M; numba's is where the engine keeps M.
         before: v₋, shape (nv,).
         predicted: v̂, same shape.
         bias: momentum that the last two terms of the equation give, same shape.
@@ -243,7 +259,8 @@ def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two spatial vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
@@ -262,9 +279,9 @@ def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
         y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] + m[5] * place[2] - com[1]
         z = engine.xpos[body, 2] + m[6] * place[0] + m[7] * place[1] + m[8] * place[2] - com[2]
         z -= contacts.radius
-        _point(work.rows[w, _ALONG], x, y, z, c, s, 0.0)
-        _point(work.rows[w, _ACROSS], x, y, z, -s, c, 0.0)
-        _point(work.rows[w, _UP], x, y, z, 0.0, 0.0, 1.0)
+        point(work.rows[w, _ALONG], x, y, z, c, s, 0.0)
+        point(work.rows[w, _ACROSS], x, y, z, -s, c, 0.0)
+        point(work.rows[w, _UP], x, y, z, 0.0, 0.0, 1.0)
         row, ahead = work.rows[w, _HUB], work.rows[w, _ALONG]
         for k in range(6):
             row[k] = ahead[k]
@@ -273,7 +290,7 @@ def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _point(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
+def point(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
     """Fill what gives the velocity of a place along an axis."""
     row[0] = y * ez - z * ey
     row[1] = z * ex - x * ez
@@ -300,8 +317,8 @@ def _feel(engine, contacts, work):  # type: ignore[no-untyped-def]
             x, y, z = sensed[k + 3] - com[0], sensed[k + 4] - com[1], sensed[k + 5] - com[2]
             work.heading[w, 0] = c
             work.heading[w, 1] = s
-            _point(work.rows[w, _ALONG], x, y, z, c, s, 0.0)
-            _point(work.rows[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
+            point(work.rows[w, _ALONG], x, y, z, c, s, 0.0)
+            point(work.rows[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
 
 
 @inside
@@ -319,7 +336,7 @@ def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
 def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
     """Sum spatial forces toward the root and fill what they do on each degree of freedom."""
     for i in range(out.shape[0] - 1, -1, -1):
-        out[i] = _dot(cdof[i], motion[i])
+        out[i] = dot(cdof[i], motion[i])
         p = pattern.parent[i]
         if p >= 0:
             for k in range(6):
@@ -345,8 +362,8 @@ def _slip(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     start, gain, change = work.start[last], work.gain[last], work.motion[last]
     ahead, aside, more = work.rows[w, _ALONG], work.rows[w, _ACROSS], theta - 0.5
     return (
-        _dot(ahead, start) + more * _dot(ahead, gain) + theta * _dot(ahead, change),
-        _dot(aside, start) + more * _dot(aside, gain) + theta * _dot(aside, change),
+        dot(ahead, start) + more * dot(ahead, gain) + theta * dot(ahead, change),
+        dot(aside, start) + more * dot(aside, gain) + theta * dot(aside, change),
     )
 
 
@@ -408,10 +425,7 @@ def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped
             if not best > _SMALL * first + _LEAST:
                 break
             _assemble(engine, contacts, pattern, feet, work, h)
-            _factor(work.matrix, pattern)
-            for i in range(direction.shape[0]):
-                direction[i] = work.residual[i]
-            _substitute(work.matrix, pattern, direction)
+            _divide(engine, pattern, work)
             for i in range(change.shape[0]):
                 change[i] -= direction[i]
             scale = float(1.0)
@@ -448,7 +462,7 @@ def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no
         found[w, 3] = tn
         found[w, 4] = nn
         found[w, 7] = -contacts.law[3] / (h * work.theta[w]) * (rim - feet.rim[w])
-        rise = _dot(rows[w, _UP], motion[contacts.last[w]])
+        rise = dot(rows[w, _UP], motion[contacts.last[w]])
         found[w, 6] = rise / (h * contacts.softness[w]) if work.press[w] > 0.0 else 0.0
     pushed = work.pushed
     _clear(pushed)
@@ -491,13 +505,29 @@ def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-unty
         d, own, p, row = engine.cdof[i], yielding[i], pattern.parent[i], pattern.first[i]
         on = work.pushed[i]
         for a in range(6):
-            on[a] = _dot(own[a], d)
+            on[a] = dot(own[a], d)
         for k in range(row, row + pattern.entries[i]):
-            matrix[k] += _dot(on, engine.cdof[pattern.column[k]])
+            matrix[k] += dot(on, engine.cdof[pattern.column[k]])
         if p >= 0:
             for a in range(6):
                 for b in range(6):
                     yielding[p, a, b] += own[a, b]
+
+
+@inside
+def _divide(engine, pattern, work):  # type: ignore[no-untyped-def]
+    """Fill the direction that Newton's matrix gives the residual, by the engine's own routines."""
+    mj_factorM(engine.model, engine.data)
+    mj_solveM(engine.model, engine.data, work.direction.ctypes.data, work.residual.ctypes.data, np.int32(1))
+
+
+@inside
+def divide_alone(engine, pattern, work):  # type: ignore[no-untyped-def]
+    """Do the same without the engine's routines."""
+    for i in range(work.direction.shape[0]):
+        work.direction[i] = work.residual[i]
+    _factor(work.matrix, pattern)
+    _substitute(work.matrix, pattern, work.direction)
 
 
 @inside

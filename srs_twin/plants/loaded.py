@@ -47,33 +47,29 @@ from srs_twin.plants.friction_solve import (
     Pattern,
     Work,
     approach,
+    c_function,
     expect,
     note,
     settle,
 )
+from srs_twin.plants.warm_start import WarmStart
 from srs_twin.robot.spec import RobotSpec
 
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _SINKS_IN_S = 0.05
+_SHORT = 24  # segments, up to which the engine solves normals alone as fast as begun by `WarmStart`
 _SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
 
 
-def _engine(name: str, *more: Any) -> Any:
-    """Return a C function of MuJoCo's that takes a model, data, and more; kernels call it by its name."""
-    return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
+mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
+mj_forwardSkip = c_function("mj_forwardSkip", types.int32, types.int32)
+mj_rne = c_function("mj_rne", types.int32, types.intp)
+mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
-mj_step1, mj_comVel = _engine("mj_step1"), _engine("mj_comVel")
-mj_forwardSkip = _engine("mj_forwardSkip", types.int32, types.int32)
-mj_rne = _engine("mj_rne", types.int32, types.intp)
-mj_integratePos = _engine("mj_integratePos", types.intp, types.float64)
+class Given(NamedTuple):
+    """What only the loop reads and writes of the engine's data, named as there."""
 
-
-class Addresses(NamedTuple):
-    """Of a model and its data, and what of these only the loop needs."""
-
-    model: int
-    data: int
     ctrl: np.ndarray
     qacc_warmstart: np.ndarray
 
@@ -139,13 +135,15 @@ class LoadedContact(Remembers):
             damping=damping[triangle],
             less=less[triangle],
         )
-        self._engine = Engine(*(getattr(data, name) for name in Engine._fields))
-        self._addresses = Addresses(model._address, data._address, data.ctrl, data.qacc_warmstart)
+        views = (getattr(data, name) for name in Engine._fields[2:])
+        self._engine = Engine(model._address, data._address, *views)
+        self._given = Given(data.ctrl, data.qacc_warmstart)
         self._kept = model, data  # addresses alone keep nothing alive
         count, entries = len(geoms), len(data.M)
         shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
         shapes += [(entries,)] * 2 + [(nv,)] * 7
-        self._work = Work(*map(np.zeros, shapes))
+        self._work = Work(*map(np.zeros, shapes))._replace(matrix=data.M)
+        self._long = WarmStart(model) if spec.segments > _SHORT else None
         self._stand()
 
     @property
@@ -198,20 +196,28 @@ class LoadedContact(Remembers):
         sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, len(self._contacts.rest), 3))
         power = np.zeros(steps)
         out = states, sensed, force, power
-        _run(
-            self._addresses,
-            self._engine,
-            self._contacts,
-            self._pattern,
-            self.feet,
-            self._work,
-            self._h,
-            controls,
-            out,
-        )
+        friction = self._contacts, self._pattern, self.feet, self._work, self._h
+        given = self._given, self._engine, *friction
+        if self._long is None:
+            _run(*given, controls, out)
+        else:
+            self._run_long(self._long, given, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         return states, sensed, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
+
+    def _run_long(
+        self, long: WarmStart, given: tuple[Any, ...], controls: np.ndarray, out: tuple[np.ndarray, ...]
+    ) -> None:
+        """Do what `_run` does, with the engine's solver begun by `WarmStart`."""
+        model, data = self._kept
+        for step, control in enumerate(controls):
+            _begin(*given, control)
+            long.begin(data)
+            mujoco.mj_forwardSkip(model, data, _VELOCITIES_KNOWN, False)
+            if not _end(*given, step, out):
+                break
+        data.qfrc_applied[:] = 0.0
 
 
 def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -260,37 +266,50 @@ def _dampers(
 
 
 @compiled
-def _run(kept, engine, contacts, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
+def _run(given, engine, contacts, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
     """Make steps; `out` is what `LoadedContact.run` returns."""
-    states, sensed, force, power = out
-    model, data, nq, nv = kept.model, kept.data, engine.qpos.shape[0], engine.qvel.shape[0]
-    position, velocity = engine.qpos.ctypes.data, engine.qvel.ctypes.data
     for step in range(controls.shape[0]):
-        _copy(controls[step], kept.ctrl)
-        mj_integratePos(model, position, velocity, h / 2)
-        _copy(engine.qvel, work.before)
-        mj_step1(model, data)
-        approach(engine, contacts, pattern, feet, work)
-        mj_forwardSkip(model, data, _VELOCITIES_KNOWN, 0)
-        _copy(engine.qacc, kept.qacc_warmstart)
-        for i in range(nv):
-            work.predicted[i] = work.before[i] + h * engine.qacc[i]
-        expect(engine, work)
-        mj_comVel(model, data)
-        mj_rne(model, data, 0, work.residual.ctypes.data)
-        settle(engine, contacts, pattern, feet, work, h)
-        total = 0.0
-        for i in range(nv):
-            total += engine.qvel[i] * engine.qvel[i]
-        if not np.isfinite(total):
+        _begin(given, engine, contacts, pattern, feet, work, h, controls[step])
+        mj_forwardSkip(engine.model, engine.data, _VELOCITIES_KNOWN, 0)
+        if not _end(given, engine, contacts, pattern, feet, work, h, step, out):
             break
-        mj_integratePos(model, position, velocity, h / 2)
-        _copy(engine.qpos, states[step, 1:])
-        _copy(engine.qvel, states[step, 1 + nq :])
-        _copy(engine.sensordata, sensed[step])
-        power[step] = note(contacts, feet, work, force[step])
-    for i in range(nv):
+    for i in range(engine.qvel.shape[0]):
         engine.qfrc_applied[i] = 0.0
+
+
+@compiled
+def _begin(given, engine, contacts, pattern, feet, work, h, control):  # type: ignore[no-untyped-def]
+    """Go to the middle of a step, with the friction of the step before."""
+    _copy(control, given.ctrl)
+    mj_integratePos(engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
+    _copy(engine.qvel, work.before)
+    mj_step1(engine.model, engine.data)
+    approach(engine, contacts, pattern, feet, work)
+
+
+@compiled
+def _end(given, engine, contacts, pattern, feet, work, h, step, out):  # type: ignore[no-untyped-def]
+    """Solve friction, go to the end of a step and note what happened; return whether it is finite."""
+    states, sensed, force, power = out
+    model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
+    _copy(engine.qacc, given.qacc_warmstart)
+    for i in range(nv):
+        work.predicted[i] = work.before[i] + h * engine.qacc[i]
+    expect(engine, work)
+    mj_comVel(model, data)
+    mj_rne(model, data, 0, work.residual.ctypes.data)
+    settle(engine, contacts, pattern, feet, work, h)
+    total = 0.0
+    for i in range(nv):
+        total += engine.qvel[i] * engine.qvel[i]
+    if not np.isfinite(total):
+        return False
+    mj_integratePos(model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
+    _copy(engine.qpos, states[step, 1:])
+    _copy(engine.qvel, states[step, 1 + nq :])
+    _copy(engine.sensordata, sensed[step])
+    power[step] = note(contacts, feet, work, force[step])
+    return True
 
 
 @inside

@@ -17,6 +17,7 @@ from srs_twin.errors import InputError
 from srs_twin.memory import Remembers, names
 from srs_twin.plants.base import Pose
 from srs_twin.plants.loaded import LoadedContact
+from srs_twin.plants.warm_start import WarmStart
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import as_felt
 from srs_twin.robot.spec import RobotSpec
@@ -114,6 +115,7 @@ mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY = mujoco.mjtState.mjSTATE_INTEGRATION
+_SHORT = 8  # segments, up to which snakes keep to the engine's own solver, bit for bit
 
 
 class SnakePhysics(dm.Physics, Remembers):
@@ -175,6 +177,7 @@ class SnakePhysics(dm.Physics, Remembers):
         self._floor_force = self._last_push = self._no_force
         air = pneumatics.stiffness * self._rates.T @ self._rates
         self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics, air) if loaded else None
+        self._long = WarmStart(raw) if pressed and spec.segments > _SHORT and not raw.neq else None
 
     def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
         hulls = hull_names(raw)
@@ -365,6 +368,8 @@ class SnakePhysics(dm.Physics, Remembers):
     def _roll(self, felt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Let the engine make all steps in one; return states and sensors."""
         model, data, steps = self.model.ptr, self.data.ptr, len(felt)
+        if self._long is not None:
+            return self._roll_long(felt, self._long)
         controls = np.zeros((1, steps, model.nu))
         controls[0, :, : felt.shape[1]] = felt
         states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
@@ -378,6 +383,17 @@ class SnakePhysics(dm.Physics, Remembers):
             sensordata=sensed,
         )
         return states[0], sensed[0]
+
+    def _roll_long(self, felt: np.ndarray, long: WarmStart) -> tuple[np.ndarray, np.ndarray]:
+        """Make the steps of a long snake; else as `_roll`."""
+        model, data, steps = self.model.ptr, self.data.ptr, len(felt)
+        states, sensed = np.empty((steps, self._start.shape[1])), np.empty((steps, model.nsensordata))
+        for k in range(steps):
+            data.ctrl[: felt.shape[1]] = felt[k]
+            long.step(data)
+            mujoco.mj_getState(model, data, states[k], _STATE)
+            sensed[k] = data.sensordata
+        return states, sensed
 
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return what is sensed at the feet, shape (steps, axles, 2, 3); 0 where there is no floor."""

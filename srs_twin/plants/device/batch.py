@@ -6,6 +6,7 @@ from one that the processor builds for each distinct robot, so no formula of the
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -21,7 +22,6 @@ from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_step
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
 from srs_twin.plants.device.ported import Ported, record, stacked
-from srs_twin.plants.physics import Columns
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
@@ -33,6 +33,9 @@ _ROOM = 4
 
 _IDLE = ("dof_length",)
 """Numbers of a model that decide when bodies may sleep, which they never do here."""
+
+_ITERATIONS = 50
+"""Of the engine's solver at most."""
 
 _LIFTED = 1e-8
 """m."""
@@ -106,8 +109,9 @@ class WarpBatch:
         """Put models, states and records on the device, and compile what steps them."""
         worlds, built, twin = len(self), self._robots, self._robots[0]
         models = [each.physics.model.ptr for each in self._robots]
-        raw, spec = models[0], twin.spec
+        raw, spec = copy.copy(models[0]), twin.spec
         raw.opt.disableflags &= ~_AUTORESET  # the engine knows no other way
+        raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _ITERATIONS
         data = mujoco.MjData(raw)
         mujoco.mj_resetDataKeyframe(raw, data, 0)
         mujoco.mj_forward(raw, data)
@@ -136,7 +140,7 @@ class WarpBatch:
             ported = {name: each for name, (each, _) in records.items()}
             self._own = {name: value for name, (_, value) in records.items()}
             bodies = Bodies(*(np.zeros(self._views[name].shape[1:]) for name in Bodies._fields))
-            ported |= {"columns": record(Columns, columns), "bodies": record(Bodies, bodies)}
+            ported |= {"columns": record(columns), "bodies": record(bodies)}
             self._own["bodies"] = self._viewed(ported["bodies"], Bodies._fields)
             self._own["columns"] = ported["columns"].one()
             for name, value in columns._asdict().items():
@@ -147,8 +151,8 @@ class WarpBatch:
                 for name in ("contacts", "pattern", "feet", "work"):
                     ported[name], self._own[name] = self._stack([each[name] for each in solves])
                 engine = solves[0]["engine"]
-                ported["engine"] = record(type(engine), engine)
-                self._own["engine"] = self._viewed(ported["engine"], engine._fields)
+                ported["engine"] = record(engine, without=("model", "data"))
+                self._own["engine"] = self._viewed(ported["engine"], engine._fields[2:])
                 self._own["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
                 self._own["work"].residual = self._data.qfrc_bias
             self._count = wp.zeros(1, dtype=int)
@@ -167,10 +171,9 @@ class WarpBatch:
 
     def _stack(self, values: Sequence[Any]) -> tuple[Ported, Any]:
         """Return the type of a record, and those of all worlds from the robots' or one for all."""
-        kind = type(values[0])
-        ported = record(kind, values[0])
+        ported = record(values[0])
         of_each = [values[k] if len(values) > 1 else values[0] for k in self._which]
-        return ported, stacked(ported, of_each, kind._fields, self.device)
+        return ported, stacked(ported, of_each, self.device)
 
     def _view(self, name: str) -> Any:
         """Return an array of the engine's data as one of numbers."""
@@ -241,7 +244,7 @@ class WarpBatch:
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
         waves = [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
-        fresh = stacked(record(Wave, waves[0]), waves, Wave._fields, self.device)
+        fresh = stacked(record(waves[0]), waves, self.device)
         for name in Wave._fields:
             wp.copy(getattr(self._own["wave"], name), getattr(fresh, name))
 

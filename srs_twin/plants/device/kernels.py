@@ -17,9 +17,8 @@ from srs_twin.pneumatics import chambers, lag
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 
 _SOLVE = (
-    *("_clear", "_multiply", "_dot", "_point", "_look", "_feel", "_carry", "_project", "_forces", "_slip"),
-    *("_load", "_theta", "_law", "_residual", "_assemble", "_factor", "_substitute", "_solve"),
-    *("approach", "expect", "settle", "note"),
+    *("_clear", "_multiply", "dot", "point", "_look", "_feel", "_carry", "_project", "_forces", "_slip"),
+    *("_load", "_theta", "_law", "_residual", "_assemble", "_solve", "approach", "expect", "settle", "note"),
 )
 _AT_REST = 1e-5  # rad: below it what bends is the slope
 
@@ -90,6 +89,8 @@ def functions() -> dict[str, Any]:
     """Return Warp functions of the laws and of the friction solve, by their names."""
     found = ported([friction_held.held, friction_held.rolling, chambers.volume, chambers._log_cosh])
     found = ported([chambers.bent, lag._segment, lag._filling], **found)
+    found = ported([friction_solve._factor, friction_solve._substitute, friction_solve.divide_alone], **found)
+    found["_divide"] = found["divide_alone"]  # the engine's own is the processor's
     return ported([getattr(friction_solve, name) for name in _SOLVE], **found)
 
 

@@ -50,10 +50,16 @@ class Ported(NamedTuple):
     world: Any
 
 
-def record(kind: type, example: tuple[Any, ...]) -> Ported:
-    """Return what stands for a record of arrays and numbers, by an example of one world's."""
-    names = kind._fields  # type: ignore[attr-defined]
-    shapes = {name: _typed(value) for name, value in zip(names, example, strict=True)}
+def record(example: Any, without: Sequence[str] = ()) -> Ported:
+    """Return what stands for a named tuple of arrays and numbers, by an example of one world's.
+
+    Args:
+        example: one world's.
+        without: fields that are not needed.
+    """
+    kind = type(example)
+    names = [name for name in example._fields if name not in without]
+    shapes = {name: _typed(getattr(example, name)) for name in names}
     one, each = (
         wp.struct(type(f"{kind.__name__}{what}", (), {"__annotations__": fields, "__module__": __name__}))
         for what, fields in (
@@ -66,10 +72,11 @@ def record(kind: type, example: tuple[Any, ...]) -> Ported:
     return Ported(one, each, _of_source("\n".join(lines) + "\n", {"One": one, "Each": each}))
 
 
-def stacked(kind: Ported, examples: Sequence[tuple[Any, ...]], names: tuple[str, ...], device: Any) -> Any:
-    """Return the records of some worlds on a device, as one."""
+def stacked(kind: Ported, examples: Sequence[Any], device: Any) -> Any:
+    """Return the named tuples of some worlds on a device, as one record."""
     found = kind.each()
-    for name, values in zip(names, zip(*examples, strict=True), strict=True):
+    for name in examples[0]._fields:
+        values = [getattr(each, name) for each in examples]
         rows = np.stack([np.asarray(value) for value in values])
         setattr(found, name, wp.array(rows, dtype=_typed(values[0])[0], device=device))
     return found
