@@ -23,6 +23,7 @@ _HOME = {
     "Job": "srs_twin.rollout",
     "run_many": "srs_twin.rollout",
     "run_batch": "srs_twin.rollout",
+    "run_scripts": "srs_twin.rollout",
     "Trajectory": "srs_twin.trajectory",
     "Event": "srs_twin.trajectory",
     "compare": "srs_twin.experiment",

@@ -87,6 +87,10 @@ class InputFileError(InputError):
         super().__init__("\n".join(self.lines))
 
 
+class EngineWarning(UserWarning):
+    """Something ran elsewhere than asked for."""
+
+
 class CacheWarning(UserWarning):
     """Machine code cannot be kept: every start compiles it again."""
 

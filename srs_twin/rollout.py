@@ -16,8 +16,9 @@ many there are.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -216,8 +217,8 @@ class Recorder:
         self._parts.append(state)
         self._signals.append((np.size(state.time), _numbered(self.controller.signals())))
 
-    def trajectory(self) -> Trajectory:
-        """Return what was added."""
+    def trajectory(self, more: Mapping[str, object] = MappingProxyType({})) -> Trajectory:
+        """Return what was added, with more to say of it."""
         self._states = SnakeState.history(self._parts)
         columns = {"time": self._column("time")}
         columns |= _spread("com_", self._column("com"), "xy")
@@ -240,7 +241,7 @@ class Recorder:
         for name in self._signals[0][1]:
             columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)
         columns |= _spread("qpos_", self._column("qpos"))
-        return Trajectory(columns, events=tuple(self.events), metadata=self._metadata())
+        return Trajectory(columns, events=tuple(self.events), metadata={**self._metadata(), **more})
 
     def _column(self, name: str) -> np.ndarray:
         return np.asarray(getattr(self._states, name), dtype=float)
@@ -398,6 +399,68 @@ def run_batch(
         if error is not None:
             error.trajectory = trajectory
     return [error or trajectory for trajectory, error in zip(found, batch.errors, strict=True)]
+
+
+def run_scripts(
+    batch: TwinBatch,
+    controllers: Sequence[Controller],
+    duration: float,
+    *,
+    poses: Sequence[Pose] | None = None,
+    seed: int = 0,
+    record_hz: float = 100,
+    progress: Callable[[float], None] | None = None,
+) -> list[Trajectory | DivergedError]:
+    """Let each twin of a batch follow a controller that does not sense.
+
+    Args:
+        batch: the twins.
+        controllers: one a twin.
+        duration: s, a multiple of the tick.
+        poses: one a twin, as in `rollout`; default all at the origin.
+        seed: for twins and controllers.
+        record_hz: samples a second, as in `rollout`.
+        progress: called now and then with the simulated time, s.
+
+    Returns:
+        As `run_batch`.
+
+    Raises:
+        InputError: a controller that senses, not one a twin, or as in `run_batch`.
+    """
+    ticks = whole_steps("duration", duration, "tick", batch.tick)
+    samples, stride = sampling(batch.tick, record_hz)
+    if len(controllers) != len(batch.twins):
+        raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
+    scripts = []
+    for twin, controller in zip(batch.twins, controllers, strict=True):
+        controller.reset(twin.spec, twin.tick, seed=seed)
+        script = controller.script(duration)
+        if script is None:
+            raise InputError(f"controller '{controller.kind}' senses; a batch of scripts cannot run it")
+        scripts.append(script)
+    pairs = zip(batch.twins, controllers, strict=True)
+    recorders = [Recorder(twin, controller, record_hz, duration) for twin, controller in pairs]
+    resting = batch.reset(poses=poses, seed=seed)
+    for k, recorder in enumerate(recorders):
+        recorder.add(resting.at(k))
+    whole = ticks - ticks % stride
+    stretch = max(1, round(batch.twins[0].stretch / batch.tick / stride)) * stride
+    for begun in range(0, whole, stretch):
+        now = min(stretch, whole - begun)
+        parts = [script.part(begun * batch.tick, (begun + now) * batch.tick) for script in scripts]
+        for recorder, history in zip(recorders, batch.play(parts, now * samples // stride), strict=True):
+            if history is not None:
+                recorder.add(history)
+        if progress is not None:
+            progress((begun + now) * batch.tick)
+    found: list[Trajectory | DivergedError] = []
+    for recorder, opened, error in zip(recorders, batch.openings(), batch.errors, strict=True):
+        trajectory = recorder.trajectory(batch.describe() | {"valve_switches": opened.tolist()})
+        if error is not None:
+            error.trajectory = trajectory
+        found.append(error or trajectory)
+    return found
 
 
 def _refuse_sharing(jobs: Sequence[Job]) -> None:

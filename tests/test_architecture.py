@@ -25,7 +25,7 @@ ORDER = (
         "parallel",
         "robot",
         "geometry",
-        "friction",
+        "friction", "friction_held",
         "world",
         "trajectory",
     ),
@@ -54,6 +54,8 @@ RESERVED = {
     "gymnasium": {"envs"},
     "rerun": {"viewing"},
     "ray": {"sweep"},
+    "warp": {"plants"},
+    "mujoco_warp": {"plants"},
     "paho": {"live"},
 }
 

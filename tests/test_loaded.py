@@ -14,7 +14,8 @@ from load_reference import POINTS, simulate
 from snakes import GRAVITY, robot
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Job, TwinBatch, TwinSnake, rollout, run_many
-from srs_twin.friction import ellipse, held, rolling, wheel
+from srs_twin.friction import ellipse, wheel
+from srs_twin.friction_held import held, rolling
 from srs_twin.robot.spec import Friction, Tail
 
 SPEC = robot()
@@ -36,14 +37,14 @@ def test_what_slides_fast_is_the_ellipse_and_what_rests_keeps_its_force(v_t, v_n
 @given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
 def test_what_contact_and_axle_give_is_what_the_rim_gains(v_t, v_n, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    f_t, f_n, _, _, _, w = rolling(held, v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
+    f_t, f_n, _, _, _, w = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
     assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    f_t, f_n, *_ = rolling(held, v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
+    f_t, f_n, *_ = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
@@ -52,7 +53,7 @@ def test_a_wheel_without_inertia_is_the_wheel_law(v_t, v_n, mu_n, share):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    found = rolling(held, v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
+    found = rolling(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
     assert found == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
@@ -63,9 +64,9 @@ def test_slopes_of_a_wheel_that_spins_are_those_of_its_forces(seed, slip):
         [-1, -1, -1, 0.01, 0.1, -0.1, -0.1], [1, 1, 1, 0.1, 1, 0.1, 0.1]
     )
     step, arguments = 1e-7, (LOAD, mu_t, mu_n, slip, p_t, p_n, rim, 0.5)
-    _, _, tt, tn, nn, _ = rolling(held, v_t, v_n, *arguments)
-    ahead, behind = rolling(held, v_t + step, v_n, *arguments), rolling(held, v_t - step, v_n, *arguments)
-    left, right = rolling(held, v_t, v_n + step, *arguments), rolling(held, v_t, v_n - step, *arguments)
+    _, _, tt, tn, nn, _ = rolling(v_t, v_n, *arguments)
+    ahead, behind = rolling(v_t + step, v_n, *arguments), rolling(v_t - step, v_n, *arguments)
+    left, right = rolling(v_t, v_n + step, *arguments), rolling(v_t, v_n - step, *arguments)
     found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [(left[1] - right[1]) / (2 * step)]
     assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
 

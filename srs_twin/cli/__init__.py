@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.errors import CacheWarning, InputError, SrsError, TaskFailedError
+from srs_twin.errors import CacheWarning, EngineWarning, InputError, SrsError, TaskFailedError
 from srs_twin.io.files import printable, refuse_unprintable
 
 if TYPE_CHECKING:
@@ -146,7 +146,11 @@ def show_traceback(error: Exception) -> None:
 
 def _worded(message: Any, kind: type[Warning], *place: Any) -> str:
     """Return a warning as it is printed: where in the code is of no use where the machine is meant."""
-    return f"warning: {message}\n" if kind is CacheWarning else _PYTHONS_WORDS(message, kind, *place)
+    return (
+        f"warning: {message}\n"
+        if kind in (CacheWarning, EngineWarning)
+        else _PYTHONS_WORDS(message, kind, *place)
+    )
 
 
 def _interrupted(error: BaseException | None) -> bool:

@@ -46,8 +46,8 @@ def optimize(
     Options:
         given: A shipped study or a file.
         out: Folder of results. [default: runs/studies/STUDY]
-        engine: Who runs the designs: local or ray.
-        address: Of a Ray cluster. [default: a Ray of this machine's own]
+        engine: Who runs the designs: local, ray or warp.
+        address: Of a Ray cluster, or the device of warp, as cuda:0. [default: this machine's]
         changed: Go on in a folder of another version; keep what still belongs.
     """
     from srs_twin.cli.sweep import chosen_engine

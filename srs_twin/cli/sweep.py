@@ -57,8 +57,8 @@ def sweep(
     Options:
         given: A shipped sweep or a file.
         out: Folder of results. [default: runs/sweeps/SWEEP]
-        engine: Who runs the points: local or ray.
-        address: Of a Ray cluster. [default: a Ray of this machine's own]
+        engine: Who runs the points: local, ray, or warp (twins on an accelerator).
+        address: Of a Ray cluster, or the device of warp, as cuda:0. [default: this machine's]
         retry_failed: Run again what failed.
         changed: Go on in a folder of an earlier version; keep what still belongs.
         without: Leave out the points with this value; may be repeated.
@@ -141,8 +141,12 @@ def chosen_engine(name: str, workers: int | None, address: str | None) -> Engine
         raise UnknownNameError("engine", name, execution.ENGINES)
     if name == "ray":
         return execution.on_ray(address, workers)
+    if name == "warp":
+        from srs_twin.sweep.on_device import on_device
+
+        return on_device(address, workers)
     if address is not None:
-        raise InputError("--address belongs to --engine ray")
+        raise InputError("--address belongs to the engines ray and warp")
     return execution.local(workers)
 
 

@@ -39,6 +39,7 @@ def uncertainty(
     twin: Annotated[int, option("--twin N", min=16, max=65536)] = 64,
     without: Annotated[list[str] | None, option("--without NAME")] = None,
     form: Annotated[list[str] | None, option("--form FIELD=A,B")] = None,
+    engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, at_once("--workers N")] = None,
     write: Annotated[bool, option("--write")] = False,
     changed: Annotated[bool, option("--changed")] = False,
@@ -56,13 +57,16 @@ def uncertainty(
         samples: Robots that are drawn from what is uncertain.
         twin: Samples that the twin itself runs, where the model compliant can run all of them.
         without: A number that is taken as it stands, as friction.drag_n; repeatable.
+        engine: Who runs the samples: local, ray, or warp (twins on an accelerator).
         changed: Go on in a folder of an earlier version; keep what still belongs.
         form: Values of a field that are equally likely, as pneumatics.kind=lag,orifice; repeatable.
         write: Keep the intervals in calibration/intervals, where expectations find them.
     """
+    from srs_twin.cli.sweep import chosen_engine
+
+    runner = chosen_engine(engine, workers, None)
     from srs_twin.robot.file import RobotFile
     from srs_twin.scenario import load_scenario
-    from srs_twin.sweep.execution import local
     from srs_twin.uncertainty import Priors, Study
 
     found = load_scenario(scenario, set=changes.changes())
@@ -85,7 +89,7 @@ def uncertainty(
             yield lambda row: shown(failed=row.exit_code != 0)
 
     with interruptible(f"what was run is kept in {folder}, start again to go on"):
-        result = study.run(folder, local(workers), counting, changed=changed)
+        result = study.run(folder, runner, counting, changed=changed)
         files = result.write(folder)
     if as_json:
         print_json(result.document())

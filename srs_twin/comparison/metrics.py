@@ -225,6 +225,11 @@ def headline(metrics: Mapping[str, Any]) -> str:
     Args:
         metrics: what stands in metrics.json.
     """
+    preset = metrics.get("preset")
+    return _said(metrics) + (f" (The twin's preset is {preset}.)" if preset else "")
+
+
+def _said(metrics: Mapping[str, Any]) -> str:
     plants = metrics["plants"]
     ours, theirs = plants.get("analytical"), plants.get("twin")
     one = ours or theirs or {}

@@ -25,11 +25,8 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.memory import names
 from srs_twin.plants.base import SnakeState
-from srs_twin.pneumatics.valves import Schedule
+from srs_twin.pneumatics.valves import SLOT_S, Schedule
 from srs_twin.robot.spec import RobotSpec
-
-SLOT_S = 1e-4
-"""Edges inside a tick fall on a raster of 0.1 ms."""
 
 
 class Gait(Controller):
@@ -73,7 +70,7 @@ class Gait(Controller):
         self.offset = offset
         self.phase = phase
         self._phase_step, self._phases = phase_step, phases or ()
-        self._rest = math.sin(math.pi / 2 * rest_share)
+        self.rest = math.sin(math.pi / 2 * rest_share)
 
     @property
     def offset(self) -> float:
@@ -141,7 +138,7 @@ class Gait(Controller):
             return Schedule.of_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
         # Where S changes, and the slots beside it: rounding may place an edge one slot off.
         period, (up, down) = 1 / self.frequency, self._crossings()
-        turns = [-up, math.pi + up, -down, math.pi + down] if self._rest else [-up, math.pi + up]
+        turns = [-up, math.pi + up, -down, math.pi + down] if self.rest else [-up, math.pi + up]
         phases = np.add.outer(self.lag, turns).ravel() / (2 * math.pi) * period
         numbers = np.arange(math.floor(-phases.max() / period), math.ceil(duration / period) + 1)
         edges = np.ceil(np.add.outer(phases, period * numbers).ravel() / slot - 0.5)
@@ -158,12 +155,12 @@ class Gait(Controller):
     def _shorter_half_wave(self) -> float:
         """Return how long S is at least what it is, s."""
         up, down = self._crossings()
-        lasts = [math.pi + 2 * up, math.pi - 2 * down, *([down - up] if self._rest else [])]
+        lasts = [math.pi + 2 * up, math.pi - 2 * down, *([down - up] if self.rest else [])]
         return min(each for each in lasts if each > 0) / (2 * math.pi * self.frequency)
 
     def _crossings(self) -> tuple[float, float]:
         """Return the angles, with their signs changed, at which S begins to be 1 and ends to be −1, rad."""
-        levels = self._offset - self._rest, self._offset + self._rest
+        levels = self._offset - self.rest, self._offset + self.rest
         up, down = (math.asin(min(max(each, -1.0), 1.0)) for each in levels)
         return up, down
 
@@ -171,8 +168,8 @@ class Gait(Controller):
         """Return S, shape (times, segments), int8."""
         value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.lag) + self._offset
         # Rounding must not decide the sign of an exact zero.
-        low, high = -self._rest - 1e-12, self._rest - 1e-12
-        return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self._rest else -1).astype(np.int8)
+        low, high = -self.rest - 1e-12, self.rest - 1e-12
+        return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self.rest else -1).astype(np.int8)
 
 
 def _checked_frequency(frequency: float) -> float:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from srs_twin.arrays import check_positive
-from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import InputError, whole_steps
 from srs_twin.memory import Remembers, names
+from srs_twin.pneumatics.valves import SLOT_S
 
 
 class PulseWidth(Remembers):

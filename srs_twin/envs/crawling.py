@@ -109,6 +109,7 @@ class CrawlTask(Task):
                 f"it must be {1 / STEP_S:g} Hz or more"
             )
         self.name, self.place, self._camera = name, place, camera
+        self.solid = place.obstacles > 0
         self.limits = GaitLimits.of(self.robot)
         self.actions = gait_signals(self.limits)
         self.observations = _observations(place, self.robot.segments, self.actions)

@@ -8,6 +8,7 @@ the interpreter's lock. Pictures show the twin coloured by pressure, its obstacl
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -19,8 +20,9 @@ from gymnasium.vector import SyncVectorEnv
 
 from srs_twin.envs import make_task
 from srs_twin.envs.task import Episode, Signals, high, low
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import EngineWarning, InputError, UnknownNameError, one_of
 from srs_twin.parallel import Workers
+from srs_twin.plants.batch import ENGINES, warp_batch
 
 _GOAL_LINE = 0.003  # half of its width over the camera's distance
 _ELEVATION, _LENGTHS, _APART = -65.0, 4.0, 1.7
@@ -210,13 +212,19 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
 
     envs: list[SnakeEnv]  # type: ignore[assignment]
 
-    def __init__(self, task: str, num_envs: int = 1, *, threads: int | None = None, **settings: Any) -> None:
+    def __init__(
+        self, task: str, num_envs: int = 1, *, threads: int | None = None, engine: str = "cpu",
+        device: str | None = None, **settings: Any,
+    ) -> None:  # fmt: skip
         """Make the environments.
 
         Args:
             task: "GoTo", "Obstacles" or "Module".
             num_envs: how many.
             threads: how many; default one a processor.
+            engine: "cpu", or "warp": all twins on a device, where all episodes have one robot and one
+                surroundings; on the processor, with a warning, where they have not.
+            device: of Warp; None: its preferred one.
             **settings: as in `SnakeEnv`, its render mode and pixels too.
 
         Raises:
@@ -225,6 +233,10 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         if num_envs < 1:
             raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
         super().__init__([lambda: SnakeEnv(task, **settings)] * num_envs)
+        one_of("engine", engine, ENGINES)
+        self._kind: Any = warp_batch() if engine == "warp" else None
+        self._device = device
+        self._batch: Any = None
         self._workers = Workers(threads)
         self._over = np.zeros(num_envs, dtype=bool)
 
@@ -250,6 +262,8 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
             self.num_envs, lambda k, _: self.envs[k].reset(seed=seeds[k], options=options)
         )
         self._over = np.zeros(self.num_envs, dtype=bool)
+        if self._kind is not None:
+            self._put()
         return np.stack([observation for observation, _ in begun]), self._joined(info for _, info in begun)
 
     def step(
@@ -266,7 +280,10 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
                 f"actions of shape {given.shape} are not allowed; give finite numbers of shape {wanted}, "
                 f"an action for each of {self.num_envs} environments"
             )
-        stepped = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
+        if self._batch is not None:
+            stepped = self._together(actions)
+        else:
+            stepped = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
         *numbers, infos = zip(*stepped, strict=True)
         observations, rewards, terminated, truncated = map(np.array, numbers)
         self._over = terminated | truncated
@@ -276,6 +293,47 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         """Return a picture of each environment; None without a render mode."""
         pictures = (env.render() for env in self.envs)
         return tuple(picture for picture in pictures if picture is not None) or None
+
+    def _put(self) -> None:
+        """Put the twins of all episodes on the device, or say why not."""
+        twins = [env.episode.twin for env in self.envs if env.episode is not None]
+        try:
+            if not self.envs[0].task.repeats:
+                raise InputError("each episode has a robot or surroundings of its own")
+            if self._batch is None or any(a is not b for a, b in zip(self._batch.twins, twins, strict=True)):
+                self._batch = self._kind(twins, device=self._device)
+        except InputError as error:
+            warnings.warn(f"environments run on the processor: {error}", EngineWarning, stacklevel=3)
+            self._kind = self._batch = None
+            return
+        self._lay(range(self.num_envs))
+
+    def _lay(self, chosen: Sequence[int]) -> None:
+        """Lay snakes where their episodes begin."""
+        states = [self.envs[k]._running().state for k in chosen]
+        self._batch.reset(poses=[(*s.com, float(s.heading)) for s in states], worlds=list(chosen))
+
+    def _together(self, actions: np.ndarray) -> list[StepTuple]:
+        """Step all episodes that go on as one, and begin anew those that are over."""
+        batch, found = self._batch, dict[int, StepTuple]()
+        for k in map(int, np.flatnonzero(self._over)):
+            observation, info = self.envs[k].reset()
+            found[k] = (observation, 0.0, False, False, info)
+        going = [k for k in range(self.num_envs) if k not in found]
+        rest = np.full((self.envs[0]._running().twin.spec.segments, 2), -1, dtype=np.int8)
+        valves = [rest] * self.num_envs
+        for k in going:
+            valves[k] = self.envs[k]._running().command(actions[k])
+        most = max(each.shape[0] if each.ndim == 3 else 1 for each in valves)
+        batch.regulate()
+        batch.step(np.stack([np.broadcast_to(v, (most, *rest.shape)) if v.ndim == 2 else v for v in valves]))
+        for k in going:
+            episode, error = self.envs[k]._running(), batch.errors[k]
+            done = episode.diverged(error) if error is not None else episode.went_on(batch.state.at(k))
+            found[k] = (done.observation, done.reward, done.terminated, done.truncated, done.info)
+        if over := [k for k in found if k not in going]:
+            self._lay(over)
+        return [found[k] for k in range(self.num_envs)]
 
     def _stepped(self, k: int, action: np.ndarray) -> StepTuple:
         if self._over[k]:

@@ -123,12 +123,14 @@ class Task(ABC):
         step_s: how long an action holds, s.
         limit_s: after how long an episode is cut off, s.
         robot: what moves, before anything is drawn.
+        solid: whether there is anything to run into, anew in each episode.
     """
 
     name: str
     actions: Signals
     observations: Signals
     step_s: float
+    solid = False
 
     def __init__(
         self,
@@ -160,6 +162,12 @@ class Task(ABC):
                 raise UnknownNameError("setting of the task or its twin", name, allowed)
         self.limit_s, self._variation, self._settings = limit_s, variation, twin
         self.robot = variation.file.spec()
+
+    @property
+    def repeats(self) -> bool:
+        """Whether all episodes have one robot and nothing to run into."""
+        first, second = (self._variation.draw(np.random.default_rng(seed)) for seed in range(2))
+        return first == second and not self.solid
 
     def _twin(
         self, spec: RobotSpec, last: Episode | None, world: World | None = None, **own: Any
@@ -247,22 +255,35 @@ class Episode(Remembers, ABC):
         Raises:
             InputError: another shape, numbers that are not finite, or the episode is over.
         """
+        valves = self.command(action)
+        try:
+            state = self.twin.step(valves)
+        except DivergedError as error:
+            return self.diverged(error)
+        return self.went_on(state)
+
+    def command(self, action: object) -> np.ndarray:
+        """Return the valves of the coming step, which `went_on` or `diverged` ends; raises as `step`."""
         if self.ending:
             raise InputError(f"the episode is over ({self.ending}); reset the environment to begin another")
-        valves = self._valves(taken(self._task.actions, action))
+        return self._valves(taken(self._task.actions, action))
+
+    def went_on(self, state: SnakeState) -> StepResult:
+        """Take the state at the end of a step."""
+        self.state = state
         self._steps += 1
-        try:
-            self.state = self.twin.step(valves)
-        except DivergedError as error:
-            # The state is still that of the step before, which sensors and camera have seen already.
-            self.ending = DIVERGED
-            return StepResult(self._seen.copy(), 0.0, True, False, self._info() | {"error": str(error)})
         reward = self._judge()
         terminated = bool(self.ending)
         truncated = not terminated and self._steps >= self._most
         if truncated:
             self.ending = TIME_UP
         return StepResult(self._observation(), reward, terminated, truncated, self._info())
+
+    def diverged(self, error: DivergedError) -> StepResult:
+        """End; the state is still that of the step before, which sensors and camera have seen already."""
+        self._steps += 1
+        self.ending = DIVERGED
+        return StepResult(self._seen.copy(), 0.0, True, False, self._info() | {"error": str(error)})
 
     def _observation(self) -> np.ndarray:
         """Return the observation: float32, within its bounds."""

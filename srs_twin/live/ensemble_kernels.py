@@ -9,7 +9,6 @@ import numpy as np
 from srs_twin.compiled import allocating, compiled
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction
-from srs_twin.plants.analytical.kinematics import ROWS
 
 OUTLIER = 4.0
 """Standard deviations from which on a number counts as if it were that much noisier."""
@@ -42,16 +41,15 @@ def set_momenta(states, velocities, springs, solid, floor):  # type: ignore[no-u
     """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
     n, size = solid.mass.shape[0], velocities.shape[1]
     segments, ahead = n - 1, compliant_kernels.BENDS
-    momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
-    work = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
-    moment = np.zeros(segments)
+    momentum, force, moment = np.empty(size), np.empty(size), np.zeros(segments)
+    work = compliant_kernels.room(n)
     for m in range(states.shape[0]):
         state, u = states[m], velocities[m]
         c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
         state[kernels.STATE_VX], state[kernels.STATE_VY] = c * u[0] - s * u[1], s * u[0] + c * u[1]
         model = solid, (springs[m, 0], springs[m, 1]), floor
         bend = state[ahead : ahead + segments]
-        compliant_kernels.balance(bend, u, moment, 0.0, model, momentum, force, matrix, work)
+        compliant_kernels.balance(bend, u, moment, 0.0, model, momentum, force, work)
         state[kernels.MOMENT] = momentum[2]
         for j in range(segments):
             state[ahead + segments + j] = momentum[3 + j]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -38,6 +38,11 @@ LAW_OF: dict[str, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 """What a snake stands on → the friction law that describes it."""
 
 
+PRESETS: dict[str, dict[str, Any]] = {"reference": {}, "fast": {"contact": "loaded", "timestep": 0.002}}
+"""Settings that go together: `reference` the defaults, `fast` for learning and searching; what that costs in
+truth is measured by `benchmarks/presets.py`."""
+
+
 @dataclass(frozen=True)
 class Numerics:
     """What belongs to the simulation and not to the robot.
@@ -49,7 +54,7 @@ class Numerics:
         wheels: what the snake stands on, one of `WHEELS`; "rolling" under `loaded`.
         friction: law on the momentary loads, under `loaded`.
         load: of a wheel, that this law takes, one of `LOADS`.
-        slip_speed: below which a contact yields before it slides under that law (`friction.held`), m/s.
+        slip_speed: below which a contact yields before it slides under that law (`friction_held.held`), m/s.
         contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step, and
             under `loaded` loads flutter below 2 of them.
         slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.

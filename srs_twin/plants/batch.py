@@ -22,17 +22,19 @@ back, so a run in pieces would change its bits.) Expanding parameters instead of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.parallel import Workers
 from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.robot.spec import RobotSpec
+
+ENGINES = ("cpu", "warp")
 
 
 class TwinBatch:
@@ -48,8 +50,25 @@ class TwinBatch:
         errors: of each run, None or what ended it; runs that ended take no further part until `reset`.
     """
 
+    twins: tuple[TwinSnake, ...]
     state: SnakeState
     errors: list[DivergedError | None]
+
+    def __new__(cls, *given: Any, engine: str = "cpu", device: str | None = None, **settings: Any) -> Any:
+        """Return a batch of another engine where that is asked for (`plants.device.batch.WarpBatch`).
+
+        Args:
+            *given: see `__init__`.
+            engine: "cpu", or "warp": MuJoCo Warp.
+            device: of Warp, such as "cuda:0" or "cpu"; None: its preferred one.
+            **settings: see `__init__`; `deterministic=True` lets Warp sum in one order.
+
+        Raises:
+            InputError: MuJoCo Warp is not installed, or cannot do this.
+            UnknownNameError: another engine.
+        """
+        one_of("engine", engine, ENGINES)
+        return super().__new__(cls) if engine == "cpu" else on_warp(*given, device=device, **settings)
 
     def __init__(
         self,
@@ -57,6 +76,7 @@ class TwinBatch:
         *,
         supply_pa: float | Sequence[float] | None = None,
         threads: int | None = None,
+        engine: str = "cpu",
         **settings: Any,
     ) -> None:
         """Build the twins.
@@ -65,25 +85,15 @@ class TwinBatch:
             specs: the robot of each run: friction, stiffness, damping, masses, lengths may all differ.
             supply_pa: supply pressure, Pa, of all runs or one each; default each robot's nominal one.
             threads: how many; default one a processor.
+            engine: see `__new__`.
             **settings: of all runs, as `TwinSnake` takes them.
 
         Raises:
             InputError: no run at all, robots that differ in their number of connectors, pressures that are
                 not one a run, chambers made beforehand, or as `TwinSnake` raises it.
         """
-        supplies = _one_each("supply_pa", supply_pa, len(specs))
-        lengths = sorted({spec.geometry.connectors for spec in specs})
-        if len(lengths) != 1:
-            found = ", ".join(map(str, lengths)) or "no robot at all"
-            raise InputError(f"a batch needs robots with one number of connectors; found {found}")
-        if isinstance(settings.get("pneumatics"), Pneumatics):
-            raise InputError("pneumatics: one object cannot be the chambers of every twin; give its kind")
         self._workers = Workers(threads)
-        self.twins: tuple[TwinSnake, ...] = tuple(
-            self._workers.each(
-                len(specs), lambda k, _: TwinSnake(specs[k], supply_pa=supplies[k], **settings)
-            )
-        )
+        self.twins = _twins(self._workers, specs, supply_pa, settings)
         self.tick = self.twins[0].tick
         self.reset()
 
@@ -169,6 +179,14 @@ class TwinBatch:
         self.state = SnakeState.history(last)
         return histories
 
+    def openings(self) -> np.ndarray:
+        """Return how often inlets have opened, shape (runs, segments, 2)."""
+        return np.array([twin.openings() for twin in self.twins])
+
+    def describe(self) -> dict[str, Any]:
+        """Return what is worth recording besides what the twins say."""
+        return {}
+
     def _wild(self, k: int, valves: np.ndarray) -> DivergedError | None:
         """Return what ends a run whose commands have diverged."""
         try:
@@ -186,6 +204,63 @@ class TwinBatch:
             self.errors[k] = error.with_traceback(None)  # its frames hold what the engine recorded
             history: SnakeState | None = error.history
             return history
+
+
+def on_warp(
+    specs: Sequence[RobotSpec],
+    *,
+    supply_pa: float | Sequence[float] | None = None,
+    threads: int | None = None,
+    device: str | None = None,
+    deterministic: bool = False,
+    **settings: Any,
+) -> Any:
+    """Return a `WarpBatch`; arguments as `TwinBatch` takes them."""
+    return warp_batch()(
+        _twins(Workers(threads), specs, supply_pa, settings, once=True),
+        device=device, deterministic=deterministic,
+    )  # fmt: skip
+
+
+def warp_batch() -> Any:
+    """Return the class `WarpBatch`.
+
+    Raises:
+        InputError: MuJoCo Warp is not installed.
+    """
+    try:
+        from srs_twin.plants.device.batch import WarpBatch
+    except ImportError as error:
+        raise InputError(
+            "engine 'warp' needs MuJoCo Warp; install it with: pip install 'srs-twin[gpu]'"
+        ) from error
+    return WarpBatch
+
+
+def _twins(
+    workers: Workers,
+    specs: Sequence[RobotSpec],
+    supply_pa: float | Sequence[float] | None,
+    settings: Mapping[str, Any],
+    *,
+    once: bool = False,
+) -> tuple[TwinSnake, ...]:
+    """Return a twin of each spec; `once`: runs of one robot and supply share theirs."""
+    supplies = _one_each("supply_pa", supply_pa, len(specs))
+    lengths = sorted({spec.geometry.connectors for spec in specs})
+    if len(lengths) != 1:
+        found = ", ".join(map(str, lengths)) or "no robot at all"
+        raise InputError(f"a batch needs robots with one number of connectors; found {found}")
+    if isinstance(settings.get("pneumatics"), Pneumatics):
+        raise InputError("pneumatics: one object cannot be the chambers of every twin; give its kind")
+    keys = [repr(each) if once else str(k) for k, each in enumerate(zip(specs, supplies, strict=True))]
+    first = {key: k for k, key in reversed(list(enumerate(keys)))}
+    needed = sorted(first.values())
+    made = workers.each(
+        len(needed), lambda n, _: TwinSnake(specs[needed[n]], supply_pa=supplies[needed[n]], **settings)
+    )
+    of = dict(zip(needed, made, strict=True))
+    return tuple(of[first[key]] for key in keys)
 
 
 def _one_each(name: str, given: float | Sequence[float] | None, runs: int) -> list[float | None]:

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from srs_twin.errors import InputError
 from srs_twin.memory import Remembers, names
 from srs_twin.plants.base import Pose
 from srs_twin.plants.loaded import LoadedContact
+from srs_twin.plants.warm_start import WarmStart
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import as_felt
 from srs_twin.robot.spec import RobotSpec
@@ -53,6 +54,28 @@ class StepBatch:
     energy: np.ndarray
     obstacle_force: np.ndarray
     power: np.ndarray
+
+
+class Columns(NamedTuple):
+    """Where the numbers of sensors stand in `sensordata`, for who steps the bodies elsewhere.
+
+    Attributes:
+        load: the first of the force on each wheel.
+        foot: the first of its foot's velocity, where friction is the engine's.
+        bump: the first of what obstacles press on each hull with.
+        pushed: forces but the wheels' that spend energy.
+        moving: the velocities that go with them.
+        energy: kinetic.
+        connectors: the bodies.
+    """
+
+    load: np.ndarray
+    foot: np.ndarray
+    bump: np.ndarray
+    pushed: np.ndarray
+    moving: np.ndarray
+    energy: int
+    connectors: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -92,6 +115,7 @@ mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY = mujoco.mjtState.mjSTATE_INTEGRATION
+_SHORT = 8  # segments, up to which snakes keep to the engine's own solver, bit for bit
 
 
 class SnakePhysics(dm.Physics, Remembers):
@@ -125,21 +149,21 @@ class SnakePhysics(dm.Physics, Remembers):
     def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
         raw = self.model.ptr
         self._pneumatics, self._spec = pneumatics, spec
-        self._free = numerics.base == "free"
-        loaded = numerics.contact == "loaded" and self._free
+        self.free = numerics.base == "free"
+        loaded = numerics.contact == "loaded" and self.free
         self._rest_load = rest_loads(spec, -raw.opt.gravity[2])
-        pressed = self._free and not loaded
+        pressed = self.free and not loaded
         self._preload = preload_force(spec, numerics) if pressed else np.zeros_like(self._rest_load)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
-        feet = treads(spec) if self._free else []
+        feet = treads(spec) if self.free else []
         # Of each axle's left and right foot, shape (axles, 2, 3).
         self._force_columns = self._columns([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
         velocities = [] if loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
-        count = spec.geometry.connectors if self._free and spec.friction.drag > 0.0 else 0
+        count = spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
         drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
         self._drag_force, self._drag_velocity = (self._columns(names)[:, 0] for names in drags)
         self._attach_hulls(raw, spec)
@@ -153,6 +177,7 @@ class SnakePhysics(dm.Physics, Remembers):
         self._floor_force = self._last_push = self._no_force
         air = pneumatics.stiffness * self._rates.T @ self._rates
         self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics, air) if loaded else None
+        self._long = WarmStart(raw) if pressed and spec.segments > _SHORT and not raw.neq else None
 
     def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
         hulls = hull_names(raw)
@@ -165,6 +190,27 @@ class SnakePhysics(dm.Physics, Remembers):
             pieces = sum(other.startswith(f"hull_{segment}_") for other in hulls)
             share = np.clip(pieces / 2 - piece, 0.0, 1.0)
             self._owners[segment - 1, k], self._owners[segment, k] = share, 1 - share
+
+    @property
+    def columns(self) -> Columns:
+        """Where the numbers of sensors stand."""
+        return Columns(
+            load=self._force_columns[..., 0].ravel(),
+            foot=self._foot_columns[..., 0].ravel(),
+            bump=self._hull_force[:, 0],
+            pushed=np.concatenate([self._hull_force.ravel(), self._drag_force]),
+            moving=np.concatenate([self._hull_velocity.ravel(), self._drag_velocity]),
+            energy=int(self._energy_column),
+            connectors=np.array(self._connectors),
+        )
+
+    def seen(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bends and their rates of states, shapes (…, nq) and (…, nv)."""
+        return qpos @ self._angles.T, qvel @ self._rates.T
+
+    def bumped(self, push: np.ndarray) -> np.ndarray:
+        """Return the obstacles' forces on connectors from those on hulls, shape (…, hulls, 3)."""
+        return np.einsum("ih,...hk->...ik", self._owners, push)
 
     def _columns(self, names: list[str]) -> np.ndarray:
         """Return where the three numbers of each sensor stand, shape (sensors, 3)."""
@@ -180,7 +226,7 @@ class SnakePhysics(dm.Physics, Remembers):
             hinges = self._angles.sum(axis=1, keepdims=True)
             bent = (self._spec.modules.array("bias")[:, None] * self._angles / hinges).sum(axis=0)
             self.data.qpos[:] += bent
-            if self._free:
+            if self.free:
                 self._turn_to(pose)
         self.refresh()
         self._pneumatics.reset()
@@ -188,7 +234,7 @@ class SnakePhysics(dm.Physics, Remembers):
         self._floor_force, self._last_push = self._no_force.copy(), self._no_force
         if self.loaded is not None:
             self.loaded.reset()
-        if self._free:
+        if self.free:
             # At rest every wheel carries its share of the weight, and its preload.
             self._floor_force[..., 2] = self._preload + self._rest_load
 
@@ -204,7 +250,7 @@ class SnakePhysics(dm.Physics, Remembers):
         Raises:
             InputError: a snake that is held at its head.
         """
-        if not self._free:
+        if not self.free:
             raise InputError("a snake that is held at its head begins at rest only")
         raw, data = self.model.ptr, self.data.ptr
         hinges = self._angles.sum(axis=1)
@@ -315,13 +361,15 @@ class SnakePhysics(dm.Physics, Remembers):
         push = sensed[:, self._hull_force]
         power = spent - (push * sensed[:, self._hull_velocity]).sum(axis=(1, 2))
         power -= (sensed[:, self._drag_force] * sensed[:, self._drag_velocity]).sum(axis=1)
-        bumps = np.einsum("ih,thk->tik", self._owners, push + rubbed)
+        bumps = self.bumped(push + rubbed)
         self._floor_force, self._last_push = force.mean(axis=0), force[-1]
         return StepBatch(states, force, sensed[:, self._energy_column], bumps, power)
 
     def _roll(self, felt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Let the engine make all steps in one; return states and sensors."""
         model, data, steps = self.model.ptr, self.data.ptr, len(felt)
+        if self._long is not None:
+            return self._roll_long(felt, self._long)
         controls = np.zeros((1, steps, model.nu))
         controls[0, :, : felt.shape[1]] = felt
         states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
@@ -336,9 +384,20 @@ class SnakePhysics(dm.Physics, Remembers):
         )
         return states[0], sensed[0]
 
+    def _roll_long(self, felt: np.ndarray, long: WarmStart) -> tuple[np.ndarray, np.ndarray]:
+        """Make the steps of a long snake; else as `_roll`."""
+        model, data, steps = self.model.ptr, self.data.ptr, len(felt)
+        states, sensed = np.empty((steps, self._start.shape[1])), np.empty((steps, model.nsensordata))
+        for k in range(steps):
+            data.ctrl[: felt.shape[1]] = felt[k]
+            long.step(data)
+            mujoco.mj_getState(model, data, states[k], _STATE)
+            sensed[k] = data.sensordata
+        return states, sensed
+
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return what is sensed at the feet, shape (steps, axles, 2, 3); 0 where there is no floor."""
-        return sensed[:, columns] if self._free else np.zeros((len(sensed), *self._no_force.shape))
+        return sensed[:, columns] if self.free else np.zeros((len(sensed), *self._no_force.shape))
 
     def refresh(self) -> None:
         """Bring places and velocities to the state's; contacts stay those of the last step's beginning."""
@@ -357,7 +416,7 @@ class SnakePhysics(dm.Physics, Remembers):
             com[k], velocity[k] = probe.subtree_com[0], probe.subtree_linvel[0]
             places[k], frames[k] = probe.xpos[self._connectors], probe.xmat[self._connectors]
         headings = np.arctan2(frames[..., 3], frames[..., 0])
-        return View(qpos, com, velocity, places, headings, qpos @ self._angles.T, qvel @ self._rates.T)
+        return View(qpos, com, velocity, places, headings, *self.seen(qpos, qvel))
 
     def _place(self, data: mujoco.MjData) -> None:
         model = self.model.ptr

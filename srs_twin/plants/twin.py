@@ -153,7 +153,7 @@ class TwinSnake(PneumaticPlant):
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
                 f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
-        self.touches, self._uneven = world is not None and world.solid, world is not None and world.uneven
+        self.touches, self.uneven = world is not None and world.solid, world is not None and world.uneven
         self._first_step = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.overshoot
         self._world = fingerprint(world)
@@ -279,7 +279,7 @@ class TwinSnake(PneumaticPlant):
         """Return the history of these states; loads: forces of floor and obstacles, N, and the work, J."""
         force, obstacles, work = loads
         seen = self.physics.look(states)
-        if self._uneven:
+        if self.uneven:
             work = work + self._height(seen.com) - self._raised
         # Unwrap against the last sample: a connector turns by far less than π in between.
         theta = np.concatenate([self._theta[None], seen.headings])

@@ -49,7 +49,7 @@ def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # n
         bend: q, rad.
         side: 0 for the + chamber, 1 for the − chamber.
     """
-    way = 1.0 - 2.0 * side
+    way = 1.0 - 2.0 * float(side)
     if way * bend > 0.0:
         return dead + displacement * way * bend, displacement * way
     return dead, 0.0
@@ -74,7 +74,7 @@ def bend_law(spec: RobotSpec) -> BendLaw:
 
 @compiled
 def _log_cosh(z):  # type: ignore[no-untyped-def]
-    return abs(z) + np.log1p(np.exp(-2.0 * abs(z)))  # and ln 2
+    return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))  # and ln 2
 
 
 @compiled
@@ -85,7 +85,7 @@ def bent(x, law):  # type: ignore[no-untyped-def]
         x: linear bend, rad.
         law: as `bend_law` returns it.
     """
-    limit, share, onset, width = law
+    limit, share, onset, width = law[0], law[1], law[2], law[3]
     y, rise, curve = x, 1.0, 0.0
     if share != 0.0:
         above, below = (onset + x) / width, (onset - x) / width
@@ -95,7 +95,7 @@ def bent(x, law):  # type: ignore[no-untyped-def]
         curve = 0.5 * share * (up * up - down * down) / width
     if limit > LARGEST:
         return y, rise, curve
-    ratio = (y / limit) ** 2
+    ratio = (y / limit) * (y / limit)
     grown = 1.0 + ratio * ratio
     root = grown**-0.25
     slope, bow = root / grown, -5.0 * ratio / limit * (y / limit) * root / (grown * grown)

@@ -19,7 +19,7 @@ rule between the times asked for.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,9 +27,37 @@ from srs_twin.compiled import allocating, compiled
 from srs_twin.errors import InputError
 from srs_twin.memory import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, bent, gains, reached, unbent, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bend_law, bent, gains, reached, unbent, volume
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
+
+
+class Relaxation(NamedTuple):
+    """What chambers do in a time in which no valve switches, for who follows them elsewhere.
+
+    Attributes:
+        kinds: of each chamber, shape (segments, 2): a row of what follows.
+        asymptotes: where a pressure relaxes to, by kind and valve state + 1, Pa.
+        decay: what is left of its swing, same shape.
+        lag: and of that in x, same shape.
+        mode: what is left of x.
+        gain: of each chamber, shape (segments, 2), rad/Pa.
+        bias: b, shape (segments,), rad.
+        law: of the bend.
+        space: V₀ (m³) and A (m³/rad) of a chamber.
+        worth: what an amount of air that is drawn costs as work.
+    """
+
+    kinds: np.ndarray
+    asymptotes: np.ndarray
+    decay: np.ndarray
+    lag: np.ndarray
+    mode: float
+    gain: np.ndarray
+    bias: np.ndarray
+    law: BendLaw
+    space: tuple[float, float]
+    worth: float
 
 
 class LagPneumatics(Pneumatics):
@@ -100,6 +128,30 @@ class LagPneumatics(Pneumatics):
     def describe(self) -> dict[str, Any]:
         """See `Pneumatics.describe`."""
         return super().describe() | {"leak_per_s": self._leak}
+
+    def relaxation(self, time: float) -> Relaxation:
+        """Return what the chambers do in a time (s); a kind each, however many are alike."""
+        rate, asymptote = self._rate[self._kind.ravel()], self._asymptote[self._kind.ravel()]
+        decay, lag = np.empty_like(rate), np.empty_like(rate)
+        mode = _fade(time, rate, self._tau, decay, lag)
+        kinds = np.arange(self._kind.size).reshape(self._kind.shape)
+        return Relaxation(
+            kinds,
+            asymptote,
+            decay,
+            lag,
+            mode,
+            self._gain,
+            self.rest_bend,
+            self._law,
+            self._space,
+            self._worth,
+        )
+
+    @property
+    def leaks(self) -> bool:
+        """Whether closed chambers lose air."""
+        return self._leak > 0
 
     def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
         trace = Trace.empty(len(times), self._segments)
@@ -205,19 +257,21 @@ def _segment(state, kind, pressure, linear, asymptotes, gain, decay, lag, mode):
     first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
     end, other = asymptotes[first, up], asymptotes[second, down]
     high, low = pressure[0] - end, pressure[1] - other
-    lagged = gain[0] * (end * (1 - mode) + high * lag[first, up])
-    lagged -= gain[1] * (other * (1 - mode) + low * lag[second, down])
+    lagged = gain[0] * (end * (1.0 - mode) + high * lag[first, up])
+    lagged -= gain[1] * (other * (1.0 - mode) + low * lag[second, down])
     return end + high * decay[first, up], other + low * decay[second, down], linear * mode + lagged
 
 
 @compiled
 def _filling(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyped-def]
     """Return the sum of (p + ambient) V over the chambers of a segment that fill, J."""
-    total = 0.0
+    total = float(0.0)
     if state[0] == 1:
-        total += (plus + ambient) * volume(space[0], space[1], bend, 0)[0]
+        size, _ = volume(space[0], space[1], bend, 0)
+        total += (plus + ambient) * size
     if state[1] == 1:
-        total += (minus + ambient) * volume(space[0], space[1], bend, 1)[0]
+        size, _ = volume(space[0], space[1], bend, 1)
+        total += (minus + ambient) * size
     return total
 
 

@@ -27,7 +27,7 @@ from srs_twin.arrays import check_positive
 from srs_twin.errors import InputError
 from srs_twin.memory import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, bent, gains, reached, unbent, volume
+from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, gains, reached, unbent, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
 from srs_twin.pneumatics.orifice_kernels import Plumbing, follow
 from srs_twin.pneumatics.valves import Schedule

@@ -28,6 +28,9 @@ class StuckValve:
 LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
 """Valve layout → states it can take: one 3/2 valve a chamber, or an inlet and an outlet valve."""
 
+SLOT_S = 1e-4
+"""Edges inside a tick fall on a raster of 0.1 ms."""
+
 _SAME = 1e-9  # s: events closer than this are one
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator, model_validator
 
-from srs_twin.control.gait import SLOT_S
 from srs_twin.errors import TimeStepError, whole_steps
 from srs_twin.friction import AT_TRACK, Law
-from srs_twin.mjcf.numerics import Contact, LawOnLoads, Numerics
+from srs_twin.mjcf.numerics import PRESETS, Contact, LawOnLoads, Numerics
 from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.pneumatics.valves import SLOT_S
+from srs_twin.robot.sourced import in_unit, split_unit
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
@@ -91,6 +92,9 @@ class TwinFile(_PlantFile):
     constructors = (Numerics,)
     on_a_floor = ("wheels", "contact", "friction")
 
+    preset: Literal["reference", "fast"] = "reference"
+    """Settings that go together, where they are not given; fast: contact loaded and steps of 2 ms, 2.7 times
+    as fast and up to 2 % off, for learning and searching."""
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Literal["rolling", "skid"] = constructor_default()
@@ -102,6 +106,15 @@ class TwinFile(_PlantFile):
     """Law of a loaded contact (default: what suits the wheels)."""
     hinges_per_segment: int = quantity(1, 32)
     """Bending hinges a segment."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_preset(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or given.get("preset") not in PRESETS:
+            return given
+        settings = PRESETS[given["preset"]]
+        keys = {key: settings.get(split_unit(key)[0]) for key in cls.model_fields}
+        return {key: in_unit(key, value) for key, value in keys.items() if value is not None} | given
 
     @model_validator(mode="after")
     def _law_is_taken(self) -> TwinFile:

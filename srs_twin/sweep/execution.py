@@ -1,6 +1,6 @@
 """Running a sweep: an engine runs what is missing, every row is kept at once, one table at the end.
 
-Rows do not depend on the engine that ran them.
+Rows do not depend on the engine that ran them; those of `warp` are in single precision.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _shared_out(experiment: Experiment, points: Sequence[Point]) -> Iterator[Don
                 yield Done(number, None, error)
 
 
-ENGINES = ("local", "ray")
+ENGINES = ("local", "ray", "warp")
 
 
 SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"

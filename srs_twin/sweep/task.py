@@ -6,6 +6,7 @@ import io
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from srs_twin.comparison.compare import MeasuredDifference, compare
@@ -53,8 +54,16 @@ class Row:
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
-def run_point(experiment: Experiment, point: Point) -> Row:
-    """Run the plants of a point, or only plan it, and measure; what it does wrong becomes a failed row."""
+def run_point(
+    experiment: Experiment, point: Point, ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({})
+) -> Row:
+    """Run the plants of a point, or only plan it, and measure; what it does wrong becomes a failed row.
+
+    Args:
+        experiment: whose point.
+        point: which.
+        ran: plants that have run already → what came of them.
+    """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
     values: dict[str, float | None] = {}
@@ -64,8 +73,12 @@ def run_point(experiment: Experiment, point: Point) -> Row:
         if not experiment.plants:
             values |= flat_metrics(PLAN, _planned(scenario))
         for plant in experiment.plants:
-            ready = scenario.build_plant(plant), scenario.build_controller()
-            trajectories[plant] = rollout(*ready, **scenario.timing)
+            done = ran.get(plant)
+            if isinstance(done, SrsError):
+                raise done
+            if done is None:
+                done = rollout(scenario.build_plant(plant), scenario.build_controller(), **scenario.timing)
+            trajectories[plant] = done
             metrics = plant_metrics(trajectories[plant])
             if scenario.measured is not None:
                 metrics |= MeasuredDifference.of(scenario.measured, trajectories[plant]).metrics

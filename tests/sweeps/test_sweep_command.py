@@ -62,7 +62,7 @@ def test_results_do_not_depend_on_who_makes_them(srs_twin, tmp_path, words):
         (("nope",), "unknown sweep 'nope' (available: "),
         (("nope.yaml",), "nope.yaml: no such file"),
         (("small.yaml", "--engine", "rai"), "unknown engine 'rai'; did you mean ray?"),
-        (("small.yaml", "--address", "x:1"), "--address belongs to --engine ray"),
+        (("small.yaml", "--address", "x:1"), "--address belongs to the engines ray and warp"),
         (
             ("small.yaml", "--engine", "ray", "--address", "x:1", "--workers", "2"),
             "--workers belongs to a Ray of",

@@ -271,12 +271,10 @@ class YieldingBends(Body):
         """See `Body.place`."""
         super().place(velocity, bend, rate)
         self.bends()[0][:], self.velocity[3:] = bend, rate
-        n, size = len(self.solid.mass), len(self.velocity)
-        momentum, force, matrix = np.empty(size), np.empty(size), np.empty((size, size))
-        work = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
-        model = self.solid, self._spring, self.floor
+        momentum, force = np.empty((2, len(self.velocity)))
+        model, work = (self.solid, self._spring, self.floor), compliant_kernels.room(len(self.solid.mass))
         compliant_kernels.balance(
-            bend, self.velocity, np.zeros(self._segments), 0.0, model, momentum, force, matrix, work
+            bend, self.velocity, np.zeros(self._segments), 0.0, model, momentum, force, work
         )
         self.state[compliant_kernels.BENDS + self._segments :] = momentum[3:]
 

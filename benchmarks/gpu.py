@@ -1,0 +1,126 @@
+"""Twins on an accelerator against those of the processor, and how many steps a second they make.
+
+    uv run --extra gpu python benchmarks/gpu.py [--device cpu] [--seconds 10] [--json FILE]
+
+36 points of generation 2 (three frequencies, three pressures, with and without gaps, straight, turning) run
+as the 36 worlds of one batch, under both contacts; then batches of growing size step with one gait, without a
+look and with a sample each 10 ms. Needs nothing but this repository and a device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+from agreement import FREQUENCIES_HZ, PRESSURES_KPA
+from grid import Run, table
+
+from srs_twin import Gait, TwinBatch
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.rollout import run_scripts
+
+WORLDS = (1, 64, 1024, 4096, 16384)
+
+
+def agreement(contact: str, seconds: float, device: str | None) -> dict[str, Any]:
+    """Run the 36 points on both engines; return the farthest differences."""
+    points = list(product(FREQUENCIES_HZ, PRESSURES_KPA, (False, True), (0.0, 0.2)))
+    specs = [Run("twin", gaps=gaps).spec() for _, _, gaps, _ in points]
+    supplies = [1e3 * p for _, p, _, _ in points]
+    found, times = [], []
+    for more in ({"engine": "cpu"}, {"engine": "warp", "device": device}):
+        batch = TwinBatch(specs, supply_pa=supplies, contact=contact, **more)
+        begun = time.perf_counter()
+        found.append(run_scripts(batch, [Gait(f, offset) for f, _, _, offset in points], seconds))
+        times.append(time.perf_counter() - begun)
+    bends, places, speeds = [], [], []
+    for here, there in zip(*found, strict=True):
+        last = np.argmin(np.abs(here["time"] - min(1.0, seconds)))
+        segments = range(1, 5)
+        off = [np.abs(here[f"bend_{j}"] - there[f"bend_{j}"])[: last + 1].max() for j in segments]
+        bends.append(max(off))
+        xy = [
+            np.abs(here[f"{c}_{i}"] - there[f"{c}_{i}"])[: last + 1].max() for c in "xy" for i in range(1, 6)
+        ]
+        places.append(max(xy))
+        v = [plant_metrics(each)["com_speed_m_s"] for each in (here, there)]
+        speeds.append(abs(v[1] / v[0] - 1) if v[0] else np.nan)
+    return {
+        "contact": contact, "seconds": seconds, "bend_rad": max(bends), "place_m": max(places),
+        "speed": float(np.nanmax(speeds)), "wall_s": times,
+    }  # fmt: skip
+
+
+def speed(contact: str, worlds: int, seconds: float, device: str | None, *, look: bool) -> dict[str, Any]:
+    """Step one gait in so many worlds; return steps a second, and the memory of a world."""
+    before = _free(device)
+    batch = TwinBatch([Run("twin").spec()] * worlds, contact=contact, engine="warp", device=device)
+    batch.set_gaits([Gait(2.0, 0.2 * k / worlds) for k in range(worlds)])
+    steps = round(seconds / batch.twins[0].timestep)
+    batch.run(20, gait=True)  # compiles, and notes the graph
+    wp.synchronize()
+    taken = before - _free(device)
+    begun = time.perf_counter()
+    if look:
+        batch.follow(seconds, round(100 * seconds))
+    else:
+        batch.run(steps, gait=True)
+    wp.synchronize()
+    wall = time.perf_counter() - begun
+    return {
+        "contact": contact, "worlds": worlds, "look": look, "steps_per_s": worlds * steps / wall,
+        "bytes_per_world": taken / worlds,
+    }  # fmt: skip
+
+
+def _free(device: str | None) -> int:
+    chosen = wp.get_device(device)
+    return int(chosen.free_memory) if chosen.is_cuda else 0
+
+
+def main() -> None:
+    """Measure and print."""
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--device", help="as Warp calls it; default its preferred one")
+    words.add_argument("--seconds", type=float, default=10.0, help="of the 36 runs")
+    words.add_argument("--stepped", type=float, default=1.0, help="seconds of each timing")
+    words.add_argument("--worlds", type=int, nargs="+", default=WORLDS)
+    words.add_argument("--json", type=Path, metavar="FILE")
+    given = words.parse_args()
+    device = wp.get_device(given.device)
+    print(f"{device.name}, Warp {wp.__version__}", flush=True)
+    kept: dict[str, Any] = {"device": device.name, "warp": wp.__version__, "agreement": [], "speed": []}
+    for contact in ("preloaded", "loaded"):
+        kept["agreement"].append(agreement(contact, given.seconds, given.device))
+    rows = [
+        [
+            each["contact"], f"{1e6 * each['bend_rad']:.0f}", f"{1e6 * each['place_m']:.1f}",
+            f"{100 * each['speed']:.3f}", " / ".join(f"{wall:.1f}" for wall in each["wall_s"]),
+        ]
+        for each in kept["agreement"]
+    ]  # fmt: skip
+    print(
+        table(["contact", "bends, µrad", "places, µm, after 1 s", "speeds, %", "processor / device, s"], rows)
+    )
+    for contact, worlds, look in product(("preloaded", "loaded"), given.worlds, (False, True)):
+        kept["speed"].append(speed(contact, worlds, given.stepped, given.device, look=look))
+    rows = [
+        [
+            each["contact"], f"{each['worlds']:,}", "each 10 ms" if each["look"] else "no",
+            f"{each['steps_per_s']:,.0f}", f"{each['bytes_per_world'] / 1e3:.0f}",
+        ]
+        for each in kept["speed"]
+    ]  # fmt: skip
+    print(table(["contact", "worlds", "recorded", "steps a second", "memory a world, kB"], rows))
+    if given.json:
+        given.json.write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()

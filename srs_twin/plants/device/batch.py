@@ -1,0 +1,569 @@
+"""WarpBatch: many twins stepped together by MuJoCo Warp, on an accelerator or, to test, on the processor.
+
+Its engine, chambers and friction are those of `TwinSnake`, in single precision. What decides a twin is taken
+from one that the processor builds for each distinct robot, so no formula of the model stands here.
+"""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_steps
+from srs_twin.plants.base import Pose, SnakeState
+from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
+from srs_twin.plants.device.ported import Ported, record, stacked
+from srs_twin.plants.twin import TwinSnake
+from srs_twin.pneumatics import Schedule
+from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.pneumatics.lag import LagPneumatics
+from srs_twin.pneumatics.valves import SLOT_S
+
+_ROOM = 4
+"""For contacts and rows of constraints, as a multiple of those of a snake at rest."""
+
+_IDLE = ("dof_length",)
+"""Numbers of a model that decide when bodies may sleep, which they never do here."""
+
+_ITERATIONS = 50
+"""Of the engine's solver at most."""
+
+_LIFTED = 1e-8
+"""m."""
+
+_AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+class WarpBatch:
+    """Many twins with one number of connectors and one tick, on a device; used as `TwinBatch`.
+
+    Attributes:
+        twins: of each run, what says of what it is; runs of one robot share it.
+        tick: control tick, s.
+        state: the last state of every run, with a leading axis of runs on every field.
+        errors: of each run, None or what ended it.
+        device: where they are.
+    """
+
+    state: SnakeState
+    errors: list[DivergedError | None]
+    _theta: np.ndarray
+
+    def __init__(
+        self, twins: Sequence[TwinSnake], *, device: str | None = None, deterministic: bool = False
+    ) -> None:
+        """Put twins on a device.
+
+        Args:
+            twins: of each run; those of one robot may be the same object.
+            device: as Warp calls it, such as "cuda:0"; None: its preferred one.
+            deterministic: sum in one order, so that a run gives the same bits again.
+
+        Raises:
+            InputError: no twin at all, twins that differ in what is one for all runs, or that the device
+                engine cannot do, by its name.
+        """
+        self.device = wp.get_device(device)
+        if device is None and not self.device.is_cuda:
+            told = "engine 'warp' finds no accelerator and steps on the processor, slower than engine 'cpu'"
+            warnings.warn(told, EngineWarning, stacklevel=2)
+        self.twins = tuple(twins)
+        known: dict[int, int] = {}
+        self._which = np.array([known.setdefault(id(twin), len(known)) for twin in self.twins])
+        built = self._robots = tuple({id(twin): twin for twin in self.twins}.values())
+        for twin in built:
+            _refuse(twin, built[0])
+        self.tick, self._h = built[0].tick, built[0].timestep
+        self._loaded = built[0].contact == "loaded"
+        self._put(deterministic)
+        self.reset()
+
+    @staticmethod
+    def check(twin: TwinSnake) -> None:
+        """Refuse a twin of which the device engine cannot do something, by its name.
+
+        Raises:
+            InputError: it cannot.
+        """
+        _refuse(twin, twin)
+
+    @staticmethod
+    def accelerated() -> bool:
+        """Say whether there is a device that is faster than the processor."""
+        return bool(wp.get_preferred_device().is_cuda)
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self.twins)
+
+    def _put(self, deterministic: bool) -> None:
+        """Put models, states and records on the device, and compile what steps them."""
+        worlds, built, twin = len(self), self._robots, self._robots[0]
+        models = [each.physics.model.ptr for each in self._robots]
+        raw, spec = copy.copy(models[0]), twin.spec
+        raw.opt.disableflags &= ~_AUTORESET  # the engine knows no other way
+        raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _ITERATIONS
+        data = mujoco.MjData(raw)
+        mujoco.mj_resetDataKeyframe(raw, data, 0)
+        mujoco.mj_forward(raw, data)
+        room = {"nconmax": _ROOM * max(data.ncon, 8), "njmax": _ROOM * max(data.nefc, 8)}
+        with wp.ScopedDevice(self.device):
+            self._model = mjw.put_model(raw)
+            self._model.opt.deterministic = deterministic
+            self._data = mjw.put_data(raw, data, nworld=worlds, **room)
+            _expand(self._model, [models[k] for k in self._which])
+            columns = twin.physics.columns
+            hulls = len(columns.bump)
+            contacts = len(columns.load) + (hulls if self._loaded else 0)
+            empty = np.zeros((spec.segments, 2))
+            air = Air(empty, np.zeros(spec.segments), empty.astype(int) - 1, empty.astype(int), empty[:, 0])
+            kept = Kept(data.qpos, np.zeros((contacts, 3)), np.zeros((contacts, 3)), np.zeros((hulls, 3)))
+            wave = Wave(1.0, 0.0, 0.0, np.zeros(spec.segments))
+            slot = self._slot = min(SLOT_S, self._h)
+            self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
+            self._air = [each.pneumatics for each in built if isinstance(each.pneumatics, LagPneumatics)]
+            relaxations = [air.relaxation(slot) for air in self._air]
+            records = {
+                "relaxation": self._stack(relaxations), "air": self._stack([air]),
+                "kept": self._stack([kept]), "wave": self._stack([wave]),
+            }  # fmt: skip
+            self._views = {name: self._view(name) for name in Bodies._fields}
+            ported = {name: each for name, (each, _) in records.items()}
+            self._own = {name: value for name, (_, value) in records.items()}
+            bodies = Bodies(*(np.zeros(self._views[name].shape[1:]) for name in Bodies._fields))
+            ported |= {"columns": record(columns), "bodies": record(bodies)}
+            self._own["bodies"] = self._viewed(ported["bodies"], Bodies._fields)
+            self._own["columns"] = ported["columns"].one()
+            for name, value in columns._asdict().items():
+                whole = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
+                setattr(self._own["columns"], name, whole)
+            if self._loaded:
+                solves = [each.physics.loaded.records for each in built if each.physics.loaded is not None]
+                for name in ("contacts", "pattern", "feet", "work"):
+                    ported[name], self._own[name] = self._stack([each[name] for each in solves])
+                engine = solves[0]["engine"]
+                ported["engine"] = record(engine, without=("model", "data"))
+                self._own["engine"] = self._viewed(ported["engine"], engine._fields[2:])
+                self._own["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
+                self._own["work"].residual = self._data.qfrc_bias
+            self._count = wp.zeros(1, dtype=int)
+            self._valves = wp.zeros((worlds, self._slots, spec.segments, 2), dtype=int)
+            self._given = wp.zeros((worlds, 1, spec.segments, 2), dtype=int)
+            self.spent = wp.zeros(worlds, dtype=wp.float64)
+        self._widths = {
+            "qpos": raw.nq, "qvel": raw.nv, "com": 6, "connectors": 4 * spec.geometry.connectors,
+            "chambers": 5 * spec.segments, "force": 3 * contacts, "bumps": 3 * hulls, "spent": 2,
+        }  # fmt: skip
+        numbers = SimpleNamespace(
+            h=self._h, slot=slot, slots=self._slots, tick=self._steps, middle=self._loaded
+        )
+        self._kernels = kernels(ported, numbers)
+        self._graphs: dict[bool, Any] = {}
+
+    def _stack(self, values: Sequence[Any]) -> tuple[Ported, Any]:
+        """Return the type of a record, and those of all worlds from the robots' or one for all."""
+        ported = record(values[0])
+        of_each = [values[k] if len(values) > 1 else values[0] for k in self._which]
+        return ported, stacked(ported, of_each, self.device)
+
+    def _view(self, name: str) -> Any:
+        """Return an array of the engine's data as one of numbers."""
+        of = getattr(self._data, name)
+        size = wp.types.type_size(of.dtype)
+        shape = (*of.shape, size) if size > 1 else of.shape
+        return wp.array(ptr=of.ptr, shape=shape, dtype=float, device=self.device) if size > 1 else of
+
+    def _viewed(self, kind: Ported, names: Sequence[str]) -> Any:
+        found = kind.each()
+        for name in names:
+            setattr(found, name, self._view(name))
+        return found
+
+    def _launch(self, gait: bool) -> None:
+        """Make one step."""
+        k, own, data, model = self._kernels, self._own, self._data, self._model
+        each = len(self), self.twins[0].spec.segments
+        if gait:
+            wp.launch(k.wave, dim=each, inputs=[self._count, own["wave"], self._valves])
+        else:
+            wp.launch(k.command, dim=each, inputs=[self._count, self._given, self._valves])
+        wp.launch(k.fill, dim=each, inputs=[own["relaxation"], own["air"], self._valves, data.ctrl])
+        if not self._loaded:
+            mjw.step(model, data)
+        else:
+            records = [own[name] for name in ("engine", "contacts", "pattern", "feet", "work")]
+            engine, _, _, _, work = records
+            wp.launch(k.begin, dim=len(self), inputs=[engine, work, own["kept"]])
+            mjw.step1(model, data)
+            wp.launch(k.push, dim=len(self), inputs=records)
+            mjw.step2(model, data)
+            wp.launch(k.middle, dim=len(self), inputs=[engine, work, own["kept"], data.qfrc_bias])
+            mjw.com_vel(model, data)
+            mjw.rne(model, data)
+            wp.launch(k.finish, dim=len(self), inputs=[*records, own["kept"], self.spent])
+        wp.launch(
+            k.tally,
+            dim=len(self),
+            inputs=[self._count, data.sensordata, own["columns"], own["kept"], self.spent],
+        )
+
+    def run(self, steps: int, *, gait: bool = False) -> None:
+        """Make steps without looking; on an accelerator one graph a step.
+
+        Args:
+            steps: how many.
+            gait: whether the waves of `set_gaits` command the valves, or what was commanded last.
+        """
+        with wp.ScopedDevice(self.device):
+            if not self.device.is_cuda:
+                for _ in range(steps):
+                    self._launch(gait)
+                return
+            if gait not in self._graphs:
+                before = self._count.numpy()
+                self._launch(gait)  # compiles
+                steps -= 1
+                with wp.ScopedCapture() as capture:
+                    self._launch(gait)
+                self._graphs[gait] = capture.graph
+                assert (self._count.numpy() == before + 1).all()
+            for _ in range(steps):
+                wp.capture_launch(self._graphs[gait])
+
+    def set_gaits(self, gaits: Sequence[Any]) -> None:
+        """Give each run a `control.gait.Gait` that the device follows by itself (`run`, `follow`)."""
+        for gait, twin in zip(gaits, self.twins, strict=True):
+            gait.reset(twin.spec, self.tick)
+        waves = [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
+        fresh = stacked(record(waves[0]), waves, self.device)
+        for name in Wave._fields:
+            wp.copy(getattr(self._own["wave"], name), getattr(fresh, name))
+
+    def reset(
+        self, *, poses: Sequence[Pose] | None = None, seed: int = 0, worlds: Sequence[int] | None = None
+    ) -> SnakeState:
+        """Lay snakes straight, at rest, chambers empty.
+
+        Args:
+            poses: centre of mass x, y (m) and mean heading (rad), one a run that is laid down; default all
+                at the origin.
+            seed: of the sensors' noise.
+            worlds: runs, from 0; None: all, and time begins anew.
+
+        Raises:
+            InputError: not one pose a run.
+        """
+        chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, dtype=int)
+        places = np.zeros((len(chosen), 3)) if poses is None else np.array(poses, dtype=float).reshape(-1, 3)
+        if len(places) != len(chosen):
+            raise InputError(f"poses: {len(places)} were given for {len(chosen)} runs; give one a run")
+        for twin in self._robots:
+            twin.reset(seed=seed)
+        if worlds is None:
+            self.errors = [None] * len(self)
+            self._time, self._begun = 0.0, np.zeros(len(self))
+            self._count.zero_()
+        self._begun[chosen] = self._time
+        for k in chosen:
+            self.errors[k] = None
+        rest = [self._robots[k].physics for k in self._which[chosen]]
+        qpos = np.array([each.data.qpos for each in rest])
+        x, y, turn = places.T
+        c, s = np.cos(turn), np.sin(turn)
+        qpos[:, 0], qpos[:, 1] = x + c * qpos[:, 0] - s * qpos[:, 1], y + s * qpos[:, 0] + c * qpos[:, 1]
+        qpos[:, 2] += _LIFTED  # they are on the verge of touching: rounding must not decide
+        half = np.stack([np.cos(turn / 2), np.sin(turn / 2)])
+        w, i, j, k = qpos[:, 3:7].T
+        (a, b) = half
+        qpos[:, 3:7] = np.stack([a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1)
+        self._set(self._data.qpos, chosen, qpos)
+        for array in (self._data.qvel, self._data.qacc_warmstart, self.spent):
+            self._set(array, chosen, 0.0)
+        air, kept = self._own["air"], self._own["kept"]
+        for name in ("pressure", "linear", "openings", "drawn"):
+            self._set(getattr(air, name), chosen, 0)
+        self._set(air.valves, chosen, -1)
+        for name in ("now", "force", "bumps"):
+            self._set(getattr(kept, name), chosen, 0.0)
+        if self._loaded:
+            feet = self._own["feet"]
+            for name in ("push", "rim", "load", "slip"):
+                value = np.array(
+                    [getattr(each.loaded.feet, name) for each in rest if each.loaded is not None]
+                )
+                self._set(getattr(feet, name), chosen, value)
+        theta = (
+            np.zeros((len(self), self.twins[0].spec.geometry.connectors)) if worlds is None else self._theta
+        )
+        theta[chosen] = turn[:, None]
+        self._theta = theta
+        self.state = self._moment(self._history([self._look()], np.array([self._time]), 1))
+        return self.state
+
+    def _set(self, array: Any, chosen: np.ndarray, value: Any) -> None:
+        """Set some worlds' part of an array."""
+        if len(chosen) == len(self):
+            full = np.broadcast_to(np.asarray(value), (len(self), *array.shape[1:]))
+            array.assign(np.ascontiguousarray(full))
+            return
+        whole = array.numpy()
+        whole[chosen] = value
+        array.assign(whole)
+
+    def regulate(self) -> None:
+        """Take the supplies' pressures from the twins' chambers anew, as these have been regulated since."""
+        law, fresh = self._own["relaxation"], [air.relaxation(self._slot) for air in self._air]
+        for name in ("asymptotes", "worth"):
+            rows = np.array([getattr(fresh[k], name) for k in self._which], dtype=np.float32)
+            getattr(law, name).assign(rows)
+
+    def step(self, valves: Any) -> SnakeState:
+        """Advance all runs by one tick and return `state`; see `TwinBatch.step`."""
+        self.advance(valves, 1)
+        return self.state
+
+    def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
+        """Advance all runs by one tick; see `TwinBatch.advance`.
+
+        Args:
+            valves: see `TwinBatch.step`; an array, or what has DLPack.
+            samples: how many equally spaced samples to return.
+        """
+        self.command(valves)
+        return self._observed(self._steps, samples, gait=False)
+
+    def command(self, valves: Any) -> None:
+        """Set what the valves do in each tick from now on.
+
+        Args:
+            valves: (runs, segments, 2) or (runs, slots, segments, 2), −1 or 1; NumPy, or of integers on the
+                device by DLPack, which is not looked at.
+
+        Raises:
+            InputError: a wrong shape, or a state that the valves cannot take.
+        """
+        shape, segments = tuple(valves.shape), self.twins[0].spec.segments
+        if len(shape) not in (3, 4) or shape[0] != len(self) or shape[-2:] != (segments, 2):
+            raise InputError(
+                f"valves of shape {shape} are not allowed; give ({len(self)}, {segments}, 2), or slots after "
+                "the runs"
+            )
+        if isinstance(valves, np.ndarray):
+            self.twins[0].pneumatics.check(valves)
+            given = wp.array(valves, dtype=int, device=self.device)
+        else:
+            given = wp.from_dlpack(valves)
+        given = given if given.ndim == 4 else given.reshape((len(self), 1, segments, 2))
+        if given.shape[1] > self._slots * self._steps:
+            raise InputError(
+                f"{given.shape[1]} slots a tick are too many; there are {self._slots * self._steps}"
+            )
+        if given.shape != self._given.shape:
+            self._given, self._graphs = wp.empty_like(given), {}
+        wp.copy(self._given, given)
+
+    def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
+        """Follow schedules that no feedback changes; see `TwinBatch.play`."""
+        if len(schedules) != len(self):
+            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one a run")
+        span = max(each.span for each in schedules if each is not None)
+        ticks, slots = whole_steps("span", span, "tick", self.tick), self._steps * self._slots
+        if max(ticks, samples) % min(ticks, samples):
+            raise InputError(f"{samples} samples of {ticks} ticks: engine 'warp' takes whole ones of either")
+        middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
+        idle = np.full((len(middles), self.twins[0].spec.segments, 2), -1, dtype=np.int8)
+        valves = np.stack(
+            [
+                idle if each is None else each.states[np.searchsorted(each.starts, middles, "right") - 1]
+                for each in schedules
+            ]
+        )
+        parts: list[list[SnakeState]] = [[] for _ in schedules]
+        for tick in range(ticks):
+            self.command(valves[:, tick * slots : (tick + 1) * slots])
+            if samples < ticks and (tick + 1) % (ticks // samples):
+                self.run(self._steps)
+                continue
+            seen = self._observed(
+                self._steps, max(samples // ticks, 1), gait=False, since=max(ticks // samples, 1)
+            )
+            for part, one in zip(parts, seen, strict=True):
+                if one is not None:
+                    part.append(one)
+        return [SnakeState.history(part) if part else None for part in parts]
+
+    def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
+        """Follow the gaits of `set_gaits`; samples are equally spaced, the last at the end."""
+        return self._observed(whole_steps("duration", duration, "time step", self._h), samples, gait=True)
+
+    def arrays(self) -> dict[str, Any]:
+        """Return what is on the device, a run a row: qpos, qvel, pressure, valves; DLPack takes them."""
+        air = self._own["air"]
+        return {
+            "qpos": self._data.qpos,
+            "qvel": self._data.qvel,
+            "pressure": air.pressure,
+            "valves": air.valves,
+        }
+
+    def openings(self) -> np.ndarray:
+        """Return how often inlets have opened, shape (runs, segments, 2)."""
+        return np.asarray(self._own["air"].openings.numpy())
+
+    def describe(self) -> dict[str, Any]:
+        """Return what is worth recording besides what the twins say."""
+        return {"engine": "warp", "device": self.device.name}
+
+    def _observed(self, steps: int, samples: int, *, gait: bool, since: int = 1) -> list[SnakeState | None]:
+        """Step and look; the sums of the first sample may be of more such steps (`since` times as many)."""
+        each = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
+        rows = []
+        for _ in range(samples):
+            self.run(each, gait=gait)
+            rows.append(self._look())
+        times = self._time + (since - 1) * steps * self._h + each * self._h * np.arange(1, samples + 1)
+        self._time = float(times[-1])
+        before = [error is None for error in self.errors]
+        whole = self._history(rows, times, each * since)
+        self.state = self._moment(whole)
+        return [self._of(whole, k) if before[k] else None for k in range(len(self))]
+
+    def _moment(self, whole: SnakeState) -> SnakeState:
+        """Return the last sample."""
+        return replace(whole.at(-1), time=self._time - self._begun)
+
+    def _of(self, whole: SnakeState, k: int) -> SnakeState | None:
+        """Return one run's history up to where it diverged."""
+        own = SnakeState(
+            whole.time - self._begun[k], *(getattr(whole, f.name)[:, k] for f in fields(SnakeState)[1:])
+        )
+        fine = np.isfinite(own.qpos).all(axis=1) & np.isfinite(own.com).all(axis=1)
+        if fine.all():
+            return own
+        last = int(np.argmin(fine))
+        self.errors[k] = DivergedError(
+            "twin", float(np.asarray(own.time)[last]), "the state is not finite any more"
+        )
+        return own.at(slice(0, last)) if last else None
+
+    def _look(self) -> Any:
+        """Return what is to be seen now, a row a run, on the device."""
+        own, data, model = self._own, self._data, self._model
+        out = wp.zeros((len(self), sum(self._widths.values())), dtype=float, device=self.device)
+        with wp.ScopedDevice(self.device):
+            mjw.kinematics(model, data)
+            mjw.com_pos(model, data)
+            mjw.com_vel(model, data)
+            mjw.subtree_vel(model, data)
+            wp.launch(
+                self._kernels.look, dim=len(self),
+                inputs=[own["bodies"], own["columns"], own["air"], own["kept"], self.spent, out],
+            )  # fmt: skip
+        return out
+
+    def _history(self, rows: list[Any], times: np.ndarray, steps: int) -> SnakeState:
+        """Return what rows say, with axes of samples and runs; forces are means over so many steps."""
+        table = np.stack([row.numpy() for row in rows]).astype(float)
+        ends = np.cumsum([0, *self._widths.values()])
+        cut = {name: table[..., a:b] for name, a, b in zip(self._widths, ends[:-1], ends[1:], strict=True)}
+        shape = table.shape[:2]
+        physics, spec = self._robots[0].physics, self._robots[0].spec
+        connectors = cut["connectors"].reshape(*shape, -1, 4)
+        chambers = cut["chambers"].reshape(*shape, -1, 5)
+        bend, rate = physics.seen(cut["qpos"], cut["qvel"])
+        theta = np.unwrap(np.concatenate([self._theta[None], connectors[..., 3]]), axis=0)[1:]
+        self._theta = theta[-1].copy()
+        force = cut["force"].reshape(*shape, -1, 3) / steps
+        wheels = len(physics.columns.load)
+        floor = force[..., :wheels, :2].reshape(*shape, -1, 2, 2).sum(axis=-2)
+        bumps = cut["bumps"].reshape(*shape, -1, 3) / steps
+        if self._loaded:
+            bumps = bumps + force[..., wheels:, :]
+        torque, sensed = np.empty_like(bend), bend.copy()
+        for number, twin in enumerate(self._robots):
+            mine = self._which == number
+            law, own = twin.spec.bending, chambers[:, mine, :, :2]
+            air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, own))
+            torque[:, mine] = air - law.stiffness * bend[:, mine] - law.damping * rate[:, mine]
+        for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
+            twin = self.twins[k]
+            sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
+        return SnakeState(
+            time=times,
+            com=cut["com"][..., :2],
+            com_velocity=cut["com"][..., 3:5],
+            heading=theta.mean(axis=-1),
+            position=connectors[..., :2],
+            theta=theta,
+            bend=bend,
+            bend_rate=rate,
+            pressure=chambers[..., :2],
+            valves=chambers[..., 2:4].astype(np.int8),
+            sensed=sensed,
+            contact_force=np.add.reduceat(floor, np.arange(spec.geometry.connectors), axis=-2),
+            obstacle_force=physics.bumped(bumps)[..., :2],
+            torque=torque,
+            work=cut["spent"][..., 0] + cut["spent"][..., 1],
+            air=chambers[..., 4].sum(axis=-1),
+            qpos=cut["qpos"],
+        )
+
+
+def _refuse(twin: TwinSnake, first: TwinSnake) -> None:
+    """Refuse, by its name, what the device engine cannot do, or not beside the first twin.
+
+    Raises:
+        InputError: the first such thing.
+    """
+    air = twin.pneumatics
+    cannot = {
+        f"pneumatics {air.kind!r}": not isinstance(air, LagPneumatics),
+        "leak_per_s": getattr(air, "leaks", False),
+        "valve_delay_s": air.describe().get("valve_delay_s", 0.0) > 0,
+        f"layout {twin.layout!r}": twin.layout != "3/2",
+        "stuck valves": bool(air.stuck),
+        "base 'clamped'": not twin.physics.free,
+        "a floor that slopes or has steps": twin.uneven,
+        "obstacles with contact 'preloaded'": twin.touches and twin.contact != "loaded",
+    }
+    own, other = twin.identity(), first.identity()
+    same = own.keys() - {"robot", "robot_digest", "supply_pa"}
+    same -= set() if twin.touches or first.touches else {"world"}  # goals and rooms are not felt
+    cannot |= {f"runs that differ in {name}": own[name] != other[name] for name in sorted(same)}
+    for name, there in cannot.items():
+        if there:
+            raise InputError(f"engine 'warp' cannot do {name}; the processor can")
+
+
+def _expand(model: Any, of_each: list[mujoco.MjModel]) -> None:
+    """Give each world its own numbers of the model, where worlds differ in them.
+
+    Raises:
+        InputError: they differ in what the engine has only once.
+    """
+    distinct = {id(each): each for each in of_each}
+    if len(distinct) == 1:
+        return
+    for name, array in vars(model).items():
+        if not isinstance(array, wp.array) or not hasattr(of_each[0], name) or name in _IDLE:
+            continue
+        values = {key: np.asarray(getattr(each, name)) for key, each in distinct.items()}
+        first = next(iter(values.values()))
+        if all(np.array_equal(first, value) for value in values.values()):
+            continue
+        if array.shape[0] != 1:
+            raise InputError(f"engine 'warp' has {name} once for all runs; the processor runs such robots")
+        rows = np.stack([values[id(each)] for each in of_each])
+        inner = array.shape[1:]
+        size = wp.types.type_size(array.dtype)
+        rows = rows.reshape(len(of_each), *inner, *((size,) if size > 1 else ()))
+        setattr(model, name, wp.array(rows, dtype=array.dtype, device=array.device))

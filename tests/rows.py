@@ -1,0 +1,108 @@
+"""How each connector moves with all velocities of a body: the dense way, for tests of the recursions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from srs_twin.compiled import compiled
+from srs_twin.plants.analytical.floor import FloorFriction, connector_friction
+from srs_twin.plants.analytical.kinematics import (
+    COS,
+    ROWS,
+    SIN,
+    SPIN,
+    VX,
+    VY,
+    X,
+    Y,
+    chord_terms,
+    pose_body,
+)
+
+
+@compiled
+def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
+    """Fill how each connector's motion depends on the velocities u, and how fast that changes.
+
+    Args:
+        body: what `pose_body` filled, shape (ROWS, N).
+        q: bends, shape (segments,), rad.
+        u: velocity of the centre of mass in the frame of the mean heading (m/s), yaw rate and bend rates
+            (rad/s), shape (3 + segments,).
+        solid: the body.
+        rows: out, shape (N, 3, 3 + segments): velocity along, across, and yaw rate by u.
+        rates: out, shape (N, 2, 3 + segments): their inertial rates, along and across.
+    """
+    mass = solid.mass
+    n = mass.shape[0]
+    rows[0, :2, 3:] = 0.0
+    rates[0, :2, 3:] = 0.0
+    for i in range(1, n):
+        j = i - 1
+        spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, i])
+        # Direction of the chord: half a bend behind the heading of its front end.
+        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
+        c = body[COS, j] * half_c + body[SIN, j] * half_s
+        s = body[SIN, j] * half_c - body[COS, j] * half_s
+        stretch, bulge = slope * u[3 + j], curvature * u[3 + j]
+        for k in range(n - 1):
+            # Bend k turns all behind it by −1, and everything by this much, so that the mean stays.
+            turn = (n - 1 - k) / n - (1.0 if k < j else 0.5 if k == j else 0.0)
+            own = 1.0 if k == j else 0.0
+            forth, aside = own * slope, span * turn
+            forth_rate, aside_rate = own * bulge - aside * spin, stretch * turn + own * slope * spin
+            rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + aside * s
+            rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - aside * c
+            rates[i, 0, 3 + k] = rates[j, 0, 3 + k] - forth_rate * c + aside_rate * s
+            rates[i, 1, 3 + k] = rates[j, 1, 3 + k] - forth_rate * s - aside_rate * c
+    _centre(mass, rows, rates)
+    for i in range(n):
+        row, rate = rows[i], rates[i]
+        row[0, 0], row[0, 1], row[0, 2] = 1.0, 0.0, -body[Y, i]
+        row[1, 0], row[1, 1], row[1, 2] = 0.0, 1.0, body[X, i]
+        rate[0, 0] = rate[0, 1] = rate[1, 0] = rate[1, 1] = 0.0
+        rate[0, 2] = -body[VY, i] - u[2] * body[X, i]
+        rate[1, 2] = body[VX, i] - u[2] * body[Y, i]
+        c, s = body[COS, i], body[SIN, i]
+        for k in range(n + 2):
+            row[0, k], row[1, k] = row[0, k] * c + row[1, k] * s, row[1, k] * c - row[0, k] * s
+            rate[0, k], rate[1, k] = rate[0, k] * c + rate[1, k] * s, rate[1, k] * c - rate[0, k] * s
+            if k >= 3:
+                row[2, k] = (n + 2 - k) / n - (1.0 if k - 3 < i else 0.0)
+        row[2, 0], row[2, 1], row[2, 2] = 0.0, 0.0, 1.0
+
+
+@compiled
+def _centre(mass, rows, rates):  # type: ignore[no-untyped-def]
+    """Refer the places by the bends, and their rates, to the centre of mass."""
+    n, total = mass.shape[0], mass.sum()
+    for k in range(3, n + 2):
+        for axis in range(2):
+            mean = mean_rate = 0.0
+            for i in range(n):
+                mean += mass[i] / total * rows[i, axis, k]
+                mean_rate += mass[i] / total * rates[i, axis, k]
+            for i in range(n):
+                rows[i, axis, k] -= mean
+                rates[i, axis, k] -= mean_rate
+
+
+def newtons_matrix(q: np.ndarray, u: np.ndarray, a: float, model: tuple) -> np.ndarray:
+    """Return Newton's matrix of a stage of `compliant_kernels` as a sum over the rows of all connectors."""
+    solid, (stiffness, damping), floor = model
+    n, size = len(solid.mass), len(u)
+    body, rows, rates = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
+    pose_body(q, u[3:], solid, body)
+    fill_rows(body, q, u, solid, rows, rates)
+    matrix = np.diag(np.repeat([0.0, a * damping + a * a * stiffness], [3, size - 3]))
+    for row, rate, mass, inertia in zip(rows, rates, solid.mass, solid.inertia, strict=True):
+        own = np.diag([mass, mass, inertia]) - a * slopes(row @ u, mass, floor)
+        odd = a * mass * row[:2].T @ rate
+        matrix += row.T @ own @ row + odd - odd.T
+    return matrix
+
+
+def slopes(velocity: np.ndarray, mass: float, floor: FloorFriction) -> np.ndarray:
+    """Return the slopes of a connector's friction by its velocities along, across, and about itself."""
+    tt, tn, tm, nn, nm, mm = connector_friction(*velocity, mass * floor.down, floor)[3:]
+    return np.array([[tt, tn, tm], [tn, nn, nm], [tm, nm, mm]])

@@ -1,0 +1,210 @@
+"""Twins on a device against those of the processor, world by world; here Warp steps on the processor, too."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from itertools import product
+
+import gymnasium
+import numpy as np
+import pytest
+
+import srs_twin.envs  # noqa: F401
+from srs_twin import Gait, InputError, TwinBatch, load_robot, run_scripts
+from srs_twin.errors import EngineWarning
+from srs_twin.friction_held import held, rolling
+from srs_twin.sweep import load_sweep
+from srs_twin.sweep.execution import local
+from srs_twin.sweep.on_device import on_device
+from srs_twin.world import Circle, World
+
+wp = pytest.importorskip("warp", reason="the extra gpu is not installed")
+GEN2 = load_robot("gen2")
+ON = {"engine": "warp", "device": "cpu"}
+SOFT = replace(GEN2, bending=replace(GEN2.bending, stiffness=0.7 * GEN2.bending.stiffness))
+SLICK = replace(GEN2, friction=replace(GEN2.friction, mu_n=0.5 * GEN2.friction.mu_n))
+STRONG = replace(GEN2, actuator=replace(GEN2.actuator, gain=1.2 * GEN2.actuator.gain))
+HEAVY = replace(GEN2, mass=replace(GEN2.mass, connectors=tuple(1.3 * m for m in GEN2.mass.connectors)))
+
+
+@pytest.fixture(params=["preloaded", "loaded"])
+def contact(request):
+    return request.param
+
+
+def both(specs, gaits, seconds, **settings):
+    """Return the trajectories of the processor and of the device."""
+    found = []
+    for more in ({}, ON):
+        batch = TwinBatch(specs, **settings, **more)
+        found.append(run_scripts(batch, [Gait(*each) for each in gaits], seconds))
+    return found
+
+
+def test_the_laws_of_friction_are_the_same_in_warp():
+    from srs_twin.plants.device.ported import ported
+
+    laws = ported([held, rolling])
+    wheel = laws["rolling"]
+
+    @wp.kernel(enable_backward=False)
+    def each(given: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
+        i = wp.tid()
+        a, b, c, d, e, f = wheel(
+            given[i, 0], given[i, 1], given[i, 2], given[i, 3], given[i, 4], 0.001, given[i, 5], given[i, 6],
+            given[i, 7], given[i, 8],
+        )  # fmt: skip
+        out[i, 0] = a
+        out[i, 1] = b
+        out[i, 2] = c
+        out[i, 3] = d
+        out[i, 4] = e
+        out[i, 5] = f
+
+    rng = np.random.default_rng(3)
+    speed, load = rng.normal(scale=0.1, size=(200, 2)), rng.uniform(0, 1, size=(200, 1))
+    mu = np.sort(rng.uniform(0.01, 0.5, size=(200, 2)), axis=1)
+    push = rng.normal(scale=0.05, size=(200, 2))
+    given = np.hstack(
+        [speed, load, mu, push, rng.normal(scale=0.1, size=(200, 1)), rng.uniform(0.1, 9, (200, 1))]
+    )
+    out = wp.zeros((200, 6), dtype=float, device="cpu")
+    wp.launch(each, dim=200, inputs=[wp.array(given, dtype=float, device="cpu"), out], device="cpu")
+    here = np.array([rolling(*row[:5], 0.001, *row[5:]) for row in given])
+    scale = np.abs(here).max(axis=0)
+    assert np.abs(out.numpy() - here).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
+    assert np.abs(out.numpy() - here)[:, :2].max() < 1e-5
+
+
+@pytest.mark.slow
+def test_the_points_of_agreement_are_those_of_the_processor(contact):
+    points = list(product((1.0, 1.5, 2.0), (41e3, 48e3, 55e3), (0.0, 0.0085), (0.0, 0.2)))
+    specs = [replace(GEN2, geometry=replace(GEN2.geometry, rigid_gap=gap)) for _, _, gap, _ in points]
+    gaits = [(f, offset) for f, _, _, offset in points]
+    here, there = both(specs, gaits, 0.3, contact=contact, supply_pa=[p for _, p, _, _ in points])
+    for a, b in zip(here, there, strict=True):
+        assert max(np.abs(a[f"bend_{j}"] - b[f"bend_{j}"]).max() for j in range(1, 5)) < 1e-3
+        assert max(np.abs(a[f"{c}_{i}"] - b[f"{c}_{i}"]).max() for c in "xy" for i in range(1, 6)) < 5e-4
+        assert np.abs(a["work"] - b["work"]).max() < 1e-4
+        assert b["air"] == pytest.approx(a["air"], rel=1e-3, abs=1e-3)
+        assert a.metadata["valve_switches"] == b.metadata["valve_switches"]
+
+
+@pytest.mark.slow
+def test_each_world_has_its_own_numbers(contact):
+    specs = [GEN2, SOFT, SLICK, STRONG, HEAVY]
+    here, there = both(specs, [(2.0, 0.2)] * 5, 0.3, contact=contact)
+    ends = np.array([[run["com_x"][-1], run["com_y"][-1]] for run in there])
+    assert min(np.hypot(*(ends[0] - end)) for end in ends[1:]) > 1e-4  # they act
+    for a, b in zip(here, there, strict=True):
+        assert np.hypot(a["com_x"] - b["com_x"], a["com_y"] - b["com_y"]).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_what_runs_into_an_obstacle_is_held_as_on_the_processor():
+    world = World((Circle(0.24, 0.03, 0.04),))
+    here, there = both([GEN2], [(2.0, 0.0)], 0.8, contact="loaded", world=world)
+    force = [
+        np.hypot(run[0]["obstacle_force_x_1"], run[0]["obstacle_force_y_1"]).max() for run in (here, there)
+    ]
+    assert force[0] > 0.5 and force[1] == pytest.approx(force[0], rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contact):
+    batch = TwinBatch([GEN2] * 3, contact=contact, deterministic=True, **ON)
+    batch.set_gaits([Gait(2.0), Gait(2.0), Gait(2.0, 0.6)])
+    first = batch.follow(0.1, 10)
+    assert (first[0].qpos == first[1].qpos).all() and (first[0].qpos != first[2].qpos).any()
+    assert np.from_dlpack(batch.arrays()["qpos"]).shape == (3, first[0].qpos.shape[1])
+    batch.reset(worlds=[1], poses=[(1.0, 2.0, 0.5)])
+    assert batch.state.com[1] == pytest.approx((1.0, 2.0), abs=1e-6)
+    assert batch.state.heading[1] == pytest.approx(0.5, abs=1e-6)
+    assert batch.state.time.tolist() == pytest.approx([0.1, 0.0, 0.1])
+    assert (batch.state.bend[0] == first[0].bend[-1]).all()
+    batch.reset()
+    assert (batch.follow(0.1, 10)[2].qpos == first[2].qpos).all()
+
+
+@pytest.mark.slow
+def test_environments_on_a_device_are_those_of_the_processor():
+    made = [
+        gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=2, limit_s=0.3, **more)
+        for more in ({}, ON)
+    ]
+    seen = [env.reset(seed=3)[0] for env in made]
+    assert (seen[0] == seen[1]).all()
+    rng = np.random.default_rng(0)
+    for _ in range(6):  # an episode, and the beginning of another
+        action = rng.uniform(made[0].action_space.low, made[0].action_space.high).astype(np.float32)
+        here, there = (env.step(action) for env in made)
+        assert np.abs(here[0] - there[0]).max() < 1e-3 and np.abs(here[1] - there[1]).max() < 1e-4
+        assert (here[3] == there[3]).all()
+    with pytest.warns(EngineWarning, match="surroundings of its own"):
+        gymnasium.make_vec("srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON).reset(seed=1)
+
+
+SWEEP = """
+scenario: gen2_straight
+fixed: {duration_s: 2.0}
+vary: {controller.frequency_hz: [2.0, 2.5], pneumatics.kind: [lag, orifice]}
+plants: [twin]
+"""
+
+
+@pytest.mark.slow
+def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
+    (tmp_path / "s.yaml").write_text(SWEEP)
+    found = load_sweep(tmp_path / "s.yaml")
+    here = {row.number: row.result for row in local(1)(found.experiment, found.points)}
+    with pytest.warns(EngineWarning, match="2 of 4 points run on the processor: .*'orifice'"):
+        there = {row.number: row.result for row in on_device("cpu", 1)(found.experiment, found.points)}
+    for number, row in here.items():
+        for name in ("com_speed_m_s", "mean_bend_amplitude_rad", "pneumatic_power_w"):
+            assert there[number].values[f"twin.{name}"] == pytest.approx(row.values[f"twin.{name}"], rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"pneumatics": "orifice"}, "pneumatics 'orifice'"),
+        ({"base": "clamped"}, "base 'clamped'"),
+        ({"layout": "in_out"}, "layout 'in_out'"),
+        ({"world": World((Circle(1.0, 0.0, 0.1),))}, "obstacles with contact 'preloaded'"),
+    ],
+)
+def test_what_a_device_cannot_do_is_refused_by_its_name(settings, named):
+    with pytest.raises(InputError, match=named):
+        TwinBatch([GEN2], **settings, **ON)
+
+
+def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkeypatch):
+    from srs_twin.plants.device.batch import WarpBatch
+
+    monkeypatch.setattr(WarpBatch, "accelerated", staticmethod(lambda: False))
+    with pytest.warns(EngineWarning, match="no accelerator"):
+        assert "on_device" not in on_device(None, 1).__qualname__
+
+
+def test_without_warp_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "srs_twin.plants.device.batch", None)
+    with pytest.raises(InputError, match=r"srs-twin\[gpu\]"):
+        TwinBatch([GEN2], engine="warp")
+
+
+@pytest.mark.slow
+@pytest.mark.gpu
+def test_an_accelerator_crawls_as_fast_as_the_processor(contact):
+    if not wp.get_preferred_device().is_cuda:
+        pytest.skip("there is no accelerator here")
+    found = [
+        run_scripts(TwinBatch([GEN2] * 2, contact=contact, engine=engine), [Gait(2.0), Gait(2.0, 0.2)], 10.0)
+        for engine in ("cpu", "warp")
+    ]
+    for a, b in zip(*found, strict=True):
+        way = [
+            np.hypot(run["com_x"][-1] - run["com_x"][400], run["com_y"][-1] - run["com_y"][400])
+            for run in (a, b)
+        ]
+        assert way[1] == pytest.approx(way[0], rel=5e-3)
