@@ -394,11 +394,19 @@ def run_batch(
             progress(tick * batch.tick)
         if all(batch.errors):
             break
-    found = [recorder.trajectory() for recorder in recorders]
-    for trajectory, error in zip(found, batch.errors, strict=True):
+    return _ended(batch, recorders)
+
+
+def _ended(batch: TwinBatch, recorders: Sequence[Recorder]) -> list[Trajectory | DivergedError]:
+    """Return what came of the runs of a batch; an error holds the trajectory up to it."""
+    found: list[Trajectory | DivergedError] = []
+    for recorder, opened, error in zip(recorders, batch.openings(), batch.errors, strict=True):
+        counted = opened.tolist() if recorder.plant.metered else None
+        trajectory = recorder.trajectory(batch.describe() | {"valve_switches": counted})
         if error is not None:
             error.trajectory = trajectory
-    return [error or trajectory for trajectory, error in zip(found, batch.errors, strict=True)]
+        found.append(error or trajectory)
+    return found
 
 
 def run_scripts(
@@ -454,13 +462,7 @@ def run_scripts(
                 recorder.add(history)
         if progress is not None:
             progress((begun + now) * batch.tick)
-    found: list[Trajectory | DivergedError] = []
-    for recorder, opened, error in zip(recorders, batch.openings(), batch.errors, strict=True):
-        trajectory = recorder.trajectory(batch.describe() | {"valve_switches": opened.tolist()})
-        if error is not None:
-            error.trajectory = trajectory
-        found.append(error or trajectory)
-    return found
+    return _ended(batch, recorders)
 
 
 def _refuse_sharing(jobs: Sequence[Job]) -> None:

@@ -80,6 +80,7 @@ DISTRIBUTION = "srs-twin"
 
 PURPOSES = {
     "envs": 'environments for agents (`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`)',
+    "gpu": "twins on an accelerator (`srs-twin sweep --engine warp`)",
     "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "live": "a robot on the air (MQTT), journals",

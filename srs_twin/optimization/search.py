@@ -162,6 +162,11 @@ class _Search:
                 chosen.append(other)
         self._try("twin", np.array([*chosen, *apart]))
 
+    @property
+    def _turn(self) -> int | None:
+        """The objective whose end of the front this round is for; None: neither."""
+        return self._round // 2 % 2 if self._round % 2 else None
+
     def left(self) -> int:
         """Return how many runs of the twin may still come."""
         return self._study.file.budget.twin - len(self._costly)
@@ -174,7 +179,7 @@ class _Search:
         chosen: list[np.ndarray] = []
         believed = self._told(self._costly)
         for turn in range(min(_TOGETHER, self.left())):
-            end = 0 if self._many == 1 else self._round % 2 if turn else None
+            end = 0 if self._many == 1 else self._turn if turn else None
             if turn == 0 or self._many == 2:
                 at = self._predicted(self._costly, candidates, end)
             score = self._improvement(*at, believed, end)
@@ -266,7 +271,7 @@ class _Search:
     def _candidates(self) -> list[Run]:
         """Return designs that the twin may run: what the cheap model has run, and neighbours of the best."""
         count = _AROUND[self._many]
-        hills = self._hills(self._round % self._many)  # of two objectives the one whose turn it is
+        hills = self._hills(self._turn or 0) if self._many == 1 or self._turn is not None else self.best()
         best = hills[:1] if self._many == 1 else self.best()
         parents = [of[k] for of in (hills, best) for k in self._rng.integers(len(of), size=count // 2)]
         about = np.array([run.shares for run in parents])

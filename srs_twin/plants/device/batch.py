@@ -38,7 +38,7 @@ _ITERATIONS = 50
 """Of the engine's solver at most."""
 
 _LIFTED = 1e-8
-"""m."""
+"""Snakes at rest are on the verge of touching; rounding must not decide whether they do, m."""
 
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
@@ -107,73 +107,72 @@ class WarpBatch:
 
     def _put(self, deterministic: bool) -> None:
         """Put models, states and records on the device, and compile what steps them."""
-        worlds, built, twin = len(self), self._robots, self._robots[0]
         models = [each.physics.model.ptr for each in self._robots]
-        raw, spec = copy.copy(models[0]), twin.spec
+        raw = copy.copy(models[0])
         raw.opt.disableflags &= ~_AUTORESET  # the engine knows no other way
         raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _ITERATIONS
         data = mujoco.MjData(raw)
         mujoco.mj_resetDataKeyframe(raw, data, 0)
         mujoco.mj_forward(raw, data)
         room = {"nconmax": _ROOM * max(data.ncon, 8), "njmax": _ROOM * max(data.nefc, 8)}
+        slot = self._slot = min(SLOT_S, self._h)
+        self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
+        segments = self.twins[0].spec.segments
         with wp.ScopedDevice(self.device):
             self._model = mjw.put_model(raw)
             self._model.opt.deterministic = deterministic
-            self._data = mjw.put_data(raw, data, nworld=worlds, **room)
+            self._data = mjw.put_data(raw, data, nworld=len(self), **room)
             _expand(self._model, [models[k] for k in self._which])
-            columns = twin.physics.columns
-            hulls = len(columns.bump)
-            contacts = len(columns.load) + (hulls if self._loaded else 0)
-            empty = np.zeros((spec.segments, 2))
-            air = Air(empty, np.zeros(spec.segments), empty.astype(int) - 1, empty.astype(int), empty[:, 0])
-            kept = Kept(data.qpos, np.zeros((contacts, 3)), np.zeros((contacts, 3)), np.zeros((hulls, 3)))
-            wave = Wave(1.0, 0.0, 0.0, np.zeros(spec.segments))
-            slot = self._slot = min(SLOT_S, self._h)
-            self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
-            self._air = [each.pneumatics for each in built if isinstance(each.pneumatics, LagPneumatics)]
-            relaxations = [air.relaxation(slot) for air in self._air]
-            records = {
-                "relaxation": self._stack(relaxations), "air": self._stack([air]),
-                "kept": self._stack([kept]), "wave": self._stack([wave]),
-            }  # fmt: skip
-            self._views = {name: self._view(name) for name in Bodies._fields}
-            ported = {name: each for name, (each, _) in records.items()}
-            self._own = {name: value for name, (_, value) in records.items()}
-            bodies = Bodies(*(np.zeros(self._views[name].shape[1:]) for name in Bodies._fields))
-            ported |= {"columns": record(columns), "bodies": record(bodies)}
-            self._own["bodies"] = self._viewed(ported["bodies"], Bodies._fields)
-            self._own["columns"] = ported["columns"].one()
-            for name, value in columns._asdict().items():
-                whole = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
-                setattr(self._own["columns"], name, whole)
-            if self._loaded:
-                solves = [each.physics.loaded.records for each in built if each.physics.loaded is not None]
-                for name in ("contacts", "pattern", "feet", "work"):
-                    ported[name], self._own[name] = self._stack([each[name] for each in solves])
-                engine = solves[0]["engine"]
-                ported["engine"] = record(engine, without=("model", "data"))
-                self._own["engine"] = self._viewed(ported["engine"], engine._fields[2:])
-                self._own["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
-                self._own["work"].residual = self._data.qfrc_bias
+            ported = self._note(data.qpos, segments)
             self._count = wp.zeros(1, dtype=int)
-            self._valves = wp.zeros((worlds, self._slots, spec.segments, 2), dtype=int)
-            self._given = wp.zeros((worlds, 1, spec.segments, 2), dtype=int)
-            self.spent = wp.zeros(worlds, dtype=wp.float64)
-        self._widths = {
-            "qpos": raw.nq, "qvel": raw.nv, "com": 6, "connectors": 4 * spec.geometry.connectors,
-            "chambers": 5 * spec.segments, "force": 3 * contacts, "bumps": 3 * hulls, "spent": 2,
-        }  # fmt: skip
-        numbers = SimpleNamespace(
-            h=self._h, slot=slot, slots=self._slots, tick=self._steps, middle=self._loaded
-        )
-        self._kernels = kernels(ported, numbers)
+            self._valves = wp.zeros((len(self), self._slots, segments, 2), dtype=int)
+            self._given = wp.zeros((len(self), 1, segments, 2), dtype=int)
+            self.spent = wp.zeros(len(self), dtype=wp.float64)
+        numbers = {"h": self._h, "slot": slot, "slots": self._slots, "tick": self._steps}
+        self._kernels = kernels(ported, SimpleNamespace(**numbers, middle=self._loaded))
         self._graphs: dict[bool, Any] = {}
 
-    def _stack(self, values: Sequence[Any]) -> tuple[Ported, Any]:
-        """Return the type of a record, and those of all worlds from the robots' or one for all."""
-        ported = record(values[0])
-        of_each = [values[k] if len(values) > 1 else values[0] for k in self._which]
-        return ported, stacked(ported, of_each, self.device)
+    def _note(self, qpos: np.ndarray, segments: int) -> dict[str, Ported]:
+        """Put the records of all worlds on the device; return their types."""
+        columns = self._robots[0].physics.columns
+        hulls = len(columns.bump)
+        contacts = len(columns.load) + (hulls if self._loaded else 0)
+        self._air = [each.pneumatics for each in self._robots if isinstance(each.pneumatics, LagPneumatics)]
+        empty = np.zeros((segments, 2))
+        records: dict[str, Sequence[Any]] = {
+            "relaxation": [air.relaxation(self._slot) for air in self._air],
+            "air": [Air(empty, empty[:, 0], empty.astype(int) - 1, empty.astype(int), empty[:, 0])],
+            "kept": [Kept(qpos, np.zeros((contacts, 3)), np.zeros((contacts, 3)), np.zeros((hulls, 3)))],
+            "wave": [Wave(1.0, 0.0, 0.0, empty[:, 0])],
+        }
+        solves = [each.physics.loaded.records for each in self._robots if each.physics.loaded is not None]
+        if self._loaded:
+            records |= {
+                name: [each[name] for each in solves] for name in ("contacts", "pattern", "feet", "work")
+            }
+        ported = {name: record(values[0]) for name, values in records.items()}
+        self._own = {
+            name: stacked(ported[name], [v[k] if len(v) > 1 else v[0] for k in self._which], self.device)
+            for name, v in records.items()
+        }
+        bodies = Bodies(*(np.zeros(self._view(name).shape[1:]) for name in Bodies._fields))
+        ported |= {"columns": record(columns), "bodies": record(bodies)}
+        self._own["bodies"] = self._viewed(ported["bodies"], Bodies._fields)
+        self._own["columns"] = ported["columns"].one()
+        for name, value in columns._asdict().items():
+            whole = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
+            setattr(self._own["columns"], name, whole)
+        if self._loaded:
+            engine = solves[0]["engine"]
+            ported["engine"] = record(engine, without=("model", "data"))
+            self._own["engine"] = self._viewed(ported["engine"], engine._fields[2:])
+            self._own["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
+            self._own["work"].residual = self._data.qfrc_bias
+        self._widths = {
+            "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(columns.connectors),
+            "chambers": 5 * segments, "force": 3 * contacts, "bumps": 3 * hulls, "spent": 2,
+        }  # fmt: skip
+        return ported
 
     def _view(self, name: str) -> Any:
         """Return an array of the engine's data as one of numbers."""
@@ -266,8 +265,8 @@ class WarpBatch:
         places = np.zeros((len(chosen), 3)) if poses is None else np.array(poses, dtype=float).reshape(-1, 3)
         if len(places) != len(chosen):
             raise InputError(f"poses: {len(places)} were given for {len(chosen)} runs; give one a run")
-        for twin in self._robots:
-            twin.reset(seed=seed)
+        for k in np.unique(self._which[chosen]):
+            self._robots[k].reset(seed=seed)
         if worlds is None:
             self.errors = [None] * len(self)
             self._time, self._begun = 0.0, np.zeros(len(self))
@@ -280,7 +279,7 @@ class WarpBatch:
         x, y, turn = places.T
         c, s = np.cos(turn), np.sin(turn)
         qpos[:, 0], qpos[:, 1] = x + c * qpos[:, 0] - s * qpos[:, 1], y + s * qpos[:, 0] + c * qpos[:, 1]
-        qpos[:, 2] += _LIFTED  # they are on the verge of touching: rounding must not decide
+        qpos[:, 2] += _LIFTED
         half = np.stack([np.cos(turn / 2), np.sin(turn / 2)])
         w, i, j, k = qpos[:, 3:7].T
         (a, b) = half
