@@ -28,7 +28,7 @@ from srs_twin.provenance import judged_digest, versions
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
-from srs_twin.scenario.plants import PLANTS, TwinFile
+from srs_twin.scenario.plants import PLANTS
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -176,9 +176,6 @@ class PreparedRun:
             "events": {k: _notable(t) for k, t in trajectories.items()},
         }
         drawn, differences = dict(trajectories), {}
-        settings = scenario.plants.get("twin")
-        if "twin" in trajectories and isinstance(settings, TwinFile) and settings.preset != "reference":
-            metrics["preset"] = settings.preset
         if measured is not None:
             drawn[MEASURED] = measured
             differences = {k: MeasuredDifference.of(measured, t) for k, t in trajectories.items()}
@@ -190,6 +187,9 @@ class PreparedRun:
             metrics["attribution"] = attribution.document()
         if cause is not None:
             metrics["cause"] = cause
+        twin = scenario.file.plants.twin
+        if "twin" in trajectories and twin and twin.other_than_reference:
+            metrics["preset"] = twin.other_than_reference
         # What was said of a plant that the scenario names and nobody asked to run is not missed.
         there = {*trajectories, *(["comparison"] if comparison else ())}
         asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]

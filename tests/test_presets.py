@@ -1,44 +1,128 @@
-"""Presets of the twin: what they set, what wins over them, where they are named, and that they are near."""
+"""Presets of the twin: what they set, what wins over them, who says that one ran, and what they err by."""
 
 from __future__ import annotations
 
+import json
+from typing import get_args
+
+import numpy as np
 import pytest
+from presets import FINE_S, METRICS, errors, measured
 
-from srs_twin import InputError, load_scenario, rollout
-from srs_twin.comparison.metrics import headline, plant_metrics
-from srs_twin.experiment import run_scenario
+from srs_twin import InputError, TwinSnake, load_robot
+from srs_twin.mjcf.numerics import PRESETS, Numerics, Preset
+from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.plants import TwinFile
+from srs_twin.sweep.points import Experiment
 
-FAST = {"plants.twin.preset": "fast", "duration_s": 3.0}
-
-
-def test_a_preset_fills_in_what_is_not_given_and_survives_being_written():
-    scenario = load_scenario("gen2_straight", set=FAST)
-    twin = scenario.build_plant("twin")
-    assert (twin.contact, twin.timestep) == ("loaded", 0.002)
-    written = scenario.document["plants"]["twin"]
-    assert (written["preset"], written["contact"], written["timestep_s"]) == ("fast", "loaded", 0.002)
-    own = load_scenario("gen2_straight", set=FAST | {"plants.twin.timestep_s": 0.001}).build_plant("twin")
-    assert (own.contact, own.timestep) == ("loaded", 0.001)
-    assert load_scenario("gen2_straight").build_plant("twin").contact == "preloaded"
+KEY = "plants.twin.preset"
+STATED = (1.15, 23.5, 2.55, 0.115, 0.525, 1.25, 0.0, 1.65)
+"""Largest errors of `fast` that docs/models.md#the-fast-preset states, rounded up, in order of `METRICS`."""
 
 
-def test_another_name_is_refused():
-    with pytest.raises(InputError, match="did you mean fast"):
-        load_scenario("gen2_straight", set={"plants.twin.preset": "fest"})
+def scenario(twin, **changes):
+    data = {"robot": "gen2", "duration_s": 2, "controller": {"kind": "gait", "frequency_hz": 2.0}}
+    return parse_scenario(data | {"plants": {"twin": twin}}, set=changes)
 
 
-def test_who_ran_it_is_told(tmp_path):
-    found = run_scenario(load_scenario("gen2_straight", set=FAST), tmp_path / "r")
-    assert found.metrics["preset"] == "fast" and "preset is fast" in headline(found.metrics)
+def settings(found):
+    about = found.build_plant("twin").describe()
+    return (
+        about.get("contact", "preloaded"),
+        about["timestep_s"],
+        about["hinges_per_segment"],
+        about["preset"],
+    )
 
 
-def test_it_is_as_near_as_the_documentation_says():
-    def twin(**settings):
-        scenario = load_scenario("gen2_straight", set={"duration_s": 3.0, "plants.twin": settings})
-        return plant_metrics(
-            rollout(scenario.build_plant("twin"), scenario.build_controller(), **scenario.timing)
-        )
+FAST, REFERENCE = ("loaded", 0.002, 2, "fast"), ("preloaded", 0.001, 2, "reference")
 
-    fast, fine = twin(preset="fast"), twin(contact="loaded", timestep_s=0.00025)
-    for name in ("com_speed_m_s", "mean_bend_amplitude_rad", "cost_of_transport"):
-        assert fast[name] == pytest.approx(fine[name], rel=0.02)
+
+def test_presets_have_the_names_of_the_key_and_the_reference_is_the_default():
+    assert tuple(PRESETS) == get_args(Preset)
+    assert PRESETS["reference"].items() <= vars(Numerics()).items()
+    assert PRESETS["fast"].keys() == PRESETS["reference"].keys(), "or one could not take the other's place"
+    assert TwinFile().preset is None and TwinFile() == TwinFile.model_validate({})
+
+
+@pytest.mark.parametrize(
+    ("twin", "used"),
+    [
+        ({}, REFERENCE),
+        ({"preset": "reference"}, REFERENCE),
+        ({"preset": "fast"}, FAST),
+        ({"preset": "fast", "timestep_s": 0.001}, ("loaded", 0.001, 2, None)),
+        ({"preset": "fast", "contact": "preloaded"}, ("preloaded", 0.002, 2, None)),
+        ({"preset": "fast", "friction": "ellipse", "hinges_per_segment": 3}, ("loaded", 0.002, 3, None)),
+    ],
+)
+def test_a_setting_beside_the_preset_wins(twin, used):
+    found = scenario(twin)
+    assert settings(found) == used
+    assert settings(parse_scenario(found.document)) == used, "defaults written out, the same"
+
+
+def test_a_law_needs_the_loaded_contact_that_the_preset_gives():
+    with pytest.raises(InputError, match="friction is contact: loaded's"):
+        scenario({"preset": "fast", "contact": "preloaded", "friction": "wheel"})
+
+
+def test_another_preset_replaces_what_the_former_gave_and_nothing_else():
+    """Sweeps, studies and `--set` change documents in which all settings are written out."""
+    resolved = scenario({"hinges_per_segment": 3}).document
+    assert settings(parse_scenario(resolved, set={KEY: "fast"})) == ("loaded", 0.002, 3, None)
+    fast = scenario({"preset": "fast"}).document
+    assert settings(parse_scenario(fast, set={KEY: "reference"})) == REFERENCE
+    experiment = Experiment(scenario({}).document, ("twin",))
+    both = {KEY: "fast", "plants.twin.timestep_s": 0.0005}
+    for changes in (both, dict(reversed(both.items()))):
+        assert settings(parse_scenario(experiment.document(changes))) == ("loaded", 0.0005, 2, None)
+    assert settings(parse_scenario(experiment.document({KEY: "fast"}))) == FAST
+
+
+def test_an_unknown_preset_is_refused_with_those_that_there_are(srs_twin, tmp_path):
+    done = srs_twin("run", "gen2_turn", "--set", f"{KEY}=fst", cwd=tmp_path)
+    said = f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
+    assert (done.returncode, done.stderr) == (2, f"--set {KEY}=fst: {said}")
+
+
+@pytest.mark.parametrize(
+    ("twin", "named"),
+    [
+        ({}, None),
+        ({"preset": "reference"}, None),
+        ({"preset": "fast"}, "fast"),
+        ({"preset": "fast", "timestep_s": 0.001}, "fast with timestep_s 0.001"),
+    ],
+)
+def test_a_run_says_with_which_preset(srs_twin, tmp_path, twin, named):
+    changes = [word for key, value in twin.items() for word in ("--set", f"plants.twin.{key}={value}")]
+    short = ("--set", "duration_s=2", "--out", "run")
+    done = srs_twin("run", "gen2_turn", "--plants", "twin", *changes, *short, cwd=tmp_path)
+    metrics = json.loads((tmp_path / "run/metrics.json").read_text("utf-8"))
+    report = (tmp_path / "run/report.html").read_text("utf-8")
+    assert metrics.get("preset") == named
+    for text in (" ".join(done.stdout.split()), report):
+        assert (f"The twin ran with preset {named}, for searching:" in text) == (named is not None)
+
+
+def test_the_model_alone_has_no_preset(srs_twin, tmp_path):
+    words = ("--set", f"{KEY}=fast", "--set", "duration_s=1", "--plants", "analytical", "--out", "run")
+    assert "preset" not in srs_twin("run", "gen2_turn", *words, cwd=tmp_path).stdout
+
+
+def test_presets_build_twins_of_themselves():
+    assert TwinSnake(load_robot("gen4"), **PRESETS["fast"]).describe()["preset"] == "fast"
+
+
+def test_no_shipped_scenario_runs_with_it(root):
+    for path in (root / "scenarios").glob("*.yaml"):
+        assert "preset" not in path.read_text("utf-8"), path.name
+    assert settings(load_scenario("gen2_turn")) == REFERENCE
+
+
+@pytest.mark.parametrize("name", ["gen2_turn", "gen3_turn"])
+def test_fast_errs_by_no_more_than_is_stated(name):
+    fast = PRESETS["fast"]
+    found = np.abs(errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})]))[:, 0]
+    assert (found <= STATED).all(), dict(zip(METRICS, found, strict=True))

@@ -216,17 +216,20 @@ VALIDATION = (
 _ALIKE = 0.01  # of a value: plants that differ by less agree
 _TURNS = 0.05  # rad/s: slower is straight
 _NOTHING = 5e-5  # m/s, rad/s
+_PRESET = (
+    "The twin ran with preset {}, for searching: cite a run without it (docs/models.md#the-fast-preset)."
+)
 _A_CAUSE = 0.25  # of a difference: smaller shares are not named
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return in one sentence what a run says.
+    """Return in one sentence what a run says, and in another with which preset, where it was not the default.
 
     Args:
         metrics: what stands in metrics.json.
     """
-    preset = metrics.get("preset")
-    return _said(metrics) + (f" (The twin's preset is {preset}.)" if preset else "")
+    said, preset = _said(metrics), metrics.get("preset")
+    return f"{said} {_PRESET.format(preset)}" if preset else said
 
 
 def _said(metrics: Mapping[str, Any]) -> str:

@@ -38,11 +38,6 @@ LAW_OF: dict[str, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 """What a snake stands on → the friction law that describes it."""
 
 
-PRESETS: dict[str, dict[str, Any]] = {"reference": {}, "fast": {"contact": "loaded", "timestep": 0.002}}
-"""Settings that go together: `reference` the defaults, `fast` for learning and searching; what that costs in
-truth is measured by `benchmarks/presets.py`."""
-
-
 @dataclass(frozen=True)
 class Numerics:
     """What belongs to the simulation and not to the robot.
@@ -84,6 +79,21 @@ class Numerics:
     wheel_spin: float = 1.0
     constant_curvature: bool = False
     base: str = "free"
+
+
+Preset = Literal["reference", "fast"]
+PRESETS: dict[str, dict[str, Any]] = {
+    "reference": {key: getattr(Numerics, key) for key in ("contact", "timestep", "hinges_per_segment")},
+    "fast": {"contact": "loaded", "timestep": 0.002, "hinges_per_segment": 2},
+}
+"""Name → settings of a twin: `TwinSnake(spec, **PRESETS["fast"])`. What `fast` costs in accuracy was measured
+by benchmarks/presets.py; 2 ms is the longest step below the segments' damping time.
+"""
+
+
+def preset_of(numerics: Numerics) -> str | None:
+    """Return the preset that gives these settings, if one does."""
+    return next((name for name, given in PRESETS.items() if given.items() <= vars(numerics).items()), None)
 
 
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:

@@ -20,6 +20,7 @@ from srs_twin.mjcf.numerics import (
     Contact,
     LawOnLoads,
     Numerics,
+    preset_of,
 )
 from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
 from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
@@ -223,7 +224,7 @@ class TwinSnake(PneumaticPlant):
         names = ["wheels", "hinges_per_segment", "preload", "link_share", "wheel_spin", "constant_curvature"]
         if self.contact == "loaded":
             names[2:3], times = ["contact", "friction", "load", "slip_speed"], ["timestep"]
-        given = {name: getattr(numbers, name) for name in (*names, "base")}
+        given = {name: getattr(numbers, name) for name in (*names, "base")} | {"preset": preset_of(numbers)}
         return super().describe() | given | {f"{name}_s": getattr(numbers, name) for name in times}
 
     def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:

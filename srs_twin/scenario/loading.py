@@ -31,6 +31,7 @@ from srs_twin.scenario.checks import (
 from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.planner import RoutePlanner
+from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.world import World
 
@@ -73,6 +74,8 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         before = document.get(*change.loc)
         if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
             change = replace(change, value=restated(before, change.value, None, f"set by {change.words}"))
+        if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
+            document.data["plants"]["twin"] = with_preset(twin, change.value)
         document.change(change)
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)

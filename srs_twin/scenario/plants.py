@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator, model_validator
 
 from srs_twin.errors import TimeStepError, whole_steps
 from srs_twin.friction import AT_TRACK, Law
-from srs_twin.mjcf.numerics import PRESETS, Contact, LawOnLoads, Numerics
+from srs_twin.mjcf.numerics import PRESETS, Contact, LawOnLoads, Numerics, Preset
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics.valves import SLOT_S
-from srs_twin.robot.sourced import in_unit, split_unit
+from srs_twin.robot.sourced import in_unit
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
@@ -90,11 +91,11 @@ class TwinFile(_PlantFile):
     """The MuJoCo twin."""
 
     constructors = (Numerics,)
-    on_a_floor = ("wheels", "contact", "friction")
+    on_a_floor = ("preset", "wheels", "contact", "friction")
 
-    preset: Literal["reference", "fast"] = "reference"
-    """Settings that go together, where they are not given; fast: contact loaded and steps of 2 ms, 2.7 times
-    as fast and up to 2 % off, for learning and searching."""
+    preset: Preset | None = None
+    """Settings by one name, for keys that are not given; fast: a loaded contact and steps of 2 ms, a third of
+    the cost, to search and to learn with; reference: the defaults."""
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Literal["rolling", "skid"] = constructor_default()
@@ -107,14 +108,21 @@ class TwinFile(_PlantFile):
     hinges_per_segment: int = quantity(1, 32)
     """Bending hinges a segment."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _as_preset(cls, given: Any) -> Any:
-        if not isinstance(given, dict) or given.get("preset") not in PRESETS:
-            return given
-        settings = PRESETS[given["preset"]]
-        keys = {key: settings.get(split_unit(key)[0]) for key in cls.model_fields}
-        return {key: in_unit(key, value) for key, value in keys.items() if value is not None} | given
+    @model_validator(mode="after")
+    def _take_preset(self) -> TwinFile:
+        settings = preset_keys(self.preset)
+        # Frozen for others; what the file itself gives stays known by `model_fields_set`.
+        self.__dict__.update({key: settings[key] for key in settings.keys() - self.model_fields_set})
+        return self
+
+    @property
+    def other_than_reference(self) -> str | None:
+        """The preset in words, with what was given besides; None: the reference."""
+        if self.preset in (None, "reference"):
+            return None
+        own = ((key, getattr(self, key), value) for key, value in preset_keys(self.preset).items())
+        besides = ", ".join(f"{key} {used}" for key, used, value in own if used != value)
+        return f"{self.preset} with {besides}" if besides else self.preset
 
     @model_validator(mode="after")
     def _law_is_taken(self) -> TwinFile:
@@ -122,6 +130,23 @@ class TwinFile(_PlantFile):
             raise ValueError("friction is contact: loaded's; a preloaded one has MuJoCo's own, by its wheels")
         return self
 
+
+def preset_keys(preset: Any) -> dict[str, Any]:
+    """Return what a preset gives by the keys of files; none: the reference's; nothing of an unknown one."""
+    given, keys = PRESETS.get(str(preset or "reference"), {}), TwinFile.model_fields
+    named = ((key, each.name) for key in keys if (each := TwinFile.parameter(key)) is not None)
+    return {key: in_unit(key, given[name]) for key, name in named if name in given}
+
+
+def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
+    """Return plain data of a twin with another preset; of the former only what was given besides stays."""
+    before = preset_keys(twin.get("preset"))
+    besides = {key: value for key, value in twin.items() if key not in before or before[key] != value}
+    return {**preset_keys(preset), **besides, "preset": preset}
+
+
+PRESET = ("plants", "twin", "preset")
+"""Path of that key."""
 
 PlantFile = AnalyticalFile | TwinFile
 

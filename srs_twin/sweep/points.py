@@ -17,6 +17,7 @@ from srs_twin.provenance import run_key
 from srs_twin.robot.file import units_of
 from srs_twin.robot.sourced import restated
 from srs_twin.scenario.planner import PLANNER_FILES
+from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.sweep.file import MAX_POINTS, RangeFile, SamplingFile
 
 if TYPE_CHECKING:
@@ -76,6 +77,9 @@ class Experiment:
         where = path_of(name)
         if name == "planner.kind":
             document = _planned_by(document, value)
+        if where == PRESET:
+            twin = with_preset(document["plants"].get("twin", {}), value)
+            return {**document, "plants": {**document["plants"], "twin": twin}}
         if len(where) == 3 and where[0] == "robot" and not isinstance(whole, Mapping):
             # A number that the robot does not have yet has no record either.
             unit = units_of(str(where[1])).get(str(where[2]))
