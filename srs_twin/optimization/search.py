@@ -164,7 +164,9 @@ class _Search:
 
     @property
     def _turn(self) -> int | None:
-        """The objective whose end of the front this round is for; None: neither."""
+        """The objective that this round is for, of two one end of their front; None: the whole front."""
+        if self._many == 1:
+            return 0
         return self._round // 2 % 2 if self._round % 2 else None
 
     def left(self) -> int:
@@ -179,7 +181,7 @@ class _Search:
         chosen: list[np.ndarray] = []
         believed = self._told(self._costly)
         for turn in range(min(_TOGETHER, self.left())):
-            end = 0 if self._many == 1 else self._turn if turn else None
+            end = self._turn if turn or self._many == 1 else None
             if turn == 0 or self._many == 2:
                 at = self._predicted(self._costly, candidates, end)
             score = self._improvement(*at, believed, end)
@@ -271,7 +273,7 @@ class _Search:
     def _candidates(self) -> list[Run]:
         """Return designs that the twin may run: what the cheap model has run, and neighbours of the best."""
         count = _AROUND[self._many]
-        hills = self._hills(self._turn or 0) if self._many == 1 or self._turn is not None else self.best()
+        hills = self.best() if self._turn is None else self._hills(self._turn)
         best = hills[:1] if self._many == 1 else self.best()
         parents = [of[k] for of in (hills, best) for k in self._rng.integers(len(of), size=count // 2)]
         about = np.array([run.shares for run in parents])
