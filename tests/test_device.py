@@ -125,6 +125,11 @@ def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contac
     assert (batch.state.bend[0] == first[0].bend[-1]).all()
     batch.reset()
     assert (batch.follow(0.1, 10)[2].qpos == first[2].qpos).all()
+    told = np.tile([[1, -1], [-1, 1]], (3, 2, 1))
+    batch.step(wp.array(told, dtype=wp.int32, device="cpu"))
+    assert (batch.state.valves == told).all()
+    with pytest.raises(InputError, match="int32, not int64"):
+        batch.step(wp.array(told, dtype=wp.int64, device="cpu"))
 
 
 @pytest.mark.slow

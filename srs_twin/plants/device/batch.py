@@ -361,6 +361,8 @@ class WarpBatch:
             given = wp.array(valves, dtype=int, device=self.device)
         else:
             given = wp.from_dlpack(valves)
+            if given.dtype is not wp.int32:
+                raise InputError(f"valves on a device must be int32, not {given.dtype.__name__}")
         given = given if given.ndim == 4 else given.reshape((len(self), 1, segments, 2))
         if given.shape[1] > self._slots * self._steps:
             raise InputError(
