@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.io.files import write_text
-from srs_twin.optimization.search import costs
+from srs_twin.optimization.search import costs, excesses
 from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.studies import draw_convergence, draw_front, draw_parallel
@@ -30,15 +30,16 @@ def write_report(folder: Path, answer: Answer) -> list[str]:
     values = np.array([[run.metric(each.metric) for each in goals] for run in twin])
     labels = [metric_label(each.metric) for each in goals]
     start = [begun[each.metric] for each in goals]
-    figures = {}
+    missed = np.maximum(excesses(study, twin), 0.0).sum(axis=1)
+    kept, figures = missed <= missed.min(), {}
     if len(goals) == 1:
         best = goals[0].goal == "maximize"
-        figures["convergence"] = draw_convergence(values[:, 0], labels[0], start[0], maximize=best)
+        figures["convergence"] = draw_convergence(values[:, 0], kept, labels[0], start[0], maximize=best)
     else:
         front = np.array([[run.metric(each.metric) for each in goals] for run in answer.optimum.best])
         figures["front"] = draw_front(values, front, labels, start)
     shares = np.array([run.shares for run in twin])
-    ranks = np.argsort(np.argsort(costs(study, twin)[:, 0]))
+    ranks = np.argsort(np.lexsort((costs(study, twin)[:, 0], missed)))  # what misses constraints comes last
     ends = [(each.low, each.high) for each in study.file.variables.values()]
     figures["parallel"] = draw_parallel(shares, ranks, list(map(field_label, study.space.variables)), ends)
     pictures = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,13 +12,19 @@ Drawn = tuple[Figure, str]
 """A picture and what it shows."""
 
 
-def draw_convergence(values: np.ndarray, label: str, begun: float | None, *, maximize: bool) -> Drawn:
-    """Draw what each run of the twin gave and the best so far, over the number of runs, shape (runs,)."""
+def draw_convergence(
+    values: np.ndarray, kept: np.ndarray, label: str, begun: float | None, *, maximize: bool
+) -> Drawn:
+    """Draw what each run of the twin gave, shape (runs,), and the best so far of those that are kept."""
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
-    best = (np.fmax if maximize else np.fmin).accumulate(values)
-    axes.plot(number, values, "o", color="#9aa5b1", markersize=4, label="each run")
+    best = (np.fmax if maximize else np.fmin).accumulate(np.where(kept, values, np.nan))
+    axes.plot(number[kept], values[kept], "o", color="#9aa5b1", markersize=4, label="each run")
+    if not kept.all():
+        axes.plot(
+            number[~kept], values[~kept], "x", color="#d5dae0", markersize=4, label="misses constraints"
+        )
     axes.step(number, best, where="post", color="#1f6f8b", label="best so far")
     if begun is not None:
         axes.axhline(begun, color="#b5651d", linestyle="--", linewidth=1, label="as it stands")
@@ -49,14 +56,14 @@ def draw_parallel(
     shares: np.ndarray, ranks: np.ndarray, labels: Sequence[str], ends: Sequence[tuple[float, float]]
 ) -> Drawn:
     """Draw designs as lines over their variables, shape (runs, d), those of a low rank strongest."""
-    figure = Figure(figsize=(6.5, 3.4), layout="constrained")
-    axes = figure.subplots()
     count, places = len(shares), np.arange(shares.shape[1])
+    figure = Figure(figsize=(max(6.5, 1.1 * len(places)), 3.6), layout="constrained")
+    axes = figure.subplots()
     for k in np.argsort(-ranks):
         good = 1 - ranks[k] / max(count - 1, 1)
         color = "#1f6f8b" if ranks[k] < max(count // 10, 1) else "#9aa5b1"
         axes.plot(places, shares[k], "o-", color=color, alpha=0.15 + 0.85 * good, linewidth=1, markersize=3)
-    names = [f"{label}\n{low:g} to {high:g}" for label, (low, high) in zip(labels, ends, strict=True)]
-    axes.set_xticks(places, names)
+    named = zip(labels, ends, strict=True)
+    axes.set_xticks(places, [f"{fill(label, 13)}\n{low:g} to {high:g}" for label, (low, high) in named])
     axes.set(yticks=[0, 1], yticklabels=["low", "high"], xlim=(-0.2, max(len(places) - 1, 0) + 0.2))
     return figure, "Designs that the twin ran: the better, the stronger; the best tenth in blue."
