@@ -82,18 +82,21 @@ def optimize(
 
 
 class _Best:
-    """The best result so far of the first objective, for the line of progress."""
+    """The best result so far of the first objective that keeps the constraints, for the line of progress."""
 
     def __init__(self, study: Study) -> None:
-        self._objective, self._values = study.file.objectives[0], dict[str, float]()
+        self._study, self._values = study, dict[str, float]()
 
     def take(self, part: str, row: Row) -> None:
         """Take a run that has finished."""
-        from srs_twin.optimization.runs import metric_of
+        import numpy as np
 
-        value = metric_of(row, part, self._objective.metric)
-        best = max if self._objective.goal == "maximize" else min
-        if value == value:
+        from srs_twin.optimization.runs import Run
+        from srs_twin.optimization.search import excesses
+
+        run, objective = Run(part, np.zeros(0), row), self._study.file.objectives[0]
+        value, best = run.metric(objective.metric), max if objective.goal == "maximize" else min
+        if value == value and not (excesses(self._study, [run]) > 0).any():
             self._values[part] = best(value, self._values.get(part, value))
 
     def text(self) -> str:
