@@ -150,6 +150,27 @@ def test_environments_on_a_device_are_those_of_the_processor():
         gymnasium.make_vec("srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON).reset(seed=1)
 
 
+@pytest.mark.slow
+def test_time_and_forces_count_steps_that_nobody_saw_and_a_run_that_diverges_ends_alone():
+    batch, here = (TwinBatch([GEN2] * 2, contact="loaded", **more) for more in (ON, {}))
+    batch.set_gaits([Gait(2.0)] * 2)
+    batch.run(80, gait=True)
+    seen = batch.follow(0.02, 1)[0]
+    script = Gait(2.0)
+    script.reset(GEN2, here.tick)
+    there = here.play([script.script(0.1)] * 2, 1)[0]
+    assert seen.time == pytest.approx([0.1])
+    assert seen.contact_force == pytest.approx(there.contact_force, abs=1e-3)
+    broken = batch.arrays()["qvel"].numpy()
+    broken[1] = np.nan
+    batch.arrays()["qvel"].assign(broken)
+    sound, ended = batch.follow(0.02, 2)
+    assert ended is None and batch.errors[0] is None and "finite" in str(batch.errors[1])
+    assert np.isfinite(batch.state.com).all() and np.isfinite(sound.com).all()
+    with pytest.raises(InputError, match="1 were given for 2"):
+        batch.set_gaits([Gait(2.0)])
+
+
 SWEEP = """
 scenario: gen2_straight
 fixed: {duration_s: 2.0}

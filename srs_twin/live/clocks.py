@@ -36,9 +36,8 @@ class SenderClock:
         """Know nothing yet."""
         self.offset, self.jumps = math.nan, 0
         self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
-        self._least: deque[tuple[float, float]] = (
-            deque()
-        )  # those after which none was quicker, quickest first
+        # Those after which none was quicker, the quickest first.
+        self._least: deque[tuple[float, float]] = deque()
 
     def take(self, sent: float, arrived: float) -> float:
         """Take a message's times and return when it was sent on our clock, s."""

@@ -222,24 +222,30 @@ class WarpBatch:
             steps: how many.
             gait: whether the waves of `set_gaits` command the valves, or what was commanded last.
         """
+        self._time += steps * self._h
+        self._unseen += steps
         with wp.ScopedDevice(self.device):
             if not self.device.is_cuda:
                 for _ in range(steps):
                     self._launch(gait)
                 return
-            if gait not in self._graphs:
-                before = self._count.numpy()
-                self._launch(gait)  # compiles
+            if steps and gait not in self._graphs:
+                self._launch(gait)  # compiles, and is a step
                 steps -= 1
                 with wp.ScopedCapture() as capture:
                     self._launch(gait)
                 self._graphs[gait] = capture.graph
-                assert (self._count.numpy() == before + 1).all()
             for _ in range(steps):
                 wp.capture_launch(self._graphs[gait])
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
-        """Give each run a `control.gait.Gait` that the device follows by itself (`run`, `follow`)."""
+        """Give each run a `control.gait.Gait` that the device follows by itself (`run`, `follow`).
+
+        Raises:
+            InputError: not one gait a run.
+        """
+        if len(gaits) != len(self):
+            raise InputError(f"gaits: {len(gaits)} were given for {len(self)} runs; give one a run")
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
         waves = [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
@@ -269,7 +275,7 @@ class WarpBatch:
             self._robots[k].reset(seed=seed)
         if worlds is None:
             self.errors = [None] * len(self)
-            self._time, self._begun = 0.0, np.zeros(len(self))
+            self._time, self._begun, self._unseen = 0.0, np.zeros(len(self)), 0
             self._count.zero_()
         self._begun[chosen] = self._time
         for k in chosen:
@@ -305,7 +311,7 @@ class WarpBatch:
         )
         theta[chosen] = turn[:, None]
         self._theta = theta
-        self.state = self._moment(self._history([self._look()], np.array([self._time]), 1))
+        self.state = self._moment(self._history([self._look()], np.array([self._time]), np.ones(1)))
         return self.state
 
     def _set(self, array: Any, chosen: np.ndarray, value: Any) -> None:
@@ -376,6 +382,8 @@ class WarpBatch:
         """Follow schedules that no feedback changes; see `TwinBatch.play`."""
         if len(schedules) != len(self):
             raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one a run")
+        if not any(schedules):
+            return [None] * len(self)
         span = max(each.span for each in schedules if each is not None)
         ticks, slots = whole_steps("span", span, "tick", self.tick), self._steps * self._slots
         if max(ticks, samples) % min(ticks, samples):
@@ -394,9 +402,7 @@ class WarpBatch:
             if samples < ticks and (tick + 1) % (ticks // samples):
                 self.run(self._steps)
                 continue
-            seen = self._observed(
-                self._steps, max(samples // ticks, 1), gait=False, since=max(ticks // samples, 1)
-            )
+            seen = self._observed(self._steps, max(samples // ticks, 1), gait=False)
             for part, one in zip(parts, seen, strict=True):
                 if one is not None:
                     part.append(one)
@@ -424,19 +430,23 @@ class WarpBatch:
         """Return what is worth recording besides what the twins say."""
         return {"engine": "warp", "device": self.device.name}
 
-    def _observed(self, steps: int, samples: int, *, gait: bool, since: int = 1) -> list[SnakeState | None]:
-        """Step and look; the sums of the first sample may be of more such steps (`since` times as many)."""
+    def _observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
+        """Step and look so many times; return the history of each run that had not ended."""
         each = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
-        rows = []
-        for _ in range(samples):
+        rows, times, passed = [], np.empty(samples), np.empty(samples)
+        for k in range(samples):
             self.run(each, gait=gait)
+            times[k], passed[k] = self._time, self._unseen
             rows.append(self._look())
-        times = self._time + (since - 1) * steps * self._h + each * self._h * np.arange(1, samples + 1)
-        self._time = float(times[-1])
-        before = [error is None for error in self.errors]
-        whole = self._history(rows, times, each * since)
-        self.state = self._moment(whole)
-        return [self._of(whole, k) if before[k] else None for k in range(len(self))]
+        going = [error is None for error in self.errors]
+        whole = self._history(rows, times, passed)
+        found = [self._of(whole, k) if going[k] else None for k in range(len(self))]
+        if any(self.errors):
+            last = [self.state.at(k) if own is None else own.at(-1) for k, own in enumerate(found)]
+            self.state = SnakeState.history(last)
+        else:
+            self.state = self._moment(whole)
+        return found
 
     def _moment(self, whole: SnakeState) -> SnakeState:
         """Return the last sample."""
@@ -457,7 +467,8 @@ class WarpBatch:
         return own.at(slice(0, last)) if last else None
 
     def _look(self) -> Any:
-        """Return what is to be seen now, a row a run, on the device."""
+        """Return what is to be seen now, a row a run, on the device; sums begin anew."""
+        self._unseen = 0
         own, data, model = self._own, self._data, self._model
         out = wp.zeros((len(self), sum(self._widths.values())), dtype=float, device=self.device)
         with wp.ScopedDevice(self.device):
@@ -471,7 +482,7 @@ class WarpBatch:
             )  # fmt: skip
         return out
 
-    def _history(self, rows: list[Any], times: np.ndarray, steps: int) -> SnakeState:
+    def _history(self, rows: list[Any], times: np.ndarray, steps: np.ndarray) -> SnakeState:
         """Return what rows say, with axes of samples and runs; forces are means over so many steps."""
         table = np.stack([row.numpy() for row in rows]).astype(float)
         ends = np.cumsum([0, *self._widths.values()])
@@ -483,10 +494,10 @@ class WarpBatch:
         bend, rate = physics.seen(cut["qpos"], cut["qvel"])
         theta = np.unwrap(np.concatenate([self._theta[None], connectors[..., 3]]), axis=0)[1:]
         self._theta = theta[-1].copy()
-        force = cut["force"].reshape(*shape, -1, 3) / steps
+        force = cut["force"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         wheels = len(physics.columns.load)
         floor = force[..., :wheels, :2].reshape(*shape, -1, 2, 2).sum(axis=-2)
-        bumps = cut["bumps"].reshape(*shape, -1, 3) / steps
+        bumps = cut["bumps"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         if self._loaded:
             bumps = bumps + force[..., wheels:, :]
         torque, sensed = np.empty_like(bend), bend.copy()
