@@ -45,7 +45,7 @@ def called():
 
 @pytest.mark.parametrize("line", called())
 def test_what_is_called_exists(line):
-    words = shlex.split(line.replace("uv run --group dev", "uv run"))[2:]
+    words = shlex.split(re.sub(r"^uv run --(group dev|extra gpu)", "uv run", line))[2:]
     if words[0] == "python":
         script = ROOT / words[1]
         known = set(re.findall(r'"(--\w+)"', script.read_text("utf-8")))
@@ -73,7 +73,7 @@ def test_tests_that_are_left_out_by_default_are_run_by_ci():
 def test_every_study_of_the_night_is_bounded():
     studies = re.findall(r"^step \w+ (.*)$", NIGHTLY, re.M)
     assert len(studies) >= 3
-    assert all(re.match(r"timeout \d+[mh] uv run python benchmarks/", study) for study in studies)
+    assert all(re.match(r"timeout \d+[mh] uv run (--extra gpu )?python benchmarks/", study) for study in studies)
 
 
 def test_the_workflow_calls_the_scripts():
