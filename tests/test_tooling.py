@@ -73,7 +73,9 @@ def test_tests_that_are_left_out_by_default_are_run_by_ci():
 def test_every_study_of_the_night_is_bounded():
     studies = re.findall(r"^step \w+ (.*)$", NIGHTLY, re.M)
     assert len(studies) >= 3
-    assert all(re.match(r"timeout \d+[mh] uv run (--extra gpu )?python benchmarks/", study) for study in studies)
+    assert all(
+        re.match(r"timeout \d+[mh] uv run (--extra gpu )?python benchmarks/", study) for study in studies
+    )
 
 
 def test_the_workflow_calls_the_scripts():

@@ -13,9 +13,10 @@ under one of the hypotheses. All are linear in (b, g⁺, g⁻, d, s): one Kalman
 Blom and Bar-Shalom (1988), the interacting multiple model estimator. Faults begin seldom and do not heal.
 
 How pressures differ from the lags is learnt while a segment is sound, by how long ago its valves switched:
-chambers of one robot repeat themselves.
+chambers of one robot repeat themselves. What a chamber loses is told by its balance of air (`balance`).
 
-A supply that starves makes every segment weak at once: what is weak in one segment alone is no supply.
+A supply that starves makes every segment weak at once: what is weak in one segment alone is no supply, and
+where several segments are in doubt at once, a part of one of them is named later.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from srs_twin.live.balance import AirBalance
 from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
 from srs_twin.robot.spec import RobotSpec
@@ -53,6 +55,10 @@ class Hypothesis(NamedTuple):
     leak: float = 0.0
     weak: float = 1.0
 
+    def inflow(self, does: int) -> tuple[float, float]:
+        """Return leak and share of the supply of a chamber that does this while its valve lets air in."""
+        return self.leak if does == LEAKS else 0.0, 0.0 if does == VENTS else self.weak
+
 
 HYPOTHESES = (
     Hypothesis(""),
@@ -76,6 +82,12 @@ _ALIKE = ((1, 4), (2, 3))
 """Where the two chambers take turns, one that never vents bends as if the other one never filled."""
 _AGES, _AGE_S, _MOST_SEEN = 25, 0.02, 40
 """For how many ages of a valve's state, of which length, pressures are learnt, from how many at most."""
+_BALANCED = 3
+"""Strokes after which a chamber's balance of air says whether it leaks."""
+_FEW, _ALONE = 0.1, 0.8
+"""Where no other segment is that likely weak, each measurement makes it so much less likely of one."""
+_DOUBT, _LONGER = 0.5, 3.0
+"""A segment that is less likely sound than that is in doubt; by how much longer others then have to wait."""
 _TAILS = 4.0  # degrees of freedom of Student's t
 _AT_REST = 1e-6  # rad
 _BIAS, _PLUS, _MINUS, _LOAD, _SENSOR = range(5)
@@ -99,6 +111,8 @@ class BankSettings:
             seen, and at the least.
         load: RMS of d, as a share of the largest bend.
         load_time: over which d fades, s.
+        pressure_time: over which what lags miss of a pressure lasts, s.
+        known: of a bend by readings and filters, RMS, rad.
         wander: by what a bias (rad) and a gain wander, a square root of a second.
         drift: of a sensor, rad a square root of a second.
     """
@@ -115,6 +129,8 @@ class BankSettings:
     pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
+    pressure_time: float = 0.08
+    known: float = 0.017
     wander: tuple[float, float] = (0.0014, 0.0035)
     drift: float = 0.03
 
@@ -142,6 +158,7 @@ class FaultBank(Remembers):
         "_since",
         "_either",
         "_named",
+        "balance",
         "time",
     )
 
@@ -174,6 +191,11 @@ class FaultBank(Remembers):
         self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
+        self._obeys = np.isin(self._does, (OBEYS, LEAKS))
+        own = [(each.inflow(each.plus), each.inflow(each.minus)) for each in HYPOTHESES]
+        variants = list(dict.fromkeys(each for pair in own for each in pair))
+        self._variant = np.array([[variants.index(each) for each in pair] for pair in own])
+        self.balance = AirBalance(spec, supply_pa=supply_pa, noise=s.known, variants=variants)
         spread = np.array([s.bias, s.gain, s.gain, self._load, s.noise])
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
@@ -261,8 +283,15 @@ class FaultBank(Remembers):
             everywhere = np.ones(len(HYPOTHESES), dtype=bool)
             likely += self._update(rows, np.asarray(markers), self.settings.marker_noise, everywhere)
         if pressures is not None:
-            likely += self._unlike_pressures(np.asarray(pressures, dtype=float), span)
+            rows[..., _SENSOR] = 0.0
+            bend = np.einsum("sm,smk,smk->s", self.probability, rows, self.mean)
+            told = np.asarray(pressures, dtype=float)
+            likely += self._unlike_pressures(told, span) + self._unbalanced(told, bend)
         weight = self.probability * np.exp(likely - likely.max(axis=1, keepdims=True))
+        # A supply is weak for all, or for none.
+        weak = (weight @ _SAME[:, _WEAK]) / weight.sum(axis=1)
+        alone = (weak > 0.5) & ((weak > _FEW).sum() < 2)
+        weight[:, _SAME[:, _WEAK] > 0] *= np.where(alone, _ALONE, 1.0)[:, None]
         self.probability = np.maximum(weight / weight.sum(axis=1, keepdims=True), 1e-12)
         self._name()
 
@@ -352,16 +381,24 @@ class FaultBank(Remembers):
         place = *np.indices(told.shape), self._filling, age
         seen, usual, variance = np.moveaxis(self._habit[place], -1, 0)
         # What valves do that do not obey was never seen.
-        obeys = np.isin(self._does, (OBEYS, LEAKS))
-        off = off - np.where(obeys, usual[:, None], 0.0)
-        spread = np.where(obeys, np.sqrt(variance)[:, None] + least, first)
+        off = off - np.where(self._obeys, usual[:, None], 0.0)
+        spread = np.where(self._obeys, np.sqrt(variance)[:, None] + least, first)
         log = -np.log1p((off / spread) ** 2 / _TAILS) * (_TAILS + 1) / 2 - np.log(spread)
+        # Whether a chamber leaks its balance says, once it knows what is usual.
+        balanced = (self.balance.books.seen >= _BALANCED)[:, None] & (self._does == LEAKS)
+        log = np.where(balanced, log.max(axis=1, keepdims=True), log)
         learns = ~np.isnan(told) & (self.probability[:, :1] > 0.9)
         more = np.where(learns, np.minimum(seen + 1, _MOST_SEEN), seen)
         news = np.where(learns, off[:, 0], 0.0)
         variance = np.where(learns, variance + (news**2 - variance) / more, variance)
         self._habit[place] = np.stack([more, usual + news / more, variance], axis=-1)
-        return np.asarray(log.sum(axis=-1) * min(span / self.settings.load_time, 1.0))
+        return np.asarray(log.sum(axis=-1) * min(span / self.settings.pressure_time, 1.0))
+
+    def _unbalanced(self, told: np.ndarray, bend: np.ndarray) -> np.ndarray:
+        """Return the logarithms of how likely it is what chambers that fill have taken in."""
+        filled = np.where(self._filling == 1, self._age, 0.0)
+        each = self.balance.read(self.time, told, bend, filled, self.probability[:, 0])
+        return np.asarray(each[:, np.arange(2), self._variant].sum(axis=-1))
 
     def _name(self) -> None:
         """Name what has been sure for long enough."""
@@ -369,6 +406,9 @@ class FaultBank(Remembers):
         likely = self.probability @ _SAME
         if self.time < s.learns:
             return
+        # Parts seldom fail together: where others are in doubt as well, what they have in common may have.
+        doubted = likely[:, 0] < _DOUBT
+        patience = s.patience * np.where(doubted.sum() - doubted > 0, _LONGER, 1.0) - 1e-9
         weak, count = likely[:, _WEAK], len(likely)
         if (weak > 0.5).sum() * 2 > count:
             named[0, 0] = _WEAK
@@ -377,14 +417,14 @@ class FaultBank(Remembers):
             likely[:, _WEAK] = weak * np.minimum(2 * others, 1.0)
             likely /= likely.sum(axis=1, keepdims=True)
         self._since = np.where(likely > s.sure, np.minimum(self._since, self.time), np.inf)
-        for j, m in np.argwhere(self.time - self._since >= s.patience - 1e-9):
+        for j, m in np.argwhere(self.time - self._since >= patience[:, None]):
             # Of two that were named together one may have turned out to be right.
             if m and (named[j + 1, 0] < 0 or m in named[j + 1]) and not (m == _WEAK or named[0, 0] >= 0):
                 named[j + 1] = m, -1
         for k, pair in enumerate(_ALIKE):
             both = likely[:, pair].sum(axis=1) > s.sure
             self._either[:, k] = np.where(both, np.minimum(self._either[:, k], self.time), np.inf)
-            for j in np.flatnonzero(self.time - self._either[:, k] >= s.patience - 1e-9) + 1:
+            for j in np.flatnonzero(self.time - self._either[:, k] >= patience) + 1:
                 if named[j, 0] < 0 and named[0, 0] < 0:
                     named[j] = pair
         sound = np.append(False, likely[:, 0] > s.sure)  # what was named was something that passed
