@@ -27,13 +27,13 @@ from srs_twin.robot.spec import RobotSpec
 
 FLOW_SD, MISSING_SD = 0.15, 0.3
 """Of c and of λ₀ (1/s) before anything was seen."""
-FORGETS, MOST_SEEN = 0.98, 40
+FORGETS, MOST_SEEN = 0.95, 40
 """What a stroke weighs after the next one, and from how many at most scatter is learnt."""
 SCATTER, BEFORE, LEAST = 0.05, 3, 0.02
 """By what share of what flows in strokes differ at first, for how many that counts, and at the least."""
-ALIKE = 8
+ALIKE = 16
 """So many messages of one stroke say as much as one that is independent."""
-AMOUNT_SD = 0.015
+AMOUNT_SD = 0.013
 """By what an amount is off that is known at the moment of a message, as a share of K times the supply."""
 SEVERITY, WEAKNESS = 0.3, 0.7
 """To within which share of it the rate of a leak, and what a weak supply lets in, is known."""
@@ -41,7 +41,7 @@ SHORTEST, LONGEST_GAP_S = 0.1, 0.1
 """From which inflow on a stroke tells something; a longer silence (s) ends it."""
 SOUND = 0.9
 """Probability that nothing is wrong from which a chamber is learnt from."""
-TAILS = 10.0
+TAILS = 12.0
 """Degrees of freedom of Student's t: strokes are now and then far off, seldom by seven deviations."""
 
 
@@ -51,7 +51,7 @@ class Books(NamedTuple):
     Attributes:
         fit: c and λ₀ (1/s).
         sure: the inverse of their covariance: of c, of both, of λ₀.
-        noted: what the stroke adds to that and, weighted by it, to c and λ₀.
+        noted: what the stroke adds to that and, weighted by it, to c and λ₀; its scatter above the usual.
         scatter: variance of what a stroke is off by, over the square of what flows in.
         seen: strokes that were learnt from.
         time: of the last pressure of a stroke, s; NaN: there is none.
@@ -130,7 +130,7 @@ class AirBalance(Remembers):
         self.books = Books(
             fit=np.tile([1.0, 0.0], (*each, 1)),
             sure=np.tile([1 / FLOW_SD**2, 0.0, 1 / MISSING_SD**2], (*each, 1)),
-            noted=np.zeros((*each, 5)),
+            noted=np.zeros((*each, 6)),
             scatter=np.full(each, SCATTER**2),
             seen=np.zeros(each),
             time=np.full(each, np.nan),
@@ -170,16 +170,31 @@ def _read(time, pressure, bend, filled, sound, books, chambers, added):  # type:
             if math.isnan(gauge):
                 continue
             goes_on = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
-            if not goes_on and not math.isnan(since):
-                if sound[j] > SOUND and books.sums[j, side, 1] > SHORTEST:
+            noted, sums = books.noted[j, side], books.sums[j, side]
+            if goes_on:
+                # Where commands are lost a valve may have closed before what was last told: that counts once
+                # the next message finds it open.
+                if sums[1] > SHORTEST:
+                    _note(j, side, books)
+                    for k in range(len(added[j, side])):
+                        told = _likelihood(j, side, k, chambers, books)
+                        added[j, side, k] = told - books.told[j, side, k]
+                        books.told[j, side, k] = told
+            else:
+                if noted[0] > 0.0 and sound[j] > SOUND:
                     _learn(j, side, books)
                 books.time[j, side] = math.nan
+                noted[:] = 0.0
+                sums[:] = 0.0
+                books.told[j, side, :] = 0.0
             if filled[j, side] <= 0.0:
                 continue
             size, growth = volume(chambers.dead, chambers.displacement, bend[j], side)
             held = (gauge + AMBIENT_PA) / chambers.unit
-            reached, rates, sums = books.reached[j, side], books.rates[j, side], books.sums[j, side]
+            reached, rates = books.reached[j, side], books.rates[j, side]
             reached[0], reached[1] = held * size, held * abs(growth) * chambers.noise
+            if not goes_on:
+                books.begun[j, side, 0], books.begun[j, side, 1] = reached[0], reached[1]
             for k in range(len(rates)):
                 if k == 0:
                     now = gauge / chambers.supply
@@ -188,20 +203,9 @@ def _read(time, pressure, bend, filled, sound, books, chambers, added):  # type:
                     if line > 0.0:
                         passed, _, _ = flow(line + AMBIENT_PA, gauge + AMBIENT_PA, CRITICAL_RATIO)
                         now = chambers.wide * passed / chambers.unit
-                sums[k] = sums[k] + since * (rates[k] + now) / 2 if goes_on else 0.0
+                if goes_on:
+                    sums[k] += since * (rates[k] + now) / 2
                 rates[k] = now
-            if not goes_on:
-                books.begun[j, side, 0], books.begun[j, side, 1] = reached[0], reached[1]
-                for k in range(5):
-                    books.noted[j, side, k] = 0.0
-            if sums[1] > SHORTEST:
-                _note(j, side, books)
-            for k in range(len(added[j, side])):
-                told = 0.0
-                if sums[1] > SHORTEST:
-                    told = _likelihood(j, side, k, chambers, books)
-                    added[j, side, k] = told - books.told[j, side, k]
-                books.told[j, side, k] = told
             books.time[j, side] = time
 
 
@@ -236,7 +240,7 @@ def _likelihood(j, side, variant, chambers, books):  # type: ignore[no-untyped-d
 
 @compiled
 def _note(j, side, books):  # type: ignore[no-untyped-def]
-    """Note what a stroke that may turn out to be sound says of c and λ₀ by now."""
+    """Note what a stroke that may turn out to be sound says by now of c, λ₀ and its scatter."""
     came, held, noted = books.sums[j, side, 1], -books.sums[j, side, 0], books.noted[j, side]
     off, variance, learnt = _off(j, side, came, 0.0, books)
     weight = 1 / (ALIKE * (variance - learnt))
@@ -245,21 +249,16 @@ def _note(j, side, books):  # type: ignore[no-untyped-def]
     noted[2] += weight * held * held
     noted[3] += weight * came * off
     noted[4] += weight * held * off
+    noted[5] = (off**2 - variance) / came**2
 
 
 @compiled
 def _learn(j, side, books):  # type: ignore[no-untyped-def]
     """Learn c, λ₀ and how well strokes repeat themselves from one that was sound."""
-    came, noted, sure, fit = (
-        books.sums[j, side, 1],
-        books.noted[j, side],
-        books.sure[j, side],
-        books.fit[j, side],
-    )
-    off, variance, _ = _off(j, side, came, 0.0, books)
+    noted, sure, fit = books.noted[j, side], books.sure[j, side], books.fit[j, side]
     books.seen[j, side] = min(books.seen[j, side] + 1, MOST_SEEN)
     share = 1 / (books.seen[j, side] + BEFORE)
-    scatter = books.scatter[j, side] + share * (off**2 - variance) / came**2
+    scatter = books.scatter[j, side] + share * noted[5]
     books.scatter[j, side] = max(scatter, LEAST**2)
     sure[0] = FORGETS * sure[0] + (1 - FORGETS) / FLOW_SD**2 + noted[0]
     sure[1] = FORGETS * sure[1] + noted[1]

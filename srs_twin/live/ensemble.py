@@ -182,6 +182,7 @@ class Ensemble:
         self._scales = {"unexplained": np.ones(n), "pressure": np.ones(2 * n), "motion": np.ones(1)}
         self._found = {name: np.ones_like(each) for name, each in self._scales.items()}
         self.placed, self._astray = False, 0
+        self._before: np.ndarray | None = None
         self._states = np.zeros((members, kernels.STATES + 2 * n))
         self._momenta()
         self._compile()
@@ -197,6 +198,7 @@ class Ensemble:
 
     def _move(self, air: Air, span: float) -> None:
         """Have the members go on, and wander."""
+        self._relax()
         self._run(air, span)
         s, root = self.spreads, math.sqrt(span)
         fades = math.exp(-span / s.unexplained_s)
@@ -216,6 +218,19 @@ class Ensemble:
         half = self.spec.geometry.body_length / 2
         motion = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self._of("motion")[:, :3] += scale["motion"] * s.slip * root * motion
+        self._momenta()
+
+    def _relax(self) -> None:
+        """Give back a share of the spread that corrections since the last move have taken."""
+        if self._before is None:
+            return
+        after = self.members.std(axis=0)
+        grown = 1 + self.spreads.inflation * np.maximum(self._before - after, 0.0) / np.maximum(after, 1e-12)
+        friction = self.rows["friction"]
+        grown[friction] = np.maximum(_LEAST_FRICTION / np.maximum(after[friction], 1e-12), 1.0)
+        middle = self.members.mean(axis=0)
+        self.members[:] = middle + grown * (self.members - middle)
+        self._before = None
         self._momenta()
 
     def read_bends(self, bends: np.ndarray) -> np.ndarray:
@@ -382,12 +397,13 @@ class Ensemble:
         n, width = self._segments, self.members.shape[1]
         bend, pressure = np.zeros((n, width)), np.zeros((2 * n, width))
         for j in range(n):
-            for name in ("bend", "unexplained"):
-                bend[j, self.rows[name].start + j] = 1.0
-            bend[j, self.rows["motion"].start + 3 + j] = 1.0
+            # A bend follows its pressures, so what lags missed of one since the last message moved both.
+            own = [self.rows[name].start + j for name in ("bend", "unexplained")]
+            own.append(self.rows["motion"].start + 3 + j)
+            bend[j, own] = pressure[np.ix_([2 * j, 2 * j + 1], own)] = 1.0
             for side in (0, 1):
-                own = self.rows["pressure"].start + 2 * j + side
-                bend[j, own] = pressure[2 * j + side, own] = 1.0
+                chamber = self.rows["pressure"].start + 2 * j + side
+                bend[j, chamber] = pressure[2 * j + side, chamber] = 1.0
         pose = np.zeros(width)
         for name in (*_POSE, "motion", "bend", "unexplained", "turning"):
             pose[self.rows[name]] = 1.0
@@ -403,14 +419,9 @@ class Ensemble:
         *,
         together: bool,
     ) -> np.ndarray:
-        before = self.members.std(axis=0)
+        if self._before is None:
+            self._before = self.members.std(axis=0)
         off = correct(self.members, predicted, told, variances, masks, together)
-        after = self.members.std(axis=0)
-        grown = 1 + self.spreads.inflation * (before - after) / np.maximum(after, 1e-12)
-        friction = self.rows["friction"]
-        grown[friction] = np.maximum(_LEAST_FRICTION / np.maximum(after[friction], 1e-12), 1.0)
-        middle = self.members.mean(axis=0)
-        self.members[:] = middle + grown * (self.members - middle)
         pressure, slides = self._of("pressure"), self._of("friction")
         np.maximum(pressure, 0.0, out=pressure)
         np.clip(slides, -_MOST_FRICTION, _MOST_FRICTION, out=slides)

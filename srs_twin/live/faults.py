@@ -117,9 +117,9 @@ class BankSettings:
         drift: of a sensor, rad a square root of a second.
     """
 
-    begins: float = 5e-4
+    begins: float = 1e-3
     sure: float = 0.97
-    patience: float = 0.2
+    patience: float = 0.16
     learns: float = 2.0
     noise: float = 0.02
     marker_noise: float = 0.025

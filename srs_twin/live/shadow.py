@@ -31,6 +31,8 @@ DELAY_S = 0.01
 """How much later than it was sent a command is taken to be obeyed: half a tick of the robot."""
 REPORTED_S = 0.02
 """For how long valves have been as a robot says that they are: its tick."""
+UNTOLD_S = 0.002
+"""What a message takes at the least, which no clock tells: so much the time of what is known may be off."""
 SILENT_S = 0.2
 """A robot without commands vents after so long."""
 LOST_AFTER_S = 1.0
@@ -317,9 +319,10 @@ class Shadow:
         pose, pose_sd = (np.concatenate([f(name) for name in ("x", "y", "heading")]) for f in (e.mean, e.sd))
         motion, (c, s) = e.mean("motion"), (math.cos(pose[2]), math.sin(pose[2]))
         velocity = np.array([c * motion[0] - s * motion[1], s * motion[0] + c * motion[1], motion[2]])
+        bend_sd = np.hypot(e.sd("bend"), UNTOLD_S * motion[3:])
         off = dict(self._off)
         return Estimate(
-            now, e.mean("bend"), e.sd("bend"), pose, pose_sd, velocity, e.poses().mean(axis=0),
+            now, e.mean("bend"), bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
             e.parameters(),
             tuple(self._faults()), off, self._lost(now, pose_sd),
         )  # fmt: skip

@@ -75,6 +75,10 @@ def test_a_password_is_asked_for(tmp_path):
                 MqttLink("r", 1, port=port, **given)
 
 
+def refused(link):
+    return sum(n for what, n in link.counts.items() if what.startswith("bad"))
+
+
 def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
     from paho.mqtt import client as mqtt
 
@@ -91,10 +95,12 @@ def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
             payload = (rng.bytes(int(rng.integers(0, 300))), b'{"t": 1, "rad": [9e9]}', b"{" * 50)[k % 3]
             other.publish(topic("r", kind), payload, qos=1).wait_for_publish(10)
             bad += 1
+            if bad % 100 == 0:  # a broker drops what a slow subscriber has not taken
+                wait(lambda so_far=bad: refused(link) >= so_far)
         other.publish(topic("r", BENDS), b'{"t": 1, "rad": [0.5, null]}', qos=1).wait_for_publish(10)
         heard = []
         wait(lambda: heard.extend(link.received()) or heard)
-        assert sum(n for what, n in link.counts.items() if what.startswith("bad")) == bad
+        assert refused(link) == bad
         other.disconnect()
         other.loop_stop()
 

@@ -24,9 +24,11 @@ def test_bends_and_pose_are_known_and_their_intervals_hold():
     off, sd = (estimate[:, 1 : n + 4] - true)[late], estimate[late, n + 4 :]
     assert np.sqrt(np.mean(off[:, :n] ** 2)) < 0.03
     assert np.sqrt(np.mean((off[:, n : n + 2] ** 2).sum(axis=1))) < 0.005
-    assert np.mean(np.abs(off) < 1.96 * sd) > 0.9
-    gain = found["known_gain"][0]
-    assert np.sqrt(np.mean((gain / found["gain"] - 1) ** 2)) < 0.06
+    for some in (slice(0, n), slice(n, n + 3)):
+        assert 0.9 < np.mean(np.abs(off[:, some]) < 1.96 * sd[:, some]) < 0.99
+    # How far both chambers swing a segment is soon known; how they share it with its bias, slowly.
+    gain = found["known_gain"][0] / found["gain"] - 1
+    assert np.sqrt(np.mean(gain.mean(axis=1) ** 2)) < 0.04
 
 
 @pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
