@@ -141,6 +141,12 @@ class AirBalance(Remembers):
             told=np.zeros((*each, len(variants))),
         )
 
+    def drop(self, chambers: np.ndarray) -> None:
+        """Give up the strokes of some chambers (shape (segments, 2)), whose valves may have closed before."""
+        self.books.time[chambers] = np.nan
+        for each in (self.books.noted, self.books.sums, self.books.told):
+            each[chambers] = 0.0
+
     def read(
         self, time: float, pressure: np.ndarray, bend: np.ndarray, filled: np.ndarray, sound: np.ndarray
     ) -> np.ndarray:

@@ -226,6 +226,7 @@ class FaultBank(Remembers):
             switched: by what share, shape (segments, 2).
             span: in which they did, s.
         """
+        self.balance.drop(switched > 0)
         off = self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-span / self._fill))
         self._spread[..., _LOAD, _LOAD] += off[:, None] ** 2
 
