@@ -211,6 +211,7 @@ def test_static_tables_give_gains_bias_and_limit():
     assert rough.rms("fit") == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.slow
 def test_static_tables_cover_the_truth():
     """30 repetitions with 95 %: fewer than 24 hits have a probability of 2 in 1,000."""
     hits = dict.fromkeys(STATIC, 0)
@@ -284,6 +285,7 @@ def test_numbers_of_a_dead_zone_are_found_and_put_into_the_robot(tmp_path):
     assert air_bend(spec, table.pressure) == pytest.approx(air_bend(wanted, table.pressure), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_straight_line_hardly_ever_has_a_dead_zone():
     """The F-test says 1 %; 3 of 20 would have a probability of 1 in 1,000."""
     found = [fit_static([table(1.4, 0.01, seed)], MODULE) for seed in range(20)]

@@ -51,6 +51,7 @@ def test_drag_is_told_from_the_wheels_by_a_load():
     assert list(found.after["friction.mu_t"]) == sorted(found.after["friction.mu_t"], reverse=True)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_reached_is_said(srs_twin, tmp_path):
     done = srs_twin("calibrate", "design", "gen2", "--want", "friction.mu_n=0.1%", cwd=tmp_path)
     assert done.returncode == 0

@@ -80,6 +80,7 @@ def agree(name: str, periods: int, drift: float = 2e-3, step: float = 5e-5) -> N
     assert abs(twin.air - explicit.air) < 0.02
 
 
+@pytest.mark.slow
 def test_two_periods_are_those_of_the_explicit_simulation():
     agree("gen2_straight", 2, drift=0.01)
 

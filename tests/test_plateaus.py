@@ -110,6 +110,7 @@ def hits(found: Estimate, truth: dict[str, float]) -> int:
     return sum(found[name].low <= value <= found[name].high for name, value in truth.items())
 
 
+@pytest.mark.slow
 def test_modules_come_back_from_bend_logs(tmp_path):
     """60 intervals of 95 %: fewer than 51 hits have a probability below 1 in 1,000."""
     total, time_and_pressure = 0, regulated(levels(4))
@@ -211,6 +212,7 @@ def test_points_that_were_not_measured_stay_empty(tmp_path):
     assert read.bend[:, :2] == pytest.approx(table.bend, abs=0, nan_ok=True)
 
 
+@pytest.mark.slow
 def test_each_segment_counts_by_its_own_errors(tmp_path):
     """Without errors all count alike."""
     time, pressure = regulated(levels(4))

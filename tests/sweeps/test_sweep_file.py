@@ -126,6 +126,7 @@ def test_what_is_wrong_with_the_scenario_names_the_scenario(tmp_path, monkeypatc
         load_sweep(write(tmp_path, SMALL.replace("gen2_straight", "bad.yaml")))
 
 
+@pytest.mark.slow
 def test_points_of_a_replay_depend_on_what_was_recorded(tmp_path, monkeypatch):
     """The same paths with other contents are other points, so that no row of an old recording is kept."""
     monkeypatch.chdir(tmp_path)
