@@ -10,7 +10,7 @@ import numpy as np
 from srs_twin.control.camera import Camera
 from srs_twin.control.following import Follower
 from srs_twin.errors import InputError
-from srs_twin.live.faults import FILLS, HYPOTHESES, OBEYS
+from srs_twin.live.faults import FILLS, HYPOTHESES, VENTS
 from srs_twin.live.shadow import Estimate, Shadow
 from srs_twin.scenario import Scenario
 from srs_twin.world import Pose
@@ -23,6 +23,7 @@ _LARGEST_SD_M = 0.0125
 _SETTLES_S = 1.0
 """A robot stands so long, so that its shadow knows where."""
 _NEAR_M, _NEAR_RAD = 0.03, 0.05
+_STUCK = {FILLS, VENTS}
 
 
 class Helm:
@@ -60,7 +61,7 @@ class Helm:
         controller.conditions = replace(controller.conditions, camera=seen, delay=0.0)
         self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
         controller.reset(shadow.spec, tick, seed=scenario.seed)
-        self._stuck = (0,) * shadow.spec.segments
+        self._stuck: tuple[set[int], ...] = (set(),) * shadow.spec.segments
         self._steps = self._waited = 0
         self._lost_for, self._given_up = 0.0, False
         self._events: list[tuple[float, str]] = []
@@ -90,7 +91,8 @@ class Helm:
         if not self._steps:
             self._begin(found)
         state = found.state(self._steps * self._tick, self._pressure)
-        stuck = tuple(m if HYPOTHESES[m].plus or HYPOTHESES[m].minus else 0 for m in shadow.bank.likely())
+        # A chamber that leaks still bends its segment.
+        stuck = tuple(_STUCK & {HYPOTHESES[m].plus, HYPOTHESES[m].minus} for m in shadow.bank.likely())
         if stuck != self._stuck:
             self._stuck = stuck
             self.follower.renew("fault")
@@ -98,8 +100,7 @@ class Helm:
         self._steps += 1
         self._events += [(event.time, f"{event.kind}: {event.text}") for event in self.follower.events()]
         opens = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
-        for j, m in enumerate(stuck):
-            does = {HYPOTHESES[m].plus, HYPOTHESES[m].minus} - {OBEYS}
+        for j, does in enumerate(stuck):
             if does:
                 opens[j] = 1.0 if FILLS in does else 0.0
         return 2 * opens - 1 if np.isin(opens, (0.0, 1.0)).all() else opens
