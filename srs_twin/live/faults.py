@@ -291,7 +291,7 @@ class FaultBank(Remembers):
         weight = self.probability * np.exp(likely - likely.max(axis=1, keepdims=True))
         # A supply is weak for all, or for none.
         weak = (weight @ _SAME[:, _WEAK]) / weight.sum(axis=1)
-        alone = (weak > 0.5) & ((weak > _FEW).sum() < 2)
+        alone = (weak > 0.5) & ((weak > _FEW).sum() < min(2, len(weak)))
         weight[:, _SAME[:, _WEAK] > 0] *= np.where(alone, _ALONE, 1.0)[:, None]
         self.probability = np.maximum(weight / weight.sum(axis=1, keepdims=True), 1e-12)
         self._name()
