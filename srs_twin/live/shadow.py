@@ -32,7 +32,7 @@ DELAY_S = 0.01
 REPORTED_S = 0.02
 """For how long valves have been as a robot says that they are: its tick."""
 UNTOLD_S = 0.002
-"""What a message takes at the least, which no clock tells: so much the time of what is known may be off."""
+"""What a message takes at the least, which no clock tells; estimated, of stand-ins."""
 SILENT_S = 0.2
 """A robot without commands vents after so long."""
 LOST_AFTER_S = 1.0
