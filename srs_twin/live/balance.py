@@ -84,7 +84,6 @@ class Chambers(NamedTuple):
         wide: of the inlets, J/(s Pa).
         unit: K times the supply's pressure, J.
         supply: its pressure, gauge, Pa.
-        noise: of bends, RMS, rad.
         leaks: of each variant, 1/s.
         shares: of the supply's pressure.
     """
@@ -94,7 +93,6 @@ class Chambers(NamedTuple):
     wide: float
     unit: float
     supply: float
-    noise: float
     leaks: np.ndarray
     shares: np.ndarray
 
@@ -108,15 +106,12 @@ class AirBalance(Remembers):
 
     memory = names("books")
 
-    def __init__(
-        self, spec: RobotSpec, *, supply_pa: float, noise: float, variants: Sequence[tuple[float, float]]
-    ) -> None:
+    def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
         """Know of each chamber what its robot's file says.
 
         Args:
             spec: the robot.
             supply_pa: gauge, Pa.
-            noise: of bends, RMS, rad.
             variants: what may be so of a chamber: leak (1/s) and share of the supply's pressure, 0 if nothing
                 comes in; sound first.
         """
@@ -124,7 +119,7 @@ class AirBalance(Remembers):
         leaks, shares = np.array(variants, dtype=float).T
         self._chambers = Chambers(
             spec.chamber.dead_volume, spec.chamber.displacement, wide * REFERENCE_PA, capacity * supply_pa,
-            supply_pa, noise, leaks.copy(), shares.copy(),
+            supply_pa, leaks.copy(), shares.copy(),
         )  # fmt: skip
         each = (spec.segments, 2)
         self.books = Books(
@@ -148,7 +143,13 @@ class AirBalance(Remembers):
             each[chambers] = 0.0
 
     def read(
-        self, time: float, pressure: np.ndarray, bend: np.ndarray, filled: np.ndarray, sound: np.ndarray
+        self,
+        time: float,
+        pressure: np.ndarray,
+        bend: np.ndarray,
+        bend_sd: np.ndarray,
+        filled: np.ndarray,
+        sound: np.ndarray,
     ) -> np.ndarray:
         """Take pressures.
 
@@ -156,6 +157,7 @@ class AirBalance(Remembers):
             time: s.
             pressure: gauge, shape (segments, 2), Pa, NaN where none came.
             bend: of each segment now, rad.
+            bend_sd: by what that may be off, rad.
             filled: for how long each chamber's valve has let air in, shape (segments, 2), s; 0: it does not.
             sound: how probable it is that nothing is wrong with a segment.
 
@@ -163,12 +165,12 @@ class AirBalance(Remembers):
             What this adds to the logarithms of the variants' likelihoods, shape (segments, 2, variants).
         """
         added = np.zeros_like(self.books.told)
-        _read(time, pressure, bend, filled, sound, self.books, self._chambers, added)
+        _read(time, pressure, bend, bend_sd, filled, sound, self.books, self._chambers, added)
         return added
 
 
 @compiled
-def _read(time, pressure, bend, filled, sound, books, chambers, added):  # type: ignore[no-untyped-def]
+def _read(time, pressure, bend, bend_sd, filled, sound, books, chambers, added):  # type: ignore[no-untyped-def]
     """See `AirBalance.read`."""
     for j in range(pressure.shape[0]):
         for side in range(2):
@@ -198,7 +200,7 @@ def _read(time, pressure, bend, filled, sound, books, chambers, added):  # type:
             size, growth = volume(chambers.dead, chambers.displacement, bend[j], side)
             held = (gauge + AMBIENT_PA) / chambers.unit
             reached, rates = books.reached[j, side], books.rates[j, side]
-            reached[0], reached[1] = held * size, held * abs(growth) * chambers.noise
+            reached[0], reached[1] = held * size, held * abs(growth) * bend_sd[j]
             if not goes_on:
                 books.begun[j, side, 0], books.begun[j, side, 1] = reached[0], reached[1]
             for k in range(len(rates)):

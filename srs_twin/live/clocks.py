@@ -14,7 +14,7 @@ from collections import Counter, deque
 
 import numpy as np
 
-from srs_twin.live.messages import COMMAND, VALVES, Message
+from srs_twin.live.messages import BENDS, COMMAND, VALVES, Message
 
 WINDOW_S = 10.0
 STEP_S = 1.0
@@ -22,6 +22,8 @@ STEP_S = 1.0
 KEPT = 5000
 MOST_HOLD_S = 0.1
 _IN_TIME, _EVERY = 0.97, 25
+_RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
+"""Of messages that were sent at once: what moved the robot, how it is bent, what depends on that."""
 
 
 class SenderClock:
@@ -85,7 +87,7 @@ class Inbox:
         self.counts: Counter[tuple[str, str, str]] = Counter()
         self.hold, self._least, self._handed = hold_s, hold_s, -math.inf
         self._takes = 0
-        self._waiting: list[tuple[float, bool, int, Message]] = []
+        self._waiting: list[tuple[float, int, int, Message]] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
 
@@ -103,9 +105,7 @@ class Inbox:
             self.counts[message.source, message.kind, "late"] += 1
             return
         self.counts[message.source, message.kind, "taken"] += 1
-        # What moved the robot comes before what that did.
-        measured = message.kind not in (COMMAND, VALVES)
-        heapq.heappush(self._waiting, (time, measured, next(self._number), message))
+        heapq.heappush(self._waiting, (time, _RANKS.get(message.kind, 2), next(self._number), message))
 
     def take(self, now: float) -> list[tuple[float, Message]]:
         """Return what was sent until a little before now (our clock, s), with its time on our clock."""

@@ -7,7 +7,7 @@ d_j, which fades with a time constant (a first-order Gauss–Markov process). Th
 $$ \tau_j = k\,\bigl(b_j + \varphi(G\,(g_j^+ p_j^+ - g_j^- p_j^-)) + d_j\bigr), $$
 
 with pressures that relax at the rate o/τ_fill + (1 − o)/τ_vent + λ while a valve is open for the share o of
-the time.
+the time, and change by what is usual besides (`habits`).
 
 Measurements are taken one by one by the ensemble square root filter (Whitaker and Hamill 2002), with
 
@@ -31,17 +31,21 @@ import numpy as np
 
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.live.ensemble_kernels import advance, correct, set_momenta
+from srs_twin.live.habits import Habits
 from srs_twin.live.modules import BIAS, FILL, GAIN, VENT, ModuleFilter
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import Solid
-from srs_twin.pneumatics.chambers import free_bends
+from srs_twin.pneumatics.chambers import AMBIENT_PA, free_bends
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
-"""Steps of the members, to which times of measurements are rounded."""
+"""Longest step of the members."""
 _MEMORY, _ADAPTS, _SCALES = 25, 0.03, (0.2, 10.0)
 """Measurements that tell how far they are off, by which power of it what wanders follows, and how far."""
+_JUDGED, _LEAST_NOISE = 10, {"place": 0.5, "heading": 1.0}
+"""Frames that tell how noisy they are, and how quiet they may be, as a multiple of the usual: what arcs miss
+of headings lasts, and does not show."""
 _ASTRAY, _FRAMES = 6.0, 5
 """By how many standard deviations half of a frame must be off, in how many frames: the robot is elsewhere."""
 _DOUBT = 0.2
@@ -66,7 +70,8 @@ class Spreads:
         friction: of μ_t, as a share.
         unexplained: d, RMS, rad.
         unexplained_s: over which d fades, s.
-        pressure: by what a pressure wanders from its lag, share of the supply's in a second.
+        pressure: by what a pressure wanders from its lag before it has been seen, share of the supply's in a
+            second.
         drift: by what gains, time constants and friction wander, share in a second; biases a quarter of it,
             rad.
         slip: by what the body's velocities wander, m/s (and rad/s times half its length) in a second.
@@ -133,6 +138,7 @@ class Ensemble:
             unexplained, gain, bias, fill, vent, stiffness, friction, turning (rad/s). Time constants,
             stiffness and friction are logarithms over those of the file.
         modules: what gains, biases, time constants and stiffness are drawn from.
+        habits: of the chambers' pressures.
         placed: whether anybody has told where the robot is.
     """
 
@@ -179,8 +185,10 @@ class Ensemble:
         self._of("bend")[:] = self._of("bias")
         self._supply = spec.supply.nominal
         self._masks = self._local()
-        self._scales = {"unexplained": np.ones(n), "pressure": np.ones(2 * n), "motion": np.ones(1)}
+        self.habits = Habits(n, self._supply, s.pressure)
+        self._scales = {"unexplained": np.ones(n), "motion": np.ones(1)}
         self._found = {name: np.ones_like(each) for name, each in self._scales.items()}
+        self._noise = {name: getattr(noise, name) for name in _LEAST_NOISE}
         self.placed, self._astray = False, 0
         self._before: np.ndarray | None = None
         self._states = np.zeros((members, kernels.STATES + 2 * n))
@@ -188,7 +196,7 @@ class Ensemble:
         self._compile()
 
     def advance(self, air: Air, span: float) -> None:
-        """Go on for a stretch (s, a multiple of `STEP_S`)."""
+        """Go on for a stretch (s)."""
         self._move(air, span)
         actuator, opens = self.spec.actuator, air.opens.mean(axis=0)
         times = actuator.tau_fill * np.exp(self.mean("fill")), actuator.tau_vent * np.exp(self.mean("vent"))
@@ -199,17 +207,14 @@ class Ensemble:
     def _move(self, air: Air, span: float) -> None:
         """Have the members go on, and wander."""
         self._relax()
-        self._run(air, span)
-        s, root = self.spreads, math.sqrt(span)
+        s, root, scale = self.spreads, math.sqrt(span), self._scales
         fades = math.exp(-span / s.unexplained_s)
         unexplained = self._of("unexplained")
         unexplained *= fades
-        scale = self._scales
         unexplained += (
             scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
         )
-        wander = scale["pressure"] * s.pressure * root * np.repeat(air.supply, 2)
-        self._of("pressure")[:] += wander * self._drawn("pressure")
+        self._run(air, span)
         self._of("friction")[:] += s.drift * root * self._drawn("friction")
         turning, fades = self._of("turning"), math.exp(-span / s.turning_s)
         self._of("heading")[:] += span * turning
@@ -251,6 +256,7 @@ class Ensemble:
         """Take pressures, gauge, shape (segments, 2), Pa; returns as `read_bends`, shape (2 segments,)."""
         noise, given = self.noise.pressure, self._of("pressure")
         off = pressure - given.mean(axis=0).reshape(-1, 2)
+        self.habits.learn(off, noise)
         variance = given.var(axis=0, ddof=1).reshape(-1, 2)
         told = self._correct(
             given.copy(),
@@ -259,36 +265,36 @@ class Ensemble:
             self._masks["pressure"],
             together=False,
         )  # fmt: skip
-        self._adapt("pressure", told)
         # What lags miss of a pressure comes again and again: so much less does one of them tell.
         doubt = np.sqrt(noise**2 + variance) + _DOUBT * self._supply
         self.modules.read_pressures(off, doubt, variance / (variance + noise**2))
         return told
 
-    def read_poses(self, poses: np.ndarray, later: float = 0.0) -> np.ndarray:
+    def read_poses(self, poses: np.ndarray) -> np.ndarray:
         """Take where connectors are: x, y (m), heading (rad), shape (connectors, 3), NaN where not seen.
 
         The first ones, and the first after the robot was lost, say where the members are.
-
-        Args:
-            poses: in the world.
-            later: by how much they were taken later than now, s.
 
         Returns:
             As `read_bends`, shape (3 connectors,).
         """
         if not self.placed:
             self._place(poses)
-        predicted = self.poses(later)
+        predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
         poses = np.column_stack([poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))])
-        variances = np.tile([self.noise.place**2, self.noise.place**2, self.noise.heading**2], len(poses))
+        apart = poses - predicted.mean(axis=0)
         found = predicted.reshape(len(self.members), -1)
         masks = np.broadcast_to(self._masks["pose"], (found.shape[1], self.members.shape[1]))
+        variances = np.tile([self._noise[name] ** 2 for name in ("place", "place", "heading")], len(poses))
         off = self._correct(found, poses.ravel(), variances, masks, together=True)
+        astray = False
         if not np.isnan(off).all():
             self._adapt("motion", np.sqrt(np.nanmean(off**2, keepdims=True)))
-        astray = bool(np.nanmedian(np.abs(off)) > _ASTRAY) if not np.isnan(off).all() else False
+            left = poses - self.poses().mean(axis=0)
+            for name, some in (("place", slice(2)), ("heading", 2)):
+                self._judge(name, apart[:, some], left[:, some])
+            astray = bool(np.nanmedian(np.abs(off)) > _ASTRAY)
         self._astray = self._astray + 1 if astray else 0
         if self._astray >= _FRAMES:  # it was carried away, or begins anew
             self.placed, self._astray = False, 0
@@ -296,15 +302,10 @@ class Ensemble:
         self._learn(seen[1:] & seen[:-1])
         return off
 
-    def poses(self, later: float = 0.0) -> np.ndarray:
+    def poses(self) -> np.ndarray:
         """Return x, y (m), heading (rad) of the connectors, shape (members, connectors, 3)."""
-        bend, motion = self._of("bend"), self._of("motion")
+        bend = self._of("bend")
         x, y, heading = (self._of(name)[:, 0] for name in _POSE)
-        if later:
-            c, s = np.cos(heading), np.sin(heading)
-            x = x + later * (c * motion[:, 0] - s * motion[:, 1])
-            y = y + later * (s * motion[:, 0] + c * motion[:, 1])
-            heading, bend = heading + later * motion[:, 2], bend + later * motion[:, 3:]
         g = self.spec.geometry
         shape = body_shape(bend, self._mass, g.segment_length, g.rigid_gap)
         c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
@@ -316,6 +317,11 @@ class Ensemble:
             ],
             axis=-1,
         )
+
+    @property
+    def rough(self) -> float:
+        """How many times as noisy as usual the headings of motion capture are."""
+        return self._noise["heading"] / self.noise.heading
 
     def mean(self, name: str) -> np.ndarray:
         """Return the mean of some columns."""
@@ -359,6 +365,7 @@ class Ensemble:
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
         other._own = {name: own[:members] for name, own in self._own.items()}
         other._scales = {name: each.copy() for name, each in self._scales.items()}
+        other.habits = copy.copy(self.habits)
         other._rng = np.random.default_rng(0)
 
         def go(airs: Iterable[Air], span: float) -> np.ndarray:
@@ -423,7 +430,7 @@ class Ensemble:
             self._before = self.members.std(axis=0)
         off = correct(self.members, predicted, told, variances, masks, together)
         pressure, slides = self._of("pressure"), self._of("friction")
-        np.maximum(pressure, 0.0, out=pressure)
+        np.maximum(pressure, -AMBIENT_PA, out=pressure)  # a chamber that is pulled open sucks
         np.clip(slides, -_MOST_FRICTION, _MOST_FRICTION, out=slides)
         self._momenta()
         return off
@@ -451,6 +458,16 @@ class Ensemble:
         c, s = np.cos(self._of("heading")[:, 0]), np.sin(self._of("heading")[:, 0])
         self.members[:, :3] += np.column_stack([c * x - s * y, s * x + c * y, turn])
         self._momenta()
+
+    def _judge(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
+        """Learn how noisy frames are from what they are off by before and after they have corrected.
+
+        Where that is noise the two are alike (Desroziers and others 2005).
+        """
+        usual, now = getattr(self.noise, name), self._noise[name] ** 2
+        told = min(max(float(np.nanmean(before * after)), 0.0), 4 * now)
+        found = math.sqrt(now + (told - now) / _JUDGED)
+        self._noise[name] = min(max(found, _LEAST_NOISE[name] * usual), _SCALES[1] * usual)
 
     def _adapt(self, name: str, off: np.ndarray) -> None:
         """Let what wanders wander more where measurements are further off than expected, else less."""
@@ -496,17 +513,21 @@ class Ensemble:
         """Have the bodies move as the chambers bend them."""
         n, count, slots = self._segments, len(self.members), len(air.opens)
         a, spec = self.spec.actuator, self.spec
-        steps = max(round(span / slots / STEP_S), 1)
+        steps = math.ceil(span / slots / STEP_S - 1e-6)
         h = span / slots / steps
         fill = (a.tau_fill * np.exp(self._of("fill")))[:, :, None]
         vent = (a.tau_vent * np.exp(self._of("vent")))[:, :, None]
         gain = a.gain * self._of("gain").reshape(count, n, 2)
         pressure = self._of("pressure").reshape(count, n, 2)
+        # What pressures wander by while the bodies move bends these as well.
+        wander = self._drawn("pressure").reshape(count, n, 2) / math.sqrt(span)
         after = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         drive = np.empty((slots, 2 * steps, count, n))
         for k, opens in enumerate(air.opens):
+            place = self.habits.let(opens, span / slots)
+            besides = self.habits.rate[place] + wander * np.sqrt(self.habits.wander[place])
             rate = opens / fill + (1 - opens) / vent + air.leak
-            end = opens * air.supply[:, None] / fill / rate
+            end = (opens * air.supply[:, None] / fill + besides) / rate
             passed = end + (pressure - end) * np.exp(-rate * after[:, None, None, None])
             drive[k] = gain[..., 0] * passed[..., 0] - gain[..., 1] * passed[..., 1]
             pressure = passed[-1]

@@ -78,6 +78,7 @@ _NAMES = tuple(dict.fromkeys(each.name for each in HYPOTHESES))
 _SAME = np.array([[each.name == name for name in _NAMES] for each in HYPOTHESES], dtype=float)
 """Whether a hypothesis has a name: how severe a fault is does not change what it is called."""
 _WEAK = _NAMES.index("weak")
+_LEAK = np.array([name.startswith("leak") for name in _NAMES])
 _ALIKE = ((1, 4), (2, 3))
 """Where the two chambers take turns, one that never vents bends as if the other one never filled."""
 _AGES, _AGE_S, _MOST_SEEN = 25, 0.02, 40
@@ -101,6 +102,7 @@ class BankSettings:
         begins: rate at which a part fails, 1/s.
         sure: probability from which a fault is named.
         patience: for how long it must be that sure, s.
+        leak: the same two of leaks, which single messages tell.
         learns: for how long at first nothing is named, s.
         noise: of bend readings, RMS, rad.
         marker_noise: of a bend by markers, RMS, rad.
@@ -112,7 +114,6 @@ class BankSettings:
         load: RMS of d, as a share of the largest bend.
         load_time: over which d fades, s.
         pressure_time: over which what lags miss of a pressure lasts, s.
-        known: of a bend by readings and filters, RMS, rad.
         wander: by what a bias (rad) and a gain wander, a square root of a second.
         drift: of a sensor, rad a square root of a second.
     """
@@ -120,6 +121,7 @@ class BankSettings:
     begins: float = 1e-3
     sure: float = 0.97
     patience: float = 0.16
+    leak: tuple[float, float] = (0.99, 0.08)
     learns: float = 2.0
     noise: float = 0.02
     marker_noise: float = 0.025
@@ -130,7 +132,6 @@ class BankSettings:
     load: float = 0.11
     load_time: float = 0.15
     pressure_time: float = 0.08
-    known: float = 0.017
     wander: tuple[float, float] = (0.0014, 0.0035)
     drift: float = 0.03
 
@@ -195,7 +196,7 @@ class FaultBank(Remembers):
         own = [(each.inflow(each.plus), each.inflow(each.minus)) for each in HYPOTHESES]
         variants = list(dict.fromkeys(each for pair in own for each in pair))
         self._variant = np.array([[variants.index(each) for each in pair] for pair in own])
-        self.balance = AirBalance(spec, supply_pa=supply_pa, noise=s.known, variants=variants)
+        self.balance = AirBalance(spec, supply_pa=supply_pa, variants=variants)
         spread = np.array([s.bias, s.gain, s.gain, self._load, s.noise])
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
@@ -256,7 +257,7 @@ class FaultBank(Remembers):
 
     def read(
         self, readings: np.ndarray | None = None, markers: np.ndarray | None = None,
-        pressures: np.ndarray | None = None, *, span: float = 0.02,
+        pressures: np.ndarray | None = None, *, span: float = 0.02, rough: float = 1.0,
     ) -> None:  # fmt: skip
         """Take what was measured now.
 
@@ -266,6 +267,7 @@ class FaultBank(Remembers):
             markers: bends by markers, rad, NaN where there are none; None: no frame came.
             pressures: of the chambers, gauge, shape (segments, 2), Pa, NaN where none came; None: no message.
             span: how long these pressures are after the last ones, s.
+            rough: how many times as noisy as usual markers are.
         """
         if self.time < self._settles:
             return
@@ -282,12 +284,11 @@ class FaultBank(Remembers):
         if markers is not None:
             rows[..., _SENSOR] = 0.0
             everywhere = np.ones(len(HYPOTHESES), dtype=bool)
-            likely += self._update(rows, np.asarray(markers), self.settings.marker_noise, everywhere)
+            likely += self._update(rows, np.asarray(markers), rough * self.settings.marker_noise, everywhere)
         if pressures is not None:
             rows[..., _SENSOR] = 0.0
-            bend = np.einsum("sm,smk,smk->s", self.probability, rows, self.mean)
             told = np.asarray(pressures, dtype=float)
-            likely += self._unlike_pressures(told, span) + self._unbalanced(told, bend)
+            likely += self._unlike_pressures(told, span) + self._unbalanced(told, rows)
         weight = self.probability * np.exp(likely - likely.max(axis=1, keepdims=True))
         # A supply is weak for all, or for none.
         weak = (weight @ _SAME[:, _WEAK]) / weight.sum(axis=1)
@@ -395,11 +396,15 @@ class FaultBank(Remembers):
         self._habit[place] = np.stack([more, usual + news / more, variance], axis=-1)
         return np.asarray(log.sum(axis=-1) * min(span / self.settings.pressure_time, 1.0))
 
-    def _unbalanced(self, told: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    def _unbalanced(self, told: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the logarithms of how likely it is what chambers that fill have taken in."""
+        each = np.einsum("smk,smk->sm", rows, self.mean)
+        bend = (self.probability * each).sum(axis=1)
+        variance = np.einsum("smk,smkl,sml->sm", rows, self._spread, rows) + (each - bend[:, None]) ** 2
+        sd = np.sqrt((self.probability * variance).sum(axis=1))
         filled = np.where(self._filling == 1, self._age, 0.0)
-        each = self.balance.read(self.time, told, bend, filled, self.probability[:, 0])
-        return np.asarray(each[:, np.arange(2), self._variant].sum(axis=-1))
+        found = self.balance.read(self.time, told, bend, sd, filled, self.probability[:, 0])
+        return np.asarray(found[:, np.arange(2), self._variant].sum(axis=-1))
 
     def _name(self) -> None:
         """Name what has been sure for long enough."""
@@ -409,7 +414,9 @@ class FaultBank(Remembers):
             return
         # Parts seldom fail together: where others are in doubt as well, what they have in common may have.
         doubted = likely[:, 0] < _DOUBT
-        patience = s.patience * np.where(doubted.sum() - doubted > 0, _LONGER, 1.0) - 1e-9
+        longer = np.where(doubted.sum() - doubted > 0, _LONGER, 1.0)
+        sure, patience = np.where(_LEAK[:, None], s.leak, (s.sure, s.patience)).T
+        patience = longer[:, None] * patience - 1e-9
         weak, count = likely[:, _WEAK], len(likely)
         if (weak > 0.5).sum() * 2 > count:
             named[0, 0] = _WEAK
@@ -417,15 +424,15 @@ class FaultBank(Remembers):
             others = (weak.sum() - weak) / (count - 1)
             likely[:, _WEAK] = weak * np.minimum(2 * others, 1.0)
             likely /= likely.sum(axis=1, keepdims=True)
-        self._since = np.where(likely > s.sure, np.minimum(self._since, self.time), np.inf)
-        for j, m in np.argwhere(self.time - self._since >= patience[:, None]):
+        self._since = np.where(likely > sure, np.minimum(self._since, self.time), np.inf)
+        for j, m in np.argwhere(self.time - self._since >= patience):
             # Of two that were named together one may have turned out to be right.
             if m and (named[j + 1, 0] < 0 or m in named[j + 1]) and not (m == _WEAK or named[0, 0] >= 0):
                 named[j + 1] = m, -1
         for k, pair in enumerate(_ALIKE):
             both = likely[:, pair].sum(axis=1) > s.sure
             self._either[:, k] = np.where(both, np.minimum(self._either[:, k], self.time), np.inf)
-            for j in np.flatnonzero(self.time - self._either[:, k] >= patience) + 1:
+            for j in np.flatnonzero(self.time - self._either[:, k] >= patience[:, 0]) + 1:
                 if named[j, 0] < 0 and named[0, 0] < 0:
                     named[j] = pair
         sound = np.append(False, likely[:, 0] > s.sure)  # what was named was something that passed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ class Prediction:
     Attributes:
         begun: our clock, s.
         heading: mean heading then, rad.
+        commands: that it takes for granted, slot by slot, shape (slots, segments, 2).
         time: our clock, s, shape (times,).
         pose: x, y (m), mean heading (rad), shape (times, 3).
         pose_sd: standard deviations of that, along and across the heading then (m) and of the heading (rad).
@@ -32,6 +33,7 @@ class Prediction:
 
     begun: float
     heading: float
+    commands: np.ndarray
     time: np.ndarray
     pose: np.ndarray
     pose_sd: np.ndarray
@@ -72,6 +74,14 @@ class Rhythm:
         past, lag = np.array(self._opens), self.period()
         return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
 
+    def came(self, time: float, commands: np.ndarray) -> bool:
+        """Say whether those of the slots since a time (s) are these, as far as they have come."""
+        ago = self._slot - math.floor(time / SLOT_S)
+        if not 0 < ago <= len(self._opens):
+            return False
+        came = np.array(self._opens)[-ago:][: len(commands)]
+        return bool(np.abs(came - commands[: len(came)]).mean() < _SAME)
+
     def period(self) -> int:
         """Return after how many slots the commands come again; 0: they do not."""
         past = np.array(self._opens)
@@ -86,11 +96,19 @@ class Rhythm:
 
 
 class Hindsight:
-    """What earlier predictions turned out to be off by, which later ones are corrected and widened by."""
+    """What earlier predictions turned out to be off by, which later ones are corrected and widened by.
 
-    def __init__(self) -> None:
-        """Have seen none."""
-        self._mean = self._variance = np.zeros((0, 3))
+    Those whose commands did not come true say nothing of the model.
+    """
+
+    def __init__(self, rhythm: Rhythm) -> None:
+        """Have seen none.
+
+        Args:
+            rhythm: of the commands that came.
+        """
+        self._rhythm = rhythm
+        self._mean = self._variance = self._told = np.zeros((0, 3))
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
         self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
@@ -101,17 +119,18 @@ class Hindsight:
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
             times, poses = (np.array(each) for each in zip(*self._path, strict=True))
-            if times[0] > past.begun:
+            if times[0] > past.begun or not self._rhythm.came(past.begun, past.commands):
                 continue
             found = past.off(np.column_stack([np.interp(past.time, times, poses[:, k]) for k in range(3)]))
             if len(self._mean) != len(found):
-                self._mean = self._variance = np.zeros_like(found)
+                self._mean = self._variance = self._told = np.zeros_like(found)
                 self._count = 0
             self._count += 1
             weight = max(1 / _MEMORY, 1 / self._count)
             off = found - self._mean
             self._mean = self._mean + weight * off
             self._variance = (1 - weight) * (self._variance + weight * off**2)
+            self._told = self._told + weight * (past.pose_sd**2 - self._told)
 
     def corrected(self, raw: Prediction) -> Prediction:
         """Return a prediction as it is to be told; what it will have been off by is learnt later."""
@@ -119,8 +138,8 @@ class Hindsight:
         if len(self._mean) != len(raw.time):
             return raw
         pose = raw.pose + _turned(self._mean, raw.heading)
-        # Of few errors the spread is told too small.
-        few = (self._count + 1) / max(self._count - 1, 1)
-        return Prediction(
-            raw.begun, raw.heading, raw.time, pose, np.sqrt(raw.pose_sd**2 + few * self._variance)
-        )
+        # Of few errors the spread is told too small; of old ones little is left.
+        count = min(self._count, _MEMORY)
+        few = (count + 1) / max(count - 1, 1)
+        besides = np.maximum(few * self._variance - self._told, 0.0)
+        return replace(raw, pose=pose, pose_sd=np.sqrt(raw.pose_sd**2 + besides))

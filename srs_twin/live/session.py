@@ -96,8 +96,7 @@ class Session:
         with ThreadPoolExecutor(2) as pool:
             if self._helm is not None:
                 self._helm.follower.submit = pool.submit
-            while not stop() and done * TICK_S < duration and not self._over():
-                tick = time.monotonic()
+            while not stop() and (tick := time.monotonic()) - first < duration and not self._over():
                 self._tick(clock(), tick - first)
                 if pending is not None and pending.done():
                     self._prediction, pending = self.shadow.hindsight.corrected(pending.result()), None

@@ -9,7 +9,9 @@ here knows of wires or of the time of day: `take` is told what time it is.
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
+import operator
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,9 +44,9 @@ LARGEST_SD_M = 0.05
 MISSING_FRAMES = 8
 """A body that so many frames in a row do not have is lost, while others are seen."""
 _TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
-HORIZON_S, _STEP_S, _AHEAD = 1.0, 0.1, 16
-"""How far predictions reach, s, at which times, s, and how many members make them."""
-_WAITS_S = 0.1
+HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
+"""How far predictions reach, at which times (s), how many members make them, in how many parts of a slot."""
+_WAITS_S, _NOTHING_S = 0.1, 1e-4
 _HISTORY_S = 5.0
 
 
@@ -133,7 +135,8 @@ class Shadow:
         self._missing = np.zeros(n + 1, dtype=int)
         self._gone = np.zeros(n + 1, dtype=bool)
         self._off: dict[str, float] = {}
-        self.rhythm, self.hindsight = Rhythm(), Hindsight()
+        self.rhythm = Rhythm()
+        self.hindsight = Hindsight(self.rhythm)
 
     def take(self, now: float, messages: Iterable[Message]) -> Estimate | None:
         """Take what has arrived until now (our clock, s).
@@ -144,8 +147,8 @@ class Shadow:
         for message in messages:
             if message.kind in _TAKEN:
                 self.inbox.put(message)
-        for time, message in self.inbox.take(now):
-            self._take(time, message)
+        for time, together in itertools.groupby(self.inbox.take(now), key=operator.itemgetter(0)):
+            self._take(time, [message for _, message in together])
         if math.isnan(self.time):
             return None
         # What the next message will correct is not guessed before.
@@ -163,14 +166,15 @@ class Shadow:
         """Return what computes a prediction, on any thread; `hindsight` is to correct it."""
         each, slots = round(_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
         commands = self.rhythm.commands(slots)
-        airs = [self._air(commands[k : k + each]) for k in range(0, slots, each)]
+        fine = np.repeat(commands, _FINER, axis=0)
+        airs = [self._air(part) for part in np.split(fine, slots // each)]
         times = self.time + _STEP_S * np.arange(1, len(airs) + 1)
         begun, heading = self.time, float(self.ensemble.mean("heading")[0])
         goes = self.ensemble.ahead(_AHEAD)
 
         def run() -> Prediction:
             found = goes(airs, _STEP_S)
-            return Prediction(begun, heading, times, found.mean(axis=1), found.std(axis=1, ddof=1))
+            return Prediction(begun, heading, commands, times, found.mean(axis=1), found.std(axis=1, ddof=1))
 
         return run
 
@@ -195,25 +199,35 @@ class Shadow:
     def _identity(self) -> dict[str, Any]:
         return {"shadow": fingerprint(self.spec), "supply_pa": self._supply}
 
-    def _take(self, time: float, message: Message) -> None:
-        """Take one message, of a time on our clock."""
-        kind, values = message.kind, message.values
-        if kind in (COMMAND, VALVES):
-            self._command(time, message)
+    def _take(self, time: float, messages: Sequence[Message]) -> None:
+        """Take what was told of one time on our clock."""
+        measured = []
+        for message in messages:
+            if message.kind in (COMMAND, VALVES):
+                self._command(time, message)
+            else:
+                measured.append(message)
+        if not measured:
             return
         if math.isnan(self.time):
             self.time = time
-        later = self._advance(time)
-        if kind == BENDS:
-            self._heard[BENDS] = time
-            self.bank.read(values)
-            self._note(BENDS, self.ensemble.read_bends(np.where(self._reads(), values, np.nan)))
-        elif kind == PRESSURES:
-            self.bank.read(pressures=values, span=min(time - self._heard[PRESSURES], 1.0))
-            self._heard[PRESSURES] = time
-            self._note(PRESSURES, self.ensemble.read_pressures(values))
-        else:
-            self._see(time, message, later)
+        self._advance(time)
+        for message in measured:
+            kind, values = message.kind, message.values
+            if kind == POSES:
+                self._see(message)
+            elif kind == BENDS:
+                self.bank.read(values)
+            else:
+                self.bank.read(pressures=values, span=min(time - self._heard[PRESSURES], 1.0))
+            self._heard[kind] = time
+        # Balances take pressures where they know bends; members know these best where they come last.
+        for message in reversed(measured):
+            if message.kind == PRESSURES:
+                self._note(PRESSURES, self.ensemble.read_pressures(message.values))
+            elif message.kind == BENDS:
+                reads = np.where(self._reads(), message.values, np.nan)
+                self._note(BENDS, self.ensemble.read_bends(reads))
 
     def _command(self, time: float, message: Message) -> None:
         """Take what valves were told, or what a robot says that they were: either message may be lost."""
@@ -232,7 +246,7 @@ class Shadow:
         self._times.insert(k, at)
         self._opens.insert(k, opens)
 
-    def _see(self, time: float, message: Message, later: float) -> None:
+    def _see(self, message: Message) -> None:
         """Take a frame of motion capture."""
         poses = np.full((self.spec.segments + 1, 3), np.nan)
         for name, row in zip(message.names, message.values, strict=True):
@@ -241,37 +255,36 @@ class Shadow:
         seen = ~np.isnan(poses[:, :2]).any(axis=1)
         if not seen.any():
             return
-        self._heard[POSES] = time
         self._missing = np.where(seen, 0, self._missing + 1)
         self._gone = ~seen & (self._gone | (self._missing >= MISSING_FRAMES))
         bends = -np.diff(poses[:, 2])
-        self.bank.read(markers=np.remainder(bends + np.pi, 2 * np.pi) - np.pi)
-        self._note(POSES, self.ensemble.read_poses(poses, later))
+        bends = np.remainder(bends + np.pi, 2 * np.pi) - np.pi
+        self.bank.read(markers=bends, rough=self.ensemble.rough)
+        self._note(POSES, self.ensemble.read_poses(poses))
 
     def _note(self, kind: str, off: np.ndarray) -> None:
         if not np.isnan(off).all():
             self._off[kind] = float(np.sqrt(np.nanmean(off**2)))
 
-    def _advance(self, time: float) -> float:
-        """Go on to a time, rounded to steps; return by how much it is later than where it has come."""
-        steps = round((time - self.time) / STEP_S)
-        if steps > 0:
-            most = round(LOST_AFTER_S / STEP_S)
-            if steps > most:  # nothing was heard for long: what happened meanwhile nobody knows
-                self.ensemble.placed = False
-                self.time, steps = self.time + (steps - most) * STEP_S, most
-            while steps:
-                part = min(steps, 8)
-                span = part * STEP_S
-                opens = self._commanded(self.time + (np.arange(part) + 0.5) * STEP_S)
-                self.rhythm.take(self.time + span / 2, opens[0])
-                self.bank.advance(opens.mean(axis=0), span)
-                self.ensemble.advance(self._air(opens), span)
-                self.time, steps = self.time + span, steps - part
-            while len(self._times) > 2 and self._times[1] < self.time - _HISTORY_S:
-                self._times.popleft()
-                self._opens.popleft()
-        return time - self.time
+    def _advance(self, time: float) -> None:
+        """Go on to a time."""
+        if time - self.time < _NOTHING_S:
+            return
+        if time - self.time > LOST_AFTER_S:  # what happened meanwhile nobody knows
+            self.ensemble.placed = False
+            self.time = time - LOST_AFTER_S
+        parts = math.ceil((time - self.time) / SLOT_S - 1e-6)
+        begun, span = self.time, (time - self.time) / parts
+        steps = math.ceil(span / STEP_S - 1e-6)
+        for k in range(1, parts + 1):
+            opens = self._commanded(self.time + (np.arange(steps) + 0.5) * span / steps)
+            self.rhythm.take(self.time + span / 2, opens[0])
+            self.bank.advance(opens.mean(axis=0), span)
+            self.ensemble.advance(self._air(opens), span)
+            self.time = begun + k * span
+        while len(self._times) > 2 and self._times[1] < self.time - _HISTORY_S:
+            self._times.popleft()
+            self._opens.popleft()
 
     def _commanded(self, times: np.ndarray) -> np.ndarray:
         """Return for what share of the time valves were told to fill, shape (times, segments, 2)."""

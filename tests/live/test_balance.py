@@ -21,7 +21,7 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
     """Fill and vent; return the balance, and of the + chambers' last strokes each variant's likelihood."""
     rng = np.random.default_rng(4)
     said = said or spec
-    balance = AirBalance(said, supply_pa=said.supply.nominal, noise=NOISE, variants=VARIANTS)
+    balance = AirBalance(said, supply_pa=said.supply.nominal, variants=VARIANTS)
     found, sound = [], np.ones(spec.segments)
     for k in range(2 * half * strokes):
         if k == 2 * half * (strokes - 3):
@@ -32,7 +32,9 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
         trace = chambers.advance(chambers.schedule(states, TICK), np.array([TICK]))
         filled = (k % half + 1) * TICK * (states == 1)
         bend = trace.bend[-1] + NOISE * rng.normal(size=spec.segments)
-        added = balance.read(TICK * (k + 1), trace.pressure[-1], bend, filled, sound)
+        added = balance.read(
+            TICK * (k + 1), trace.pressure[-1], bend, np.full_like(bend, NOISE), filled, sound
+        )
         found.append(added[:, 0])
     return balance, np.array(found)[-6 * half :].reshape(6, half, spec.segments, -1)[::2].sum(axis=1)
 

@@ -79,6 +79,18 @@ def test_members_without_spread_move_as_the_compliant_model(robot):
     assert ensemble.poses().mean(axis=0)[:, :2] == pytest.approx(state.position, abs=2e-3)
 
 
+def test_chambers_that_are_pulled_open_suck():
+    """A body that swings has been seen to bring a chamber 12 kPa below the surrounding air."""
+    spec = load_robot("gen2")
+    ensemble = Ensemble(spec, members=32)
+    told = np.full((spec.segments, 2), -12e3)
+    air = Air(np.zeros((1, spec.segments, 2)), np.full(spec.segments, 48e3), np.zeros((spec.segments, 2)))
+    for _ in range(10):
+        ensemble.advance(air, 0.02)
+        ensemble.read_pressures(told)
+    assert ensemble.mean("pressure") == pytest.approx(told.ravel(), abs=1e3)
+
+
 def test_it_is_laid_where_it_is_seen():
     spec = load_robot("gen4")
     ensemble = Ensemble(spec, members=32)

@@ -31,7 +31,9 @@ def test_without_a_rhythm_the_last_command_holds():
 
 def test_hindsight_takes_out_what_predictions_miss_and_covers_the_rest():
     """A model that is 40 % slow, along whatever heading, with noise."""
-    rng, hindsight = np.random.default_rng(2), Hindsight()
+    rng, rhythm = np.random.default_rng(2), Rhythm()
+    hindsight = Hindsight(rhythm)
+    commands = np.zeros((50, 4, 2))
     ahead = np.arange(1, 11) * 0.1
     pose, inside, off, told = np.zeros(3), [], [], []
     path = []
@@ -39,16 +41,34 @@ def test_hindsight_takes_out_what_predictions_miss_and_covers_the_rest():
         speed = 0.2 + 0.05 * np.sin(0.02 * k * 2 * np.pi)
         pose = pose + 0.02 * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), 0.3])
         path.append(pose)
+        rhythm.take(0.02 * k - 0.01, commands[0])
         hindsight.see(0.02 * k, pose + 1e-3 * rng.normal(size=3))
         if k % 25 == 0:
             forth = 0.12 * ahead
             c, s = np.cos(pose[2]), np.sin(pose[2])
             raw = np.column_stack([pose[0] + c * forth, pose[1] + s * forth, pose[2] + 0.3 * ahead])
             sd = np.full((10, 3), 1e-3)
-            told.append((k, hindsight.corrected(Prediction(0.02 * k, pose[2], 0.02 * k + ahead, raw, sd))))
+            begun = Prediction(0.02 * k, pose[2], commands, 0.02 * k + ahead, raw, sd)
+            told.append((k, hindsight.corrected(begun)))
     for k, each in told[10:-2]:
         true = np.array(path)[k + 5 * np.arange(1, 11)]
         off.append(each.off(true))
         inside.append(each.covers(true))
     assert np.abs(np.array(off)[:, -1, 0]).mean() < 0.02  # 80 mm without
     assert np.mean(inside) > 0.9
+
+
+@pytest.mark.parametrize("came", [True, False])
+def test_hindsight_learns_from_commands_that_came_true(came):
+    """A robot that goes 0.1 m in a second where nothing was predicted, as was commanded or as was not."""
+    rhythm = Rhythm()
+    hindsight, ahead = Hindsight(rhythm), np.arange(1, 11) * 0.1
+    still = Prediction(
+        0.99, 0.0, np.zeros((50, 4, 2)), 0.99 + ahead, np.zeros((10, 3)), np.full((10, 3), 0.01)
+    )
+    for k in range(150):
+        if k == 50:
+            hindsight.corrected(still)
+        rhythm.take(SLOT_S * (k + 0.5), np.full((4, 2), 0.0 if came or k < 50 else 1.0))
+        hindsight.see(SLOT_S * k, np.array([0.1 * (SLOT_S * k - 0.99), 0.0, 0.0]))
+    assert hindsight.corrected(still).pose[-1, 0] == pytest.approx(0.1 if came else 0.0, abs=1e-3)

@@ -14,21 +14,31 @@ from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.memory import SavedState
 
 
-def test_bends_and_pose_are_known_and_their_intervals_hold():
-    run = Run(1, 12.0)
-    found = followed_estimate(run, members=24)
+def off_by(found):
+    """Return what estimates from 5 s on are off by, and their standard deviations: bends, place, heading."""
     truth, estimate = found["truth"], found["estimate"]
     n = truth.shape[1] - 4
     true = np.stack([np.interp(estimate[:, 0], truth[:, 0], truth[:, k]) for k in range(1, n + 4)], axis=1)
     late = estimate[:, 0] > 5
-    off, sd = (estimate[:, 1 : n + 4] - true)[late], estimate[late, n + 4 :]
+    return (estimate[:, 1 : n + 4] - true)[late], estimate[late, n + 4 :], n
+
+
+def test_bends_and_pose_are_known_and_their_intervals_hold():
+    found = followed_estimate(Run(1, 12.0), members=24)
+    off, sd, n = off_by(found)
     assert np.sqrt(np.mean(off[:, :n] ** 2)) < 0.03
     assert np.sqrt(np.mean((off[:, n : n + 2] ** 2).sum(axis=1))) < 0.005
     for some in (slice(0, n), slice(n, n + 3)):
         assert 0.9 < np.mean(np.abs(off[:, some]) < 1.96 * sd[:, some]) < 0.99
-    # How far both chambers swing a segment is soon known; how they share it with its bias, slowly.
-    gain = found["known_gain"][0] / found["gain"] - 1
-    assert np.sqrt(np.mean(gain.mean(axis=1) ** 2)) < 0.04
+    assert np.sqrt(np.mean((found["known_gain"][0] / found["gain"] - 1) ** 2)) < 0.05
+
+
+def test_cameras_may_be_worse_than_expected(monkeypatch):
+    """Places off by 2 mm and headings by 0.1 rad, which nobody said."""
+    monkeypatch.setattr("srs_twin.live.emulator._CAMERA_NOISE_M", 0.002)
+    off, sd, n = off_by(followed_estimate(Run(1, 9.0), members=24))
+    assert np.sqrt(np.mean(off[:, :n] ** 2)) < 0.03
+    assert 0.9 < np.mean(np.abs(off) < 1.96 * sd)
 
 
 @pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
@@ -39,8 +49,11 @@ def test_a_fault_is_named(kind):
     assert not done["others"], done
 
 
-def test_a_healthy_robot_is_accused_of_nothing():
-    for moment in shadowed(Run(7, 10.0), members=8):
+@pytest.mark.parametrize(
+    "run", [Run(7, 10.0), Run(1, 10.0, robot="gen2", frequency=2.0)], ids=["gen4", "gen2"]
+)
+def test_a_healthy_robot_is_accused_of_nothing(run):
+    for moment in shadowed(run, members=8):
         assert moment.estimate is None or moment.estimate.faults == ()
 
 
