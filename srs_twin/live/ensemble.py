@@ -365,7 +365,7 @@ class Ensemble:
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
         other._own = {name: own[:members] for name, own in self._own.items()}
         other._scales = {name: each.copy() for name, each in self._scales.items()}
-        other.habits = copy.copy(self.habits)
+        other.habits = copy.deepcopy(self.habits)
         other._rng = np.random.default_rng(0)
 
         def go(airs: Iterable[Air], span: float) -> np.ndarray:

@@ -41,6 +41,7 @@ class Habits:
             wander: of a pressure at first, share of the supply's a square root of a second.
         """
         self._filling, self._age = np.zeros((segments, 2), dtype=int), np.zeros((segments, 2))
+        self._chambers = np.indices(self._age.shape)
         self.rate = np.zeros((segments, 2, 2, _AGES))
         self.wander = np.full_like(self.rate, (wander * supply) ** 2)
         self._least, self._spent = (_LEAST * supply) ** 2, np.zeros_like(self.rate)
@@ -49,9 +50,8 @@ class Habits:
         """Let valves be open for a share (shape (segments, 2)) of a time (s); return where chambers are."""
         filling = (opens > 0.5).astype(int)
         age = np.where(filling == self._filling, self._age, 0.0)
-        place = *np.indices(filling.shape), filling, np.minimum(age / _AGE_S, _AGES - 1).astype(int)
+        place = *self._chambers, filling, np.minimum(age / _AGE_S, _AGES - 1).astype(int)
         self._filling, self._age = filling, age + span
-        self._spent = self._spent.copy()
         self._spent[place] += span
         return place
 

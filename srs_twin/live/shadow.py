@@ -46,7 +46,7 @@ MISSING_FRAMES = 8
 _TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
 HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
 """How far predictions reach, at which times (s), how many members make them, in how many parts of a slot."""
-_WAITS_S, _NOTHING_S = 0.1, 1e-4
+_WAITS_S, _NOTHING_S = 0.1, 5e-4
 _HISTORY_S = 5.0
 
 
