@@ -47,10 +47,12 @@ def main() -> None:
     kinds = once * given.seeds
     runs = [
         Run(
-            100 * (k // len(once)) + k % len(once) + 1, LIMIT_S, fault="" if fault in (SOUND, NO_CAMERA) else f"{fault}@{SINCE}", robot="gen2",
-            frequency=2.0, cameras_s=SINCE if fault == NO_CAMERA else LIMIT_S, pneumatics=given.pneumatics,
+            100 * seed + k + 1, LIMIT_S, fault="" if fault in (SOUND, NO_CAMERA) else f"{fault}@{SINCE}",
+            robot="gen2", frequency=2.0, cameras_s=SINCE if fault == NO_CAMERA else LIMIT_S,
+            pneumatics=given.pneumatics,
         )
-        for k, (_, fault) in enumerate(kinds)
+        for seed in range(given.seeds)
+        for k, (_, fault) in enumerate(once)
     ]  # fmt: skip
     with ProcessPoolExecutor() as pool:
         rows = list(pool.map(steered, [(run, scenario) for run in runs]))
