@@ -43,7 +43,7 @@ STEP_S = 0.0025
 """Longest step of the members."""
 _MEMORY, _ADAPTS, _SCALES = 25, 0.03, (0.2, 10.0)
 """Measurements that tell how far they are off, by which power of it what wanders follows, and how far."""
-_JUDGED, _LEAST_NOISE = 10, {"place": 0.5, "heading": 1.0}
+_JUDGED, _LEAST_NOISE = 10, {"place": 0.4, "heading": 1.0}
 """Frames that tell how noisy they are, and how quiet they may be, as a multiple of the usual: what arcs miss
 of headings lasts, and does not show."""
 _ASTRAY, _FRAMES = 6.0, 5
