@@ -464,6 +464,8 @@ class Ensemble:
 
         Where that is noise the two are alike (Desroziers and others 2005).
         """
+        if np.isnan(before * after).all():
+            return
         usual, now = getattr(self.noise, name), self._noise[name] ** 2
         told = min(max(float(np.nanmean(before * after)), 0.0), 4 * now)
         found = math.sqrt(now + (told - now) / _JUDGED)

@@ -47,6 +47,7 @@ _TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
 HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
 """How far predictions reach, at which times (s), how many members make them, in how many parts of a slot."""
 _WAITS_S, _NOTHING_S = 0.1, 5e-4
+"""After how long without a message the robot is guessed, and what is too short a time to go on for."""
 _HISTORY_S = 5.0
 
 
