@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,12 +46,15 @@ def ours():
 def follow(
     plan, *, start=(0.0, 0.0, 0.0), law=None, camera=CLEAR, delay=0.0, duration=30.0, seed=0, radius=0.05,
     stray=None, replans=3, replan=None, submit=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0,
-    **snake,
+    late=0.0, lag=0.0, **snake,
 ):  # fmt: skip
-    """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag."""
+    """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag.
+
+    What the follower sees comes so late (s); of that it knows `lag`.
+    """
     wheel = Wheel()
     end = plan.end or Pose(1.0, 0.0, 0.0)
-    conditions = Conditions(camera, delay, SETTLE, stray, replans)
+    conditions = Conditions(camera, delay, SETTLE, stray, replans, lag=lag)
     follower = Follower(
         wheel,
         law or ours(),
@@ -66,11 +71,13 @@ def follow(
     state = plant.reset(pose=start)
     follower.reset(plant.spec, plant.tick, seed=seed)
     way = [(0.0, *start)]
+    states = deque([state], maxlen=1 + round(late / plant.tick))
     for _ in range(round(duration / plant.tick)):
-        valves = follower.step(state)
+        valves = follower.step(replace(states[0], time=state.time))
         if follower.finished:
             break
         state = plant.step(valves)
+        states.append(state)
         way.append((plant.time, plant.x, plant.y, plant.heading))
     return follower, plant, np.array(way)
 
@@ -101,6 +108,15 @@ def test_delay_and_noise_cost_little():
         follower, _, way = follow(plan, camera=camera, delay=0.1, seed=seed)
         assert follower.ending == "goal_reached"
         assert np.sqrt((beside(plan, way) ** 2).mean()) < 0.012
+
+
+def test_frames_that_come_late_are_reckoned_with():
+    plan = a_plan(WINDING)
+    beside_by = {}
+    for lag in (0.0, 0.16):
+        _, _, way = follow(plan, late=0.16, lag=lag, law=PathLaw(BODY, 0.1, SETTLE))
+        beside_by[lag] = np.sqrt((beside(plan, way) ** 2).mean())
+    assert beside_by[0.16] < 0.005 and beside_by[0.0] > 0.01
 
 
 @pytest.mark.slow

@@ -89,6 +89,8 @@ class Conditions:
         replans: how often a new plan is asked for at most.
         run_up: of the first path, m: from its end the way is planned anew from where the snake is, if there
             are new plans.
+        lag: how much later than after `delay` a command shows in the frames, s: what the way there and back
+            takes of a robot whose frames come late.
     """
 
     camera: Camera
@@ -97,6 +99,7 @@ class Conditions:
     stray: float | None = None
     replans: int = 3
     run_up: float = 0.0
+    lag: float = 0.0
 
 
 @dataclass(eq=False)
@@ -157,7 +160,8 @@ class Follower(Controller):
         self._period = period = 1 / self.frequency
         conditions = self.conditions
         self._frames, self._mean = CameraFrames(conditions.camera, seed), PeriodMean(period)
-        self._predictor = Predictor(self.footprint, period, conditions.delay, conditions.settle)
+        shows = conditions.delay + conditions.lag
+        self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
         self._slow = STUCK_SHARE * min(self.footprint.speeds) * period
         self._moving_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
@@ -250,7 +254,8 @@ class Follower(Controller):
         if self.finished:
             return
         law, later = self.law, time + self.conditions.delay
-        pose = predictor.predict(mean.middle, mean.pose, later) if law.predicts else mean.pose
+        shows = later + self.conditions.lag
+        pose = predictor.predict(mean.middle, mean.pose, shows) if law.predicts else mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain
         wanted = law.offset(SteeringInput(pose, self._near(pose), *turning))
         wanted = min(max(wanted, self._low), self._high)

@@ -11,7 +11,7 @@ from srs_twin.control.camera import Camera
 from srs_twin.control.following import Follower
 from srs_twin.errors import InputError
 from srs_twin.live.faults import FILLS, HYPOTHESES, VENTS
-from srs_twin.live.shadow import Estimate, Shadow
+from srs_twin.live.shadow import DELAY_S, Estimate, Shadow
 from srs_twin.scenario import Scenario
 from srs_twin.world import Pose
 
@@ -56,11 +56,8 @@ class Helm:
             raise InputError(
                 f"{scenario.name} has {scenario.robot.segments} segments, the robot {shadow.spec.segments}"
             )
-        # Noise and delay are the robot's own here.
-        seen = Camera(controller.conditions.camera.rate_hz)
-        controller.conditions = replace(controller.conditions, camera=seen, delay=0.0)
         self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
-        controller.reset(shadow.spec, tick, seed=scenario.seed)
+        self._seed = scenario.seed
         self._stuck: tuple[set[int], ...] = (set(),) * shadow.spec.segments
         self._steps = self._waited = 0
         self._lost_for, self._given_up = 0.0, False
@@ -89,7 +86,7 @@ class Helm:
         if self._waited * self._tick < _SETTLES_S:
             return self.vented()
         if not self._steps:
-            self._begin(found)
+            self._begin(found, shadow)
         state = found.state(self._steps * self._tick, self._pressure)
         # A chamber that leaks still bends its segment.
         stuck = tuple(_STUCK & {HYPOTHESES[m].plus, HYPOTHESES[m].minus} for m in shadow.bank.likely())
@@ -113,8 +110,13 @@ class Helm:
             "events": [{"time_s": time, "event": text} for time, text in self._events],
         }  # fmt: skip
 
-    def _begin(self, found: Estimate) -> None:
-        """Plan anew where the robot does not lie where the scenario begins."""
+    def _begin(self, found: Estimate, shadow: Shadow) -> None:
+        """Prepare the follower; plan anew where the robot does not lie where the scenario begins."""
+        # Noise and delays are the robot's own here: estimates wait for messages, a robot for its next tick.
+        follower, lag = self.follower, shadow.inbox.hold + DELAY_S + self._tick
+        seen = Camera(follower.conditions.camera.rate_hz)
+        follower.conditions = replace(follower.conditions, camera=seen, delay=0.0, lag=lag)
+        follower.reset(shadow.spec, self._tick, seed=self._seed)
         x, y, heading = found.pose
         off = np.hypot(x - self._start.x, y - self._start.y), abs(heading - self._start.heading)
         if off[0] > _NEAR_M or off[1] > _NEAR_RAD:
