@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from functools import partial
 
 import numpy as np
@@ -218,6 +218,16 @@ def test_transients_do_not_depend_on_place_or_phase_and_are_mirrored(phase, x, a
         (found.dx, -found.dy, -found.dheading), abs=1e-6
     )
     assert found.dheading == pytest.approx((0.5 - 2.5) * crawl.speed * LATE, abs=5e-3)
+
+
+def test_followers_get_how_late_a_path_turns():
+    crawl, change = late(0.5, 2.5)
+    there = measured(crawl, change)
+    back = replace(there, before=there.after, after=there.before, dheading=-there.dheading)
+    box = Footprint.box(0.1, 0.0, speed=crawl.speed, curvature=1.0)
+    assert box.settle is None
+    turns = {"offsets": (there.before, there.after), "curvatures": (0.5, 2.5)}
+    assert replace(box, **turns, transients=(there, back)).settle == pytest.approx(crawl.speed * LATE, rel=0.05)
 
 
 def test_a_path_that_does_not_settle_is_refused():

@@ -204,6 +204,16 @@ class Footprint:
         left, right = (float(np.interp(abs(change), sizes, edge)) for edge in edges)
         return left, right, max(t.length for t in same)
 
+    @property
+    def settle(self) -> float | None:
+        """Path over which a new offset takes hold like a first-order lag, m; None without transients.
+
+        What a change Δκ of the curvature has turned by when it has settled is late by Δκ ℓ: `dheading`.
+        """
+        turned = np.array([self._curvature(t.after) - self._curvature(t.before) for t in self.transients])
+        late = -np.array([t.dheading for t in self.transients])
+        return float(turned @ late / (turned @ turned)) if turned.any() else None
+
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return how late (m) the path turns after a change of offset, and how long (m) the arc between is.
 

@@ -382,8 +382,8 @@ class FollowFile(ControllerSection):
     lookahead_m: float | None = quantity(0.001, 100.0, None)
     """Path over which a distance from it dies out (path; default {default:g})."""
     settle_m: float | None = quantity(0.0, 100.0, None)
-    """Path over which a new offset takes hold (path; default: a third of the footprint's longest
-    transient, {default:g} without one)."""
+    """Path over which a new offset takes hold (path; default: by which the footprint's
+    changes of offset turn it later, {default:g} without any)."""
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
     """Distance from the path that calls for a new plan (default: none is made)."""
     replans: int = quantity(0, 1000)
@@ -444,10 +444,10 @@ class FollowFile(ControllerSection):
         )
 
     def _settle(self, footprint: Footprint) -> float:
-        """Return ℓ: what follows with a lag of ℓ is there, but for 5 %, after 3 ℓ."""
-        without = 3 * self.parameters["settle"].default
-        longest = max((each.length for each in footprint.transients), default=without)
-        return longest / 3 if self.settle_m is None else self.settle_m
+        """Return ℓ."""
+        if self.settle_m is not None:
+            return self.settle_m
+        return footprint.settle or self.parameters["settle"].default
 
     def layouts(self, recording: Recording | None) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
