@@ -72,7 +72,7 @@ def shadow(
     from srs_twin.live.journal import McapLink
     from srs_twin.live.links import address
     from srs_twin.live.optitrack import NatNetLink
-    from srs_twin.live.session import TICK_S, Session
+    from srs_twin.live.session import TICK_S, Session, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.robot.spec import load_robot
     from srs_twin.scenario import load_scenario
@@ -84,6 +84,7 @@ def shadow(
     supply = None if pressure is None else pressure * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
     helm = Helm(load_scenario(follow), twin, TICK_S) if follow else None
+    warm_up(spec)
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ends, lambda *_: over.set())

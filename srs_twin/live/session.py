@@ -19,11 +19,12 @@ from srs_twin.io.files import shown, write_text
 from srs_twin.live.helm import Helm
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
-from srs_twin.live.messages import BENDS, COMMAND, STATUS
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, STATUS, VALVES, Message
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.prediction import Prediction
 from srs_twin.live.shadow import Estimate, Shadow
 from srs_twin.memory import SavedState
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 TICK_S = 0.02
@@ -33,6 +34,20 @@ STATE = "state.npz"
 _KEPT = 1_000_000
 
 View = Callable[[Estimate, Prediction | None], None]
+_WARM_S, _STROKE_S = 0.6, 0.16
+
+
+def warm_up(spec: RobotSpec) -> None:
+    """Have all compiled or loaded that a shadow of a robot computes with, before somebody waits for it."""
+    shadow, n = Shadow(spec, members=8), spec.segments
+    rows = np.outer(-spec.geometry.pitch * np.arange(n + 1), [1.0, 0.0, 0.0, 0.0])
+    names = tuple(f"connector_{i}" for i in range(1, n + 2))
+    for k in range(round(_WARM_S / TICK_S)):
+        valves = np.full((n, 2), 1.0 if k * TICK_S % (2 * _STROKE_S) < _STROKE_S else -1.0)
+        values = {COMMAND: valves, VALVES: valves, BENDS: np.zeros(n), PRESSURES: np.zeros((n, 2))}
+        told = [Message(kind, "robot", k * TICK_S, k * TICK_S, each) for kind, each in values.items()]
+        shadow.take(k * TICK_S, [*told, Message(POSES, "cameras", k * TICK_S, k * TICK_S, rows, names)])
+    shadow.predict()
 
 
 class Session:
