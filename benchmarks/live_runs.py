@@ -62,12 +62,14 @@ class Run:
     gain_spread: float = 0.1
     supply_kpa: float | None = None
 
-    def emulated(self, noise_rad: float = NOISE_RAD, fault: bool = True) -> EmulatedRobot:
+    def emulated(
+        self, noise_rad: float = NOISE_RAD, fault: bool = True, start: tuple[float, float, float] = (0, 0, 0)
+    ) -> EmulatedRobot:
         """Return the robot."""
         faults = [self.fault] if fault and self.fault else []
         return EmulatedRobot(
             self.robot, seed=self.seed, faults=faults, noise_rad=noise_rad, tau_spread=self.tau_spread,
-            pneumatics=self.pneumatics, gain_spread=self.gain_spread, supply_kpa=self.supply_kpa,
+            pneumatics=self.pneumatics, gain_spread=self.gain_spread, supply_kpa=self.supply_kpa, start=start,
         )  # fmt: skip
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:
@@ -152,7 +154,7 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
     """Let a shadow steer a robot along a scenario's way, and say how it ended and what it touched."""
     run, name = order
     scenario = load_scenario(name)
-    robot, wire = run.emulated(), Wire(run)
+    robot, wire = run.emulated(start=scenario.pose), Wire(run)
     twin = Shadow(load_robot(run.robot), seed=run.seed, supply_pa=robot.supply_pa)
     helm = Helm(scenario, twin, robot.tick)
     command, heard, time, clearance = None, -1.0, 0.0, np.inf
