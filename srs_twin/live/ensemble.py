@@ -1,8 +1,9 @@
 r"""Ensemble: members of `compliant` that run beside a robot and are corrected by what it measures.
 
 A member has a pose, velocities, bends, chamber pressures, and its own idea of the robot: a gain and bias of
-each module, time constants of its chambers, one stiffness, one μ_t. What the model lacks bends segment j by
-d_j, which fades with a time constant (a first-order Gauss–Markov process). The chambers' moment is
+each module, time constants of its chambers, one stiffness, one μ_t. Where it goes, its bends tell
+(`connection`). What the model lacks bends segment j by d_j, which fades with a time constant (a first-order
+Gauss–Markov process). The chambers' moment is
 
 $$ \tau_j = k\,\bigl(b_j + \varphi(G\,(g_j^+ p_j^+ - g_j^- p_j^-)) + d_j\bigr), $$
 
@@ -15,7 +16,7 @@ Measurements are taken one by one by the ensemble square root filter (Whitaker a
 - inflation: what a correction takes of the spread is given back by a share (relaxation to prior spread,
   Whitaker and Hamill 2012);
 - outliers: a number further off than four standard deviations counts as if it were that much noisier;
-- rolling: a bend that is corrected turns and carries the body as one that bends among its wheels does;
+- rolling: bends carry and turn the body by its local connection (`connection`), corrected ones as well;
 - adaptation: what wanders does so more where measurements are further off than expected, and less where they
   are not.
 """
@@ -30,6 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.geometry import body_shape, relative_headings
+from srs_twin.live.connection import LocalConnection
 from srs_twin.live.ensemble_kernels import advance, correct, set_momenta
 from srs_twin.live.habits import Habits
 from srs_twin.live.modules import BIAS, FILL, GAIN, VENT, ModuleFilter
@@ -50,10 +52,8 @@ _ASTRAY, _FRAMES = 6.0, 5
 """By how many standard deviations half of a frame must be off, in how many frames: the robot is elsewhere."""
 _DOUBT = 0.2
 """What lags miss of a pressure, as a share of the supply's, for what pressures tell of time constants."""
-_LEAST_FRICTION, _MOST_FRICTION = 0.1, 1.4
-"""Least spread of ln μ_t, as what else slows a robot looks like friction; how far it may be from the file."""
-_FAINT = 0.5
-"""How far one measurement corrects what all depend on: 32 members find correlations where none are."""
+_APART_S = 0.2
+"""Frames further apart tell nothing of how the robot goes."""
 _POSE = ("x", "y", "heading")
 _MODULES = ("gain", "bias", "fill", "vent")
 
@@ -72,10 +72,10 @@ class Spreads:
         unexplained_s: over which d fades, s.
         pressure: by what a pressure wanders from its lag before it has been seen, share of the supply's in a
             second.
-        drift: by what gains, time constants and friction wander, share in a second; biases a quarter of it,
-            rad.
-        slip: by what the body's velocities wander, m/s (and rad/s times half its length) in a second.
-        turning: yaw rate that the model lacks, RMS, rad/s: nothing but markers tells the heading.
+        drift: by what gains and time constants wander, share in a second; biases a quarter of it, rad.
+        slip: by what the place wanders from where bends carry it, m (and rad times half its length) in a
+            second.
+        turning: yaw rate that bends do not tell, RMS, rad/s.
         turning_s: over which that fades, s.
         inflation: share of a correction's loss of spread that is given back.
     """
@@ -89,8 +89,8 @@ class Spreads:
     unexplained_s: float = 0.12
     pressure: float = 0.15
     drift: float = 0.004
-    slip: float = 0.05
-    turning: float = 0.2
+    slip: float = 0.003
+    turning: float = 0.005
     turning_s: float = 10.0
     inflation: float = 0.3
 
@@ -139,6 +139,8 @@ class Ensemble:
             stiffness and friction are logarithms over those of the file.
         modules: what gains, biases, time constants and stiffness are drawn from.
         habits: of the chambers' pressures.
+        connection: how the robot goes by bending.
+        twist: velocity forth, aside (m/s) and yaw rate (rad/s) of the last move.
         placed: whether anybody has told where the robot is.
     """
 
@@ -186,9 +188,16 @@ class Ensemble:
         self._supply = spec.supply.nominal
         self._masks = self._local()
         self.habits = Habits(n, self._supply, s.pressure)
-        self._scales = {"unexplained": np.ones(n), "motion": np.ones(1)}
+        self._scales = {"unexplained": np.ones(n), "place": np.ones(1)}
         self._found = {name: np.ones_like(each) for name, each in self._scales.items()}
         self._noise = {name: getattr(noise, name) for name in _LEAST_NOISE}
+        self.connection = LocalConnection(spec, self._mass)
+        self._parts = np.zeros(len(self.connection.weights))
+        self._unlike = self._rng.normal(size=(members, len(self._parts), 3))
+        self._unlike -= self._unlike.mean(axis=0)
+        self._foresees = False
+        # What bends have not told of the turning since the last frame, how long ago that was; velocities.
+        self._turned, self._since, self.twist = 0.0, math.inf, np.zeros(3)
         self.placed, self._astray = False, 0
         self._before: np.ndarray | None = None
         self._states = np.zeros((members, kernels.STATES + 2 * n))
@@ -214,15 +223,18 @@ class Ensemble:
         unexplained += (
             scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
         )
+        before = self._of("bend").copy()
         self._run(air, span)
-        self._of("friction")[:] += s.drift * root * self._drawn("friction")
+        self.twist = self._roll(before).mean(axis=0) / span
         turning, fades = self._of("turning"), math.exp(-span / s.turning_s)
         self._of("heading")[:] += span * turning
+        self._turned += span * float(turning.mean())
+        self._since += span
         turning *= fades
         turning += s.turning * math.sqrt(1 - fades**2) * self._drawn("turning")
         half = self.spec.geometry.body_length / 2
-        motion = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
-        self._of("motion")[:, :3] += scale["motion"] * s.slip * root * motion
+        slides = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
+        self.members[:, :3] += scale["place"] * s.slip * root * slides
         self._momenta()
 
     def _relax(self) -> None:
@@ -231,8 +243,6 @@ class Ensemble:
             return
         after = self.members.std(axis=0)
         grown = 1 + self.spreads.inflation * np.maximum(self._before - after, 0.0) / np.maximum(after, 1e-12)
-        friction = self.rows["friction"]
-        grown[friction] = np.maximum(_LEAST_FRICTION / np.maximum(after[friction], 1e-12), 1.0)
         middle = self.members.mean(axis=0)
         self.members[:] = middle + grown * (self.members - middle)
         self._before = None
@@ -247,7 +257,8 @@ class Ensemble:
         variances = np.full(self._segments, self.noise.bend**2)
         before, masks = self._of("bend").copy(), self._masks["bend"]
         off = self._correct(before.copy(), bends, variances, masks, together=False)
-        self._roll(self._of("bend") - before)
+        self._roll(before)
+        self._momenta()
         self._adapt("unexplained", off)
         self._learn(~np.isnan(bends))
         return off
@@ -280,6 +291,8 @@ class Ensemble:
         """
         if not self.placed:
             self._place(poses)
+            self._since = math.inf
+        pose, bend = self.members[:, :3].mean(axis=0), self.mean("bend")
         predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
         poses = np.column_stack([poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))])
@@ -290,11 +303,14 @@ class Ensemble:
         off = self._correct(found, poses.ravel(), variances, masks, together=True)
         astray = False
         if not np.isnan(off).all():
-            self._adapt("motion", np.sqrt(np.nanmean(off**2, keepdims=True)))
+            self._adapt("place", np.sqrt(np.nanmean(off**2, keepdims=True)))
             left = poses - self.poses().mean(axis=0)
             for name, some in (("place", slice(2)), ("heading", 2)):
                 self._judge(name, apart[:, some], left[:, some])
             astray = bool(np.nanmedian(np.abs(off)) > _ASTRAY)
+        if astray:
+            self._since = math.inf
+        self._went(pose, bend)
         self._astray = self._astray + 1 if astray else 0
         if self._astray >= _FRAMES:  # it was carried away, or begins anew
             self.placed, self._astray = False, 0
@@ -331,10 +347,6 @@ class Ensemble:
         """Return the standard deviation of some columns."""
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
-    def recenter(self, name: str, mean: np.ndarray) -> None:
-        """Bring some columns to another mean."""
-        self._of(name)[:] += mean - self.mean(name)
-
     def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return what the robot is thought to be: name → values and standard deviations.
 
@@ -363,6 +375,7 @@ class Ensemble:
         """
         other = copy.copy(self)
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
+        other._foresees, other._unlike, other._parts = True, self._unlike[:members], self._parts.copy()
         other._own = {name: own[:members] for name, own in self._own.items()}
         other._scales = {name: each.copy() for name, each in self._scales.items()}
         other.habits = copy.deepcopy(self.habits)
@@ -412,9 +425,8 @@ class Ensemble:
                 chamber = self.rows["pressure"].start + 2 * j + side
                 bend[j, chamber] = pressure[2 * j + side, chamber] = 1.0
         pose = np.zeros(width)
-        for name in (*_POSE, "motion", "bend", "unexplained", "turning"):
+        for name in (*_POSE, "bend", "unexplained", "turning"):
             pose[self.rows[name]] = 1.0
-        pose[self.rows["friction"]] = _FAINT
         return {"bend": bend, "pressure": pressure, "pose": pose}
 
     def _correct(
@@ -429,35 +441,45 @@ class Ensemble:
         if self._before is None:
             self._before = self.members.std(axis=0)
         off = correct(self.members, predicted, told, variances, masks, together)
-        pressure, slides = self._of("pressure"), self._of("friction")
+        pressure = self._of("pressure")
         np.maximum(pressure, -AMBIENT_PA, out=pressure)  # a chamber that is pulled open sucks
-        np.clip(slides, -_MOST_FRICTION, _MOST_FRICTION, out=slides)
         self._momenta()
         return off
 
-    def _roll(self, bent: np.ndarray) -> None:
-        """Have members whose bends were corrected lie where their wheels then have rolled to.
+    def _roll(self, before: np.ndarray) -> np.ndarray:
+        """Have members go where bends that were others before carry the body.
 
-        Bends that change turn the body as well: it goes the way of least friction, here that of the mean
-        shape with friction in proportion to speed.
+        Beside a robot all go as their mean does, but for what robots of the same bends may go by otherwise:
+        what each believes of a bend comes and goes, and would turn it at random.
 
         Args:
-            bent: by what the bends were corrected, shape (members, segments), rad.
+            before: bends, shape (members, segments), rad.
+
+        Returns:
+            By what they went, shape (members, 3): forth, aside (m), turning (rad).
         """
-        g, mu, middle = self.spec.geometry, self.spec.friction, self.mean("bend")
-        small = 1e-4 * np.eye(self._segments + 1, self._segments, -1)
-        shapes = body_shape(middle + small, self._mass, g.segment_length, g.rigid_gap)
-        place, moves = shapes[0], (shapes[1:] - shapes[0]) / 1e-4
-        heading = relative_headings(middle)
-        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        ways = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0]])
-        turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
-        body = np.concatenate([ways, np.sum(ways * turns, axis=-1, keepdims=True)], axis=-1).reshape(-1, 3)
-        own = np.einsum("kic,jic->kij", ways, moves).reshape(-1, self._segments)
-        x, y, turn = (bent @ -np.linalg.lstsq(body, own, rcond=None)[0].T).T
-        c, s = np.cos(self._of("heading")[:, 0]), np.sin(self._of("heading")[:, 0])
-        self.members[:, :3] += np.column_stack([c * x - s * y, s * x + c * y, turn])
-        self._momenta()
+        connection, bend = self.connection, self._of("bend")
+        was, now = before.mean(axis=0), bend.mean(axis=0)
+        parts = connection.parts(was, now)
+        bent = bend - before if self._foresees else now - was
+        twist = bent @ connection.at((was + now) / 2).T + connection.unsure(parts, self._unlike)
+        heading = self._of("heading")[:, 0] + twist[:, 2] / 2
+        c, s, x, y = np.cos(heading), np.sin(heading), twist[:, 0], twist[:, 1]
+        self.members[:, :3] += np.column_stack([c * x - s * y, s * x + c * y, twist[:, 2]])
+        self._parts += parts
+        return twist
+
+    def _went(self, pose: np.ndarray, bend: np.ndarray) -> None:
+        """Learn how the robot goes from a frame, which has corrected this mean pose and these bends."""
+        connection, now = self.connection, self.mean("bend")
+        if self._since < _APART_S:
+            x, y, turn = self.members[:, :3].mean(axis=0) - pose
+            c, s = math.cos(pose[2]), math.sin(pose[2])
+            off = [c * x + s * y, c * y - s * x, turn + self._turned]
+            missed = off + self._parts @ connection.weights
+            missed -= connection.of_wheels((bend + now) / 2) @ (now - bend)
+            connection.learn(self._parts + connection.parts(bend, now), missed)
+        self._parts[:], self._turned, self._since = 0.0, 0.0, 0.0
 
     def _judge(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
         """Learn how noisy frames are from what they are off by before and after they have corrected.
@@ -545,7 +567,6 @@ class Ensemble:
         wrong = ~fine | ~np.isfinite(self._states).all(axis=1) | (np.abs(velocities[:, :3]).max(axis=1) > 20)
         self._of("motion")[:] = velocities
         self._of("bend")[:] = self._states[:, compliant_kernels.BENDS :][:, :n]
-        self.members[:, :3] = self._states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]]
         if wrong.all():
             self._rest()
         elif wrong.any():

@@ -182,7 +182,7 @@ class Shadow:
     def save(self) -> SavedState:
         """Return what was learnt of the robot, for `restore` after an interruption; not where it is."""
         content = {"modules": self.ensemble.modules.remembered(), "bank": self.bank.remembered(),
-                   "friction": self.ensemble.mean("friction"), "gone": self._gone}  # fmt: skip
+                   "connection": self.ensemble.connection.remembered(), "gone": self._gone}  # fmt: skip
         return SavedState(self._identity(), content)
 
     def restore(self, state: SavedState) -> None:
@@ -193,7 +193,7 @@ class Shadow:
         """
         state.check("shadow", self._identity())
         self.ensemble.modules.recall(state.content["modules"])
-        self.ensemble.recenter("friction", state.content["friction"])
+        self.ensemble.connection.recall(state.content["connection"])
         self.bank.recall(state.content["bank"])
         self._gone = np.array(state.content["gone"])
 
@@ -331,9 +331,9 @@ class Shadow:
     def _estimate(self, now: float) -> Estimate:
         e = self.ensemble
         pose, pose_sd = (np.concatenate([f(name) for name in ("x", "y", "heading")]) for f in (e.mean, e.sd))
-        motion, (c, s) = e.mean("motion"), (math.cos(pose[2]), math.sin(pose[2]))
-        velocity = np.array([c * motion[0] - s * motion[1], s * motion[0] + c * motion[1], motion[2]])
-        bend_sd = np.hypot(e.sd("bend"), UNTOLD_S * motion[3:])
+        (x, y, turn), (c, s) = e.twist, (math.cos(pose[2]), math.sin(pose[2]))
+        velocity = np.array([c * x - s * y, s * x + c * y, turn])
+        bend_sd = np.hypot(e.sd("bend"), UNTOLD_S * e.mean("motion")[3:])
         off = dict(self._off)
         return Estimate(
             now, e.mean("bend"), bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
