@@ -98,7 +98,7 @@ class Rhythm:
 class Hindsight:
     """What earlier predictions turned out to be off by, which later ones are corrected and widened by.
 
-    Those whose commands did not come true say nothing of the model.
+    Those whose commands did not come true say nothing of the model, only of how far one may be off.
     """
 
     def __init__(self, rhythm: Rhythm) -> None:
@@ -119,7 +119,7 @@ class Hindsight:
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
             times, poses = (np.array(each) for each in zip(*self._path, strict=True))
-            if times[0] > past.begun or not self._rhythm.came(past.begun, past.commands):
+            if times[0] > past.begun:
                 continue
             found = past.off(np.column_stack([np.interp(past.time, times, poses[:, k]) for k in range(3)]))
             if len(self._mean) != len(found):
@@ -128,7 +128,8 @@ class Hindsight:
             self._count += 1
             weight = max(1 / _MEMORY, 1 / self._count)
             off = found - self._mean
-            self._mean = self._mean + weight * off
+            if self._rhythm.came(past.begun, past.commands):
+                self._mean = self._mean + weight * off
             self._variance = (1 - weight) * (self._variance + weight * off**2)
             self._told = self._told + weight * (past.pose_sd**2 - self._told)
 
