@@ -227,7 +227,9 @@ def test_followers_get_how_late_a_path_turns():
     box = Footprint.box(0.1, 0.0, speed=crawl.speed, curvature=1.0)
     assert box.settle is None
     turns = {"offsets": (there.before, there.after), "curvatures": (0.5, 2.5)}
-    assert replace(box, **turns, transients=(there, back)).settle == pytest.approx(crawl.speed * LATE, rel=0.05)
+    assert replace(box, **turns, transients=(there, back)).settle == pytest.approx(
+        crawl.speed * LATE, rel=0.05
+    )
 
 
 def test_a_path_that_does_not_settle_is_refused():
