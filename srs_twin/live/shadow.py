@@ -25,7 +25,7 @@ from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
 from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
-from srs_twin.memory import SavedState, fingerprint
+from srs_twin.memory import Remembers, SavedState, fingerprint
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
 
@@ -49,6 +49,7 @@ HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
 _WAITS_S, _NOTHING_S = 0.1, 5e-4
 """After how long without a message the robot is guessed, and what is too short a time to go on for."""
 _HISTORY_S = 5.0
+_LEARNS = ["modules", "connection", "bank"]
 
 
 @dataclass(frozen=True)
@@ -181,8 +182,9 @@ class Shadow:
 
     def save(self) -> SavedState:
         """Return what was learnt of the robot, for `restore` after an interruption; not where it is."""
-        content = {"modules": self.ensemble.modules.remembered(), "bank": self.bank.remembered(),
-                   "connection": self.ensemble.connection.remembered(), "gone": self._gone}  # fmt: skip
+        content = {"gone": self._gone} | {
+            name: part.remembered() for name, part in zip(_LEARNS, self._parts(), strict=True)
+        }
         return SavedState(self._identity(), content)
 
     def restore(self, state: SavedState) -> None:
@@ -192,13 +194,15 @@ class Shadow:
             InputError: a state of another robot.
         """
         state.check("shadow", self._identity())
-        self.ensemble.modules.recall(state.content["modules"])
-        self.ensemble.connection.recall(state.content["connection"])
-        self.bank.recall(state.content["bank"])
+        for name, part in zip(_LEARNS, self._parts(), strict=True):
+            part.recall(state.content[name])
         self._gone = np.array(state.content["gone"])
 
+    def _parts(self) -> tuple[Remembers, ...]:
+        return self.ensemble.modules, self.ensemble.connection, self.bank
+
     def _identity(self) -> dict[str, Any]:
-        return {"shadow": fingerprint(self.spec), "supply_pa": self._supply}
+        return {"shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _LEARNS}
 
     def _take(self, time: float, messages: Sequence[Message]) -> None:
         """Take what was told of one time on our clock."""
