@@ -2,16 +2,19 @@ r"""Local connection: how a body on wheels goes by bending; what wheels alone do
 
 Where momentum hardly counts, a body moves by its change of shape, whatever the pace (Kelly and Murray 1995):
 
-$$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(q) , \quad φ = (1, q_i, q_i q_j) , $$
+$$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
+φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
 ξ forth, aside and turning. A_w is the way of least friction for wheels whose friction is in proportion to
-speed. W is what a robot does otherwise, learnt from one frame of motion capture to the next by least squares
+speed. W is what a robot does otherwise: a gait that turns goes less far than a straight one to either side,
+which takes cubic terms. It is learnt from one frame of motion capture to the next by least squares
 with a prior: then bends alone tell for a while where the robot goes.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -19,14 +22,16 @@ from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.memory import Remembers, names
 from srs_twin.robot.spec import RobotSpec
 
-PRIOR = 0.015
-"""How large entries of W may be, rad a rad."""
+PRIOR, UNLIKE = 0.1, 0.05
+"""How large entries of W may be, rad a rad; what a robot goes by besides its wheels, at the most."""
+_LARGE = 0.7
+"""q₀, rad: powers of larger bends do not grow, so that what was learnt of small ones does no harm there."""
 _BLOCK, _KEPT_BLOCKS, _FORGETS = 30, 10, 3000
 """Frames after which W is found anew, blocks of these and frames that count."""
 _NOISE, _DRIFT = 0.02, (0.001, 0.001, 0.02)
 """What a frame's heading (rad) and what moves a frame (m, m, rad) are off by, before that is known."""
-_RECURS = 2.0
-"""What a quadratic misses comes again with every stroke: by so much more than chance is W off."""
+_RECURS = 1.3
+"""What a cubic misses comes again with every stroke: by so much more than chance is W off."""
 _SMALL = 1e-4
 
 
@@ -47,8 +52,9 @@ class LocalConnection(Remembers):
             mass: of each connector with its share of the segments, kg.
         """
         n = spec.segments
-        self._spec, self._mass, self._pairs = spec, mass, np.triu_indices(n)
-        count = n * (1 + n + len(self._pairs[0]))
+        self._spec, self._mass = spec, mass
+        self._powers = [np.array(list(combinations_with_replacement(range(n), power))) for power in (1, 2, 3)]
+        count = n * (1 + sum(map(len, self._powers)))
         self.weights: np.ndarray = np.zeros((count, 3))
         self._gram, self._sums = np.zeros((count, count)), np.zeros((count, 3))
         self._noise, self._drift = _NOISE**2, np.square(_DRIFT)
@@ -85,8 +91,10 @@ class LocalConnection(Remembers):
             parts: of their bends.
             draws: standard normal, which robot it is, shape (robots, rows of W, 3).
         """
-        spread = np.einsum("f,rfc->rc", parts @ self._root, draws)
-        return np.asarray(_RECURS * np.sqrt(self._drift) * spread)
+        wide = parts @ self._root
+        most = UNLIKE * np.linalg.norm(parts[: self._spec.segments]) / (_RECURS * math.sqrt(self._drift[2]))
+        wide *= min(1.0, most / max(float(np.linalg.norm(wide)), 1e-12))
+        return np.asarray(_RECURS * np.sqrt(self._drift) * np.einsum("f,rfc->rc", wide, draws))
 
     def learn(self, parts: np.ndarray, missed: np.ndarray) -> None:
         """Take what a robot went by (m, m, rad) besides A_w dq from one frame to the next."""
@@ -109,5 +117,5 @@ class LocalConnection(Remembers):
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
 
     def _products(self, bends: np.ndarray) -> np.ndarray:
-        first, second = self._pairs
-        return np.concatenate([[1.0], bends, bends[first] * bends[second]])
+        bends = np.tanh(bends / _LARGE)
+        return np.concatenate([[1.0], *(bends[each].prod(axis=1) for each in self._powers)])

@@ -16,7 +16,8 @@ Measurements are taken one by one by the ensemble square root filter (Whitaker a
 - inflation: what a correction takes of the spread is given back by a share (relaxation to prior spread,
   Whitaker and Hamill 2012);
 - outliers: a number further off than four standard deviations counts as if it were that much noisier;
-- rolling: bends carry and turn the body by its local connection (`connection`), corrected ones as well;
+- rolling: bends, as they are once they have been corrected, carry and turn the body by its local connection
+  (`connection`);
 - adaptation: what wanders does so more where measurements are further off than expected, and less where they
   are not.
 """
@@ -196,6 +197,8 @@ class Ensemble:
         self._unlike = self._rng.normal(size=(members, len(self._parts), 3))
         self._unlike -= self._unlike.mean(axis=0)
         self._foresees = False
+        # The bends with which they went last, and how long ago that was.
+        self._shape, self._bent_for = self._of("bend").copy(), 0.0
         # What bends have not told of the turning since the last frame, how long ago that was; velocities.
         self._turned, self._since, self.twist = 0.0, math.inf, np.zeros(3)
         self.placed, self._astray = False, 0
@@ -223,13 +226,12 @@ class Ensemble:
         unexplained += (
             scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
         )
-        before = self._of("bend").copy()
         self._run(air, span)
-        self.twist = self._roll(before).mean(axis=0) / span
         turning, fades = self._of("turning"), math.exp(-span / s.turning_s)
         self._of("heading")[:] += span * turning
         self._turned += span * float(turning.mean())
         self._since += span
+        self._bent_for += span
         turning *= fades
         turning += s.turning * math.sqrt(1 - fades**2) * self._drawn("turning")
         half = self.spec.geometry.body_length / 2
@@ -255,10 +257,7 @@ class Ensemble:
             What they are off by, over the standard deviation that was expected, NaN where there are none.
         """
         variances = np.full(self._segments, self.noise.bend**2)
-        before, masks = self._of("bend").copy(), self._masks["bend"]
-        off = self._correct(before.copy(), bends, variances, masks, together=False)
-        self._roll(before)
-        self._momenta()
+        off = self._correct(self._of("bend").copy(), bends, variances, self._masks["bend"], together=False)
         self._adapt("unexplained", off)
         self._learn(~np.isnan(bends))
         return off
@@ -289,6 +288,7 @@ class Ensemble:
         Returns:
             As `read_bends`, shape (3 connectors,).
         """
+        self.roll()
         if not self.placed:
             self._place(poses)
             self._since = math.inf
@@ -311,12 +311,35 @@ class Ensemble:
         if astray:
             self._since = math.inf
         self._went(pose, bend)
+        self._shape[:] = self._of("bend")
         self._astray = self._astray + 1 if astray else 0
         if self._astray >= _FRAMES:  # it was carried away, or begins anew
             self.placed, self._astray = False, 0
         seen = ~np.isnan(poses[:, 2])
         self._learn(seen[1:] & seen[:-1])
         return off
+
+    def roll(self) -> None:
+        """Have members go where their bends have carried the body since they last went.
+
+        Beside a robot all go as their mean does, but for what robots of the same bends may go by otherwise:
+        what each believes of a bend comes and goes, and would turn it at random. So do a model's errors,
+        which readings take back: the way leads straight from what was known then to what is known now.
+        """
+        if not self._bent_for:
+            return
+        connection, bend, before = self.connection, self._of("bend"), self._shape
+        was, now = before.mean(axis=0), bend.mean(axis=0)
+        parts = connection.parts(was, now)
+        bent = bend - before if self._foresees else now - was
+        went = bent @ connection.at((was + now) / 2).T + connection.unsure(parts, self._unlike)
+        heading = self._of("heading")[:, 0] + went[:, 2] / 2
+        c, s, x, y = np.cos(heading), np.sin(heading), went[:, 0], went[:, 1]
+        self.members[:, :3] += np.column_stack([c * x - s * y, s * x + c * y, went[:, 2]])
+        self.twist = went.mean(axis=0) / self._bent_for
+        self._parts += parts
+        self._shape, self._bent_for = bend.copy(), 0.0
+        self._momenta()
 
     def poses(self) -> np.ndarray:
         """Return x, y (m), heading (rad) of the connectors, shape (members, connectors, 3)."""
@@ -376,6 +399,7 @@ class Ensemble:
         other = copy.copy(self)
         other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
         other._foresees, other._unlike, other._parts = True, self._unlike[:members], self._parts.copy()
+        other._shape = self._shape[:members].copy()
         other._own = {name: own[:members] for name, own in self._own.items()}
         other._scales = {name: each.copy() for name, each in self._scales.items()}
         other.habits = copy.deepcopy(self.habits)
@@ -385,6 +409,7 @@ class Ensemble:
             found = []
             for air in airs:
                 other._move(air, span)
+                other.roll()
                 found.append(other.members[:, :3].copy())
             return np.array(found)
 
@@ -445,29 +470,6 @@ class Ensemble:
         np.maximum(pressure, -AMBIENT_PA, out=pressure)  # a chamber that is pulled open sucks
         self._momenta()
         return off
-
-    def _roll(self, before: np.ndarray) -> np.ndarray:
-        """Have members go where bends that were others before carry the body.
-
-        Beside a robot all go as their mean does, but for what robots of the same bends may go by otherwise:
-        what each believes of a bend comes and goes, and would turn it at random.
-
-        Args:
-            before: bends, shape (members, segments), rad.
-
-        Returns:
-            By what they went, shape (members, 3): forth, aside (m), turning (rad).
-        """
-        connection, bend = self.connection, self._of("bend")
-        was, now = before.mean(axis=0), bend.mean(axis=0)
-        parts = connection.parts(was, now)
-        bent = bend - before if self._foresees else now - was
-        twist = bent @ connection.at((was + now) / 2).T + connection.unsure(parts, self._unlike)
-        heading = self._of("heading")[:, 0] + twist[:, 2] / 2
-        c, s, x, y = np.cos(heading), np.sin(heading), twist[:, 0], twist[:, 1]
-        self.members[:, :3] += np.column_stack([c * x - s * y, s * x + c * y, twist[:, 2]])
-        self._parts += parts
-        return twist
 
     def _went(self, pose: np.ndarray, bend: np.ndarray) -> None:
         """Learn how the robot goes from a frame, which has corrected this mean pose and these bends."""
@@ -582,7 +584,7 @@ class Ensemble:
         self._of("turning")[:] = self.spreads.turning * self._drawn("turning")
         self._draw_modules()
         self._of("bend")[:] = self._of("bias")
-        self.placed = False
+        self._shape, self.placed = self._of("bend").copy(), False
         self._momenta()
 
     def _springs(self) -> np.ndarray:

@@ -156,6 +156,7 @@ class Shadow:
         # What the next message will correct is not guessed before.
         if now - self.inbox.hold - self.time > _WAITS_S:
             self._advance(now - self.inbox.hold)
+            self.ensemble.roll()
         found = self._estimate(now)
         self.hindsight.see(self.time, found.pose)
         return found
@@ -202,7 +203,10 @@ class Shadow:
         return self.ensemble.modules, self.ensemble.connection, self.bank
 
     def _identity(self) -> dict[str, Any]:
-        return {"shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _LEARNS}
+        rows = len(self.ensemble.connection.weights)
+        return {
+            "shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _LEARNS, "products": rows,
+        }  # fmt: skip
 
     def _take(self, time: float, messages: Sequence[Message]) -> None:
         """Take what was told of one time on our clock."""
@@ -233,6 +237,7 @@ class Shadow:
             elif message.kind == BENDS:
                 reads = np.where(self._reads(), message.values, np.nan)
                 self._note(BENDS, self.ensemble.read_bends(reads))
+        self.ensemble.roll()
 
     def _command(self, time: float, message: Message) -> None:
         """Take what valves were told, or what a robot says that they were: either message may be lost."""

@@ -55,11 +55,10 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
     known, bends, rng = connection(), gait(600), np.random.default_rng(1)
     draws = rng.normal(size=(200, *known.weights.shape))
 
-    def unsure(parts):
-        return known.unsure(parts, draws)[:, 2].std() / np.linalg.norm(parts)
+    def unsure(change):
+        return known.unsure(known.parts(*change), draws)[:, 2].std() / np.linalg.norm(change[1] - change[0])
 
-    seen = known.parts(bends[30], bends[31])
-    other = known.parts(np.full(4, 0.9), np.full(4, 1.0))
+    seen, other = bends[30:32], np.array([np.full(4, 0.9), np.full(4, 1.0)])
     before = unsure(seen)
     for a, b in zip(bends[:-1], bends[1:], strict=True):
         known.learn(known.parts(a, b), rng.normal(size=3) * [1e-4, 1e-4, 1e-3])
@@ -76,5 +75,5 @@ def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
     way = np.hypot(*np.diff(truth[there][:, n + 1 : n + 3], axis=0).T).sum()
     true = [np.interp(end[0], truth[:, 0], truth[:, n + k]) for k in (1, 2)]
     off = np.hypot(*(end[n + 1 : n + 3] - true))
-    assert off < 0.15 * way
+    assert off < 0.07 * way
     assert off < 2.45 * np.hypot(*end[2 * n + 4 : 2 * n + 6])
