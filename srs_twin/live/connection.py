@@ -22,8 +22,9 @@ from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.memory import Remembers, names
 from srs_twin.robot.spec import RobotSpec
 
-PRIOR, UNLIKE = 0.1, 0.05
-"""How large entries of W may be, rad a rad; what a robot goes by besides its wheels, at the most."""
+PRIOR, _UNLIKE = 0.1, (0.01, 0.05)
+"""How large entries of W may be, rad a rad; by what a robot goes besides what is known, rad a rad of bending, at
+the least (what cubics miss no frame tells) and at the most."""
 _LARGE = 0.7
 """q₀, rad: powers of larger bends do not grow, so that what was learnt of small ones does no harm there."""
 _BLOCK, _KEPT_BLOCKS, _FORGETS = 30, 10, 3000
@@ -91,10 +92,11 @@ class LocalConnection(Remembers):
             parts: of their bends.
             draws: standard normal, which robot it is, shape (robots, rows of W, 3).
         """
-        wide = parts @ self._root
-        most = UNLIKE * np.linalg.norm(parts[: self._spec.segments]) / (_RECURS * math.sqrt(self._drift[2]))
-        wide *= min(1.0, most / max(float(np.linalg.norm(wide)), 1e-12))
-        return np.asarray(_RECURS * np.sqrt(self._drift) * np.einsum("f,rfc->rc", wide, draws))
+        wide = _RECURS * parts @ self._root
+        told = math.sqrt(self._drift[2]) * float(np.linalg.norm(wide))
+        least, most = np.multiply(_UNLIKE, np.linalg.norm(parts[: self._spec.segments]))
+        share = min(max(told, least), most) / max(told, 1e-12)
+        return np.asarray(share * np.sqrt(self._drift) * np.einsum("f,rfc->rc", wide, draws))
 
     def learn(self, parts: np.ndarray, missed: np.ndarray) -> None:
         """Take what a robot went by (m, m, rad) besides A_w dq from one frame to the next."""
