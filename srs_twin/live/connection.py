@@ -23,8 +23,8 @@ from srs_twin.memory import Remembers, names
 from srs_twin.robot.spec import RobotSpec
 
 PRIOR, _UNLIKE = 0.1, (0.01, 0.05)
-"""How large entries of W may be, rad a rad; by what a robot goes besides what is known, rad a rad of bending, at
-the least (what cubics miss no frame tells) and at the most."""
+"""How large entries of W may be, rad a rad; by what a robot goes besides what is known, rad a rad of bending,
+at the least (what cubics miss no frame tells) and at the most."""
 _LARGE = 0.7
 """q₀, rad: powers of larger bends do not grow, so that what was learnt of small ones does no harm there."""
 _BLOCK, _KEPT_BLOCKS, _FORGETS = 30, 10, 3000
