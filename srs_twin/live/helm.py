@@ -16,21 +16,23 @@ from srs_twin.scenario import Scenario
 from srs_twin.world import Pose
 
 PATIENCE_S = 3.0
-"""For so long a lost robot lies vented before it is given up."""
-LOST = "estimate_lost"
+"""For so long a lost robot lies vented before it is given up, and one without air is steered."""
+LOST, EMPTY = "estimate_lost", "supply_empty"
 _LARGEST_SD_M = 0.0125
 """Whoever steers must know this well where the robot is: half of the usual margin to obstacles."""
 _SETTLES_S = 1.0
 """A robot stands so long, so that its shadow knows where."""
 _NEAR_M, _NEAR_RAD = 0.03, 0.05
 _STUCK = {FILLS, VENTS}
+_FAINT = 0.3
+"""Share of the supply's pressure below which nobody can steer; half of it is enough."""
 
 
 class Helm:
     """Steers by estimates: the scenario's follower, told what the shadow knows.
 
     A segment whose valve is stuck is kept straight, both chambers filled or both vented, and the way is
-    planned anew. A robot whose estimate is lost is vented at once.
+    planned anew. A robot whose estimate is lost is vented at once, one whose supply is all but empty soon.
 
     Attributes:
         follower: the scenario's.
@@ -60,14 +62,14 @@ class Helm:
         self._seed = scenario.seed
         self._stuck: tuple[set[int], ...] = (set(),) * shadow.spec.segments
         self._steps = self._waited = 0
-        self._lost_for, self._given_up = 0.0, False
+        self._lost_for, self._faint_for, self._given_up = 0.0, 0.0, ""
         self._events: list[tuple[float, str]] = []
         self._pressure = np.zeros((shadow.spec.segments, 2))
 
     @property
     def finished(self) -> bool:
         """Whether the way has ended."""
-        return self._given_up or self.follower.finished
+        return bool(self._given_up) or self.follower.finished
 
     def vented(self) -> np.ndarray:
         """Return the command that vents everything."""
@@ -77,9 +79,8 @@ class Helm:
         """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
         if found is None or found.lost or np.hypot(*found.pose_sd[:2]) > _LARGEST_SD_M:
             self._lost_for += self._tick
-            if self._steps and self._lost_for > PATIENCE_S and not self._given_up:
-                self._given_up = True
-                self._events.append((self._steps * self._tick, LOST))
+            if self._steps and self._lost_for > PATIENCE_S:
+                self._give_up(LOST)
             return self.vented()
         self._lost_for = 0.0
         self._waited += 1
@@ -87,9 +88,15 @@ class Helm:
             return self.vented()
         if not self._steps:
             self._begin(found, shadow)
+        likely = [HYPOTHESES[m] for m in shadow.bank.likely()]
+        faint = np.median([each.weak for each in likely]) < _FAINT
+        self._faint_for = self._faint_for + self._tick if faint else 0.0
+        if self._faint_for > PATIENCE_S:
+            self._give_up(EMPTY)
+            return self.vented()
         state = found.state(self._steps * self._tick, self._pressure)
         # A chamber that leaks still bends its segment.
-        stuck = tuple(_STUCK & {HYPOTHESES[m].plus, HYPOTHESES[m].minus} for m in shadow.bank.likely())
+        stuck = tuple(_STUCK & {each.plus, each.minus} for each in likely)
         if stuck != self._stuck:
             self._stuck = stuck
             self.follower.renew("fault")
@@ -104,11 +111,15 @@ class Helm:
 
     def told(self) -> dict[str, Any]:
         """Return how it went, JSON values."""
-        ending = LOST if self._given_up else self.follower.ending
         return {
-            "ending": ending, "seconds": self._steps * self._tick,
+            "ending": self._given_up or self.follower.ending, "seconds": self._steps * self._tick,
             "events": [{"time_s": time, "event": text} for time, text in self._events],
         }  # fmt: skip
+
+    def _give_up(self, why: str) -> None:
+        if not self._given_up:
+            self._given_up = why
+            self._events.append((self._steps * self._tick, why))
 
     def _begin(self, found: Estimate, shadow: Shadow) -> None:
         """Prepare the follower; plan anew where the robot does not lie where the scenario begins."""

@@ -112,3 +112,12 @@ def test_a_robot_that_is_lost_is_vented():
     done = steered((run, "follow_orifice"))
     assert done["ending"] in (None, "estimate_lost")
     assert done["clearance_m"] > 0
+
+
+@pytest.mark.slow
+def test_a_robot_without_air_is_not_steered_for_long():
+    run = Run(121, 20.0, fault="starved=empty@2", robot="gen2", frequency=2.0)
+    told = steered((run, "follow_orifice"))
+    assert told["ending"] == "supply_empty"
+    assert told["time_s"] < 8.0
+    assert told["clearance_m"] > 0
