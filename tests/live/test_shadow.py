@@ -33,6 +33,7 @@ def test_bends_and_pose_are_known_and_their_intervals_hold():
     assert np.sqrt(np.mean((found["known_gain"][0] / found["gain"] - 1) ** 2)) < 0.05
 
 
+@pytest.mark.slow
 def test_cameras_may_be_worse_than_expected(monkeypatch):
     """Places off by 2 mm and headings by 0.1 rad, which nobody said."""
     monkeypatch.setattr("srs_twin.live.emulator._CAMERA_NOISE_M", 0.002)
@@ -41,7 +42,14 @@ def test_cameras_may_be_worse_than_expected(monkeypatch):
     assert 0.9 < np.mean(np.abs(off) < 1.96 * sd)
 
 
-@pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "stuck_valve:{j}{side}=open",
+        pytest.param("dead_sensor:{j}=silent", marks=pytest.mark.slow),
+        pytest.param("lost_marker:{j}", marks=pytest.mark.slow),
+    ],
+)
 def test_a_fault_is_named(kind):
     done = isolated((kind, 3, True))
     assert done["among"], done
@@ -50,7 +58,11 @@ def test_a_fault_is_named(kind):
 
 
 @pytest.mark.parametrize(
-    "run", [Run(7, 10.0), Run(1, 10.0, robot="gen2", frequency=2.0)], ids=["gen4", "gen2"]
+    "run",
+    [
+        pytest.param(Run(7, 10.0), marks=pytest.mark.slow, id="gen4"),
+        pytest.param(Run(1, 10.0, robot="gen2", frequency=2.0), id="gen2"),
+    ],
 )
 def test_a_healthy_robot_is_accused_of_nothing(run):
     for moment in shadowed(run, members=8):
