@@ -86,9 +86,8 @@ def test_a_weak_supply_is_no_leak():
     assert (found.argmax(axis=-1) == WEAK).all()
 
 
-@pytest.mark.parametrize(
-    "kind", ["leak:{j}{side}=slow", pytest.param("leak:{j}{side}=fast", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["leak:{j}{side}=slow", "leak:{j}{side}=fast"])
 def test_a_leaking_robot_is_named_in_time(kind):
     done = isolated((kind, 6, True))
     assert done["in_time"] and done["right"] and not done["others"], done

@@ -135,6 +135,7 @@ def test_a_twin_that_never_succeeds_is_said_to_be_at_fault(tmp_path):
         answered(study(tmp_path), tmp_path / "out", Broken())
 
 
+@pytest.mark.slow
 def test_a_front_is_that_of_the_formulas(tmp_path):
     """At the best phase all frequencies up to the fastest one are on it; little of its area is lost."""
     asked = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=40, compliant=300)

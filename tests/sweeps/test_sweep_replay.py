@@ -83,6 +83,7 @@ def test_a_sweep_finds_what_fits_best(swept, tmp_path):
     assert shapes[0.021] < 0.8 * shapes[0.026]
 
 
+@pytest.mark.slow
 def test_all_measured_metrics_are_columns(tmp_path):
     (tmp_path / "replay.yaml").write_text(SCENARIO)
     table = results(load_sweep(write(tmp_path, SWEEP)), tmp_path / "out")
