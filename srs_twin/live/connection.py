@@ -14,7 +14,9 @@ with a prior: then bends alone tell for a while where the robot goes.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +45,7 @@ class LocalConnection(Remembers):
         weights: W, a row for each product of φ and a bend's change, columns forth, aside (m), turning (rad).
     """
 
-    memory = names("weights", "_gram", "_sums", "_noise", "_drift", "_frames", "_block", "_root")
+    memory = names("weights", "_gram", "_sums", "_noise", "_drift", "_frames", "_block")
 
     def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
         """Know the wheels.
@@ -114,9 +116,19 @@ class LocalConnection(Remembers):
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._drift = self._drift + (self._block**2 / _BLOCK - self._drift) / kept
         self._block = np.zeros(3)
-        gram: np.ndarray = self._gram + self._noise / PRIOR**2 * np.eye(len(parts))
-        self.weights = np.asarray(np.linalg.solve(gram, self._sums))
+        self.weights = np.asarray(np.linalg.solve(self._seen(), self._sums))
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Take a memory, as all that remember do."""
+        super().recall(memory)
+        if self._frames >= _BLOCK:
+            self._seen()
+
+    def _seen(self) -> np.ndarray:
+        """Return the normal equations' matrix, with the prior; find what it leaves W to be."""
+        gram: np.ndarray = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
+        return gram
 
     def _products(self, bends: np.ndarray) -> np.ndarray:
         bends = np.tanh(bends / _LARGE)

@@ -29,7 +29,7 @@ from srs_twin.trajectory import Trajectory
 
 TICK_S = 0.02
 PREDICTS_S = 0.5
-SAVES_S = 1.0
+FLUSHES_S, SAVES_S = 1.0, 5.0
 STATE = "state.npz"
 _KEPT = 1_000_000
 
@@ -117,9 +117,9 @@ class Session:
                     self._prediction, pending = self.shadow.hindsight.corrected(pending.result()), None
                 if pending is None and self.estimate is not None and done % round(PREDICTS_S / TICK_S) == 0:
                     pending = pool.submit(self.shadow.outlook())
+                if self._journal is not None and done % round(FLUSHES_S / TICK_S) == 0:
+                    self._journal.flush()
                 if self._out is not None and done % round(SAVES_S / TICK_S) == 0:
-                    if self._journal is not None:
-                        self._journal.flush()
                     pool.submit(self.shadow.save().write, self._out / STATE)
                 if self._views and done % 6 == 0 and self.estimate is not None:
                     before = time.monotonic()
