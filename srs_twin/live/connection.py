@@ -116,16 +116,16 @@ class LocalConnection(Remembers):
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._drift = self._drift + (self._block**2 / _BLOCK - self._drift) / kept
         self._block = np.zeros(3)
-        self.weights = np.asarray(np.linalg.solve(self._seen(), self._sums))
+        self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Take a memory, as all that remember do."""
         super().recall(memory)
         if self._frames >= _BLOCK:
-            self._seen()
+            self._normal()
 
-    def _seen(self) -> np.ndarray:
-        """Return the normal equations' matrix, with the prior; find what it leaves W to be."""
+    def _normal(self) -> np.ndarray:
+        """Return the normal equations' matrix with the prior; keep its inverse's root, W's spread."""
         gram: np.ndarray = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
         return gram
