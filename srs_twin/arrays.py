@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from srs_twin.errors import InputError
 
@@ -43,6 +45,27 @@ def check_positive(what: str, value: Any, unit: str = "") -> None:
     if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
         shown = f"{value!r} {unit}".strip()
         raise InputError(f"{what} {shown} is not allowed; it must be finite and above 0")
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """Return a context in which BLAS computes in one thread.
+
+    OpenBLAS splits sums between its threads, so the last digits of a product of matrices larger than about
+    100 x 100 depend on their number.
+    """
+    context: AbstractContextManager[Any] = ThreadpoolController().limit(limits=1, user_api="blas")
+    return context
+
+
+def blas_kernels() -> tuple[str, ...]:
+    """Return the names of the kernels of the BLAS libraries in this process, such as `SkylakeX`, sorted.
+
+    It is empty where no library reports one.
+    """
+    import scipy.linalg  # noqa: F401  SciPy brings a second BLAS library
+
+    found = ThreadpoolController().select(user_api="blas").info()
+    return tuple(sorted({library["architecture"] for library in found if library.get("architecture")}))
 
 
 Record = TypeVar("Record")

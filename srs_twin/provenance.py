@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin import __version__
+from srs_twin.arrays import blas_kernels, one_blas_thread
 from srs_twin.errors import InputError
 from srs_twin.io.files import find
 
@@ -53,9 +54,9 @@ def versions() -> dict[str, str]:
 def arithmetic() -> str:
     """Return a name of the arithmetic that decides the last digits of results.
 
-    It is the processor that kernels are compiled for (`NUMBA_CPU_NAME` sets another), and a digest of its
-    features and of what functions of the C library and NumPy return: they choose their code by the
-    processor.
+    It has three parts: the processor that kernels are compiled for (`NUMBA_CPU_NAME` sets another), the
+    kernels of the BLAS libraries of NumPy and SciPy (`OPENBLAS_CORETYPE` sets others), and a digest of the
+    processor's features and of values of the C library, NumPy and BLAS, which choose code by the processor.
     """
     from numba.core.registry import cpu_target
 
@@ -64,7 +65,12 @@ def arithmetic() -> str:
     functions = (math.sin, math.cos, math.tan, math.exp, math.atan, math.asinh, math.cbrt)
     values = [[function(each) for each in x.tolist()] for function in functions]
     values += [function(x).tolist() for function in (np.sin, np.cos, np.exp, np.arctan)]
-    return f"{processor}-{hashlib.sha256(repr((features, values)).encode()).hexdigest()[:8]}"
+    square = np.cos(np.arange(1600.0) ** 1.5).reshape(40, 40)
+    with one_blas_thread():
+        values += [(square @ square).tolist(), np.linalg.inv(square).tolist()]
+        values += [np.linalg.eigvalsh(square).tolist()]
+    digest = hashlib.sha256(repr((features, values)).encode()).hexdigest()[:8]
+    return "-".join((processor, *blas_kernels(), digest))
 
 
 def run_key(document: Mapping[str, Any], plants: Iterable[str]) -> str:

@@ -125,8 +125,9 @@ def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
-    # Gait speeds move by less than 0.01 % from 1e-10 to 1e-4; at rest 1e-7 leaves speeds below 1e-5 m/s.
-    option.tolerance = 1e-7
+    # At 1e-7 the solver accepts loads with an error that depends on the BLAS kernel; wheels that stop then
+    # get a sideways kick of 1e-7 m/s. At 1e-12 it makes at most one more iteration and reaches rounding.
+    option.tolerance = 1e-12
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 

@@ -35,6 +35,7 @@ import numpy as np
 import scipy.linalg
 from numba import types
 
+from srs_twin.arrays import one_blas_thread
 from srs_twin.compiled import compiled, inside
 from srs_twin.memory import Remembers, names
 from srs_twin.mjcf import surroundings
@@ -107,7 +108,9 @@ class LoadedContact(Remembers):
         geoms = [model.geom(name) for name in feet + touching]
         body = np.array([geom.bodyid[0] for geom in geoms])
         mass, easy = _reference(model, feet, touching)
-        damping, less = _dampers(model, mass, self._h, np.zeros((nv, nv)) if air is None else air)
+        with one_blas_thread():
+            damping, less = _dampers(model, mass, self._h, np.zeros((nv, nv)) if air is None else air)
+            ease = np.einsum("wi,ij,wj->w", easy, np.linalg.inv(mass + damping), easy)
         triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
         spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
         none = np.zeros(len(touching))
@@ -119,7 +122,7 @@ class LoadedContact(Remembers):
             place=np.stack([geom.pos for geom in geoms[: len(feet)]]),
             last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
             softness=np.append(softness(model, spec), none + math.inf),
-            ease=np.einsum("wi,ij,wj->w", easy, np.linalg.inv(mass + damping), easy),
+            ease=ease,
             rest=np.append(rest_loads(spec, -model.opt.gravity[2]), none),
             load=LOADS.index(numerics.load),
             sensor=np.array(sensors),

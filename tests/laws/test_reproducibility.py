@@ -6,7 +6,10 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from snakes import chain
+from threadpoolctl import threadpool_limits
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 
@@ -35,6 +38,39 @@ def test_same_seed_gives_the_same_bytes_in_three_processes():
     assert [run.returncode for run in runs] == [0, 0, 0]
     assert [line.split()[0] for line in outputs[0].splitlines()] == ["analytical", "twin"]
     assert len(set(outputs)) == 1
+
+
+DIGEST = """
+import hashlib
+from srs_twin import Gait, TwinSnake, load_robot, rollout
+from srs_twin.provenance import arithmetic
+run = rollout(TwinSnake(load_robot("gen2"), contact="loaded"), Gait(2.0, 0.2), 0.2)
+print(arithmetic(), hashlib.sha256(run["com_x"].tobytes() + run["heading"].tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_equal_arithmetic_means_equal_bits_under_every_blas_kernel():
+    """Kernels that the processor cannot execute are replaced by OpenBLAS, in the name as well."""
+    digests: dict[str, set[str]] = {}
+    for kernel in ("Haswell", "SkylakeX", "Sandybridge", "Nehalem"):
+        environment = {**os.environ, "OPENBLAS_CORETYPE": kernel}
+        done = subprocess.run(
+            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=True
+        )
+        name, digest = done.stdout.split()
+        digests.setdefault(name, set()).add(digest)
+    assert len(digests) > 1, "OPENBLAS_CORETYPE selects no other kernel here"
+    assert all(len(found) == 1 for found in digests.values())
+
+
+def test_a_long_twin_does_not_depend_on_the_number_of_blas_threads():
+    dampers = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, "blas"):
+            twin = TwinSnake(chain((0.05,) * 61), contact="loaded")
+        dampers.append(twin.physics.loaded.records["pattern"].damping)
+    assert np.array_equal(*dampers)
 
 
 def test_running_a_plant_again_repeats_itself():
