@@ -64,6 +64,28 @@ def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
         assert late == 0
 
 
+@pytest.mark.parametrize(
+    ("jitter", "longest", "late"), [(0.02, 0.03, 0.0), (0.08, 0.08, 0.05), (0.5, 0.1, 0.9), (3.0, 0.1, 1.0)]
+)
+def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late):
+    """Both clocks agree here: every twentieth message has no delay."""
+    delay = np.random.default_rng(4).uniform(0.0, jitter, 1500)
+    delay[::20] = 0.0
+    sent, inbox = 0.02 * np.arange(len(delay)), Inbox(hold_s=0.03)
+    events = sorted([(s + d, s) for s, d in zip(sent, delay, strict=True)] + [(t, -1.0) for t in sent + 0.01])
+    waiting: dict[float, float] = {}
+    for now, of in events:
+        if of >= 0:
+            missed = inbox.counts["robot", BENDS, "late"]
+            inbox.put(message(of, now))
+            if inbox.counts["robot", BENDS, "late"] == missed:
+                waiting[of] = now
+        for _, each in inbox.take(now):
+            del waiting[each.sent]
+        assert all(arrived > now - longest - 1e-9 for arrived in waiting.values())
+    assert inbox.counts["robot", BENDS, "late"] <= late * len(delay)
+
+
 @pytest.mark.parametrize("kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES])))
 def test_what_was_sent_at_once_comes_as_it_is_needed(kinds):
     inbox = Inbox()

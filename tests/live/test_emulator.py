@@ -17,6 +17,7 @@ from srs_twin import Gait, InputError, load_robot
 from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
 from srs_twin.live.mqtt import MqttLink
+from srs_twin.live.natnet import turned
 from srs_twin.live.optitrack import NatNetLink
 
 QUIET = {"noise_rad": 0.0, "gain_spread": 0.0}
@@ -91,6 +92,22 @@ def test_robots_differ_by_seed_and_only_by_it():
     assert one.twin.spec != other.twin.spec
     assert one.twin.spec == again.twin.spec
     assert one.twin.spec != load_robot("gen4")
+
+
+def test_sensor_and_camera_noise_is_independent_in_every_component():
+    """Tolerances are five standard errors of 1000 frames; heading markers are 20 mm from the centre."""
+    robot = EmulatedRobot("gen4", seed=3, noise_rad=0.05)
+    seen, bends = [], []
+    for _ in range(1000):
+        seen.append([turned(each, "y")[[0, 1, 3]] for each in robot.bodies().values()])
+        bends.append(robot.bends())
+    state, bends = robot.state, np.array(bends)
+    noise = np.array(seen) - np.column_stack([state.position, state.theta])
+    noise[:, :, 2] = np.arctan2(np.sin(noise[:, :, 2]), np.cos(noise[:, :, 2]))
+    assert noise.std(axis=0) == pytest.approx(np.tile([0.3e-3, 0.3e-3, 0.3e-3 / 0.02], (5, 1)), rel=0.11)
+    assert (bends - state.bend).std(axis=0) == pytest.approx(np.full(4, 0.05), rel=0.11)
+    both = np.hstack([noise.reshape(1000, -1), bends])
+    assert np.abs(np.corrcoef(both.T) - np.eye(both.shape[1])).max() < 0.16
 
 
 def test_duties_fill_in_between():
