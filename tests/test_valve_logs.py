@@ -15,6 +15,7 @@ from srs_twin import InputError
 from srs_twin.identification import join, read_valves
 from srs_twin.recordings.clock import driven_bends, estimate_offset
 from srs_twin.recordings.logs import ValveLog
+from srs_twin.recordings.recording_map import RecordingMap
 
 pytestmark = pytest.mark.fast
 
@@ -148,6 +149,19 @@ def test_valves_hold_and_become_a_schedule(tmp_path):
     assert schedule.starts.tolist() == [0.0, 0.5, 2.0] and schedule.span == 2.0
     said = "; ".join(found.corrections)
     assert "sorted" in said and "1 rows repeat the time" in said
+
+
+@pytest.mark.parametrize("full", [1.0, 100.0], ids=["shares", "percent"])
+def test_duties_fill_for_their_share_of_each_carrier_period(tmp_path, full):
+    duty = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
+    rows = [",".join(f"{each:g}" for each in (time, *(full * duty))) for time in (0.0, 2.0)]
+    path = tmp_path / "duties.csv"
+    path.write_text("\n".join([HEAD.replace("valve", "duty"), *rows, ""]), "utf-8")
+    found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
+    filling = found.at(np.arange(0.0005, 2.0, 0.001)) == 1
+    for period in filling.reshape(20, 100, 8):
+        assert period.mean(axis=0) == pytest.approx(duty, abs=0.011)
+        assert (np.diff(period.astype(int), axis=0) <= 0).all()  # filling comes first
 
 
 def test_open_and_closed_are_filling_and_venting(tmp_path):

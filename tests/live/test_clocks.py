@@ -42,6 +42,18 @@ def test_a_drift_is_followed_and_a_clock_that_is_set_begins_anew():
     assert clock.offset == pytest.approx(sent + 2.0)
 
 
+@pytest.mark.parametrize("step", [0.9, -0.9, 1.1, -1.1])
+def test_clock_that_steps_by_more_than_a_second_was_set(step):
+    """A smaller step forward of our difference is a late message; a smaller one back is a quicker message."""
+    clock = SenderClock()
+    for k in range(100):
+        clock.take(0.02 * k, 0.02 * k + 5.0)
+    clock.take(2.0, 7.0 + step)
+    was_set = abs(step) > 1.0
+    assert clock.jumps == was_set
+    assert clock.offset == pytest.approx(5.0 + (step if was_set else min(step, 0.0)))
+
+
 @given(st.lists(st.floats(0.0, 0.06), min_size=5, max_size=60), st.randoms())
 def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
     inbox = Inbox(hold_s=0.03)
