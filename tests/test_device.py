@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
 
 import srs_twin.envs  # noqa: F401
-from srs_twin import Gait, InputError, TwinBatch, load_robot, run_scripts
+from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
 from srs_twin.errors import EngineWarning
 from srs_twin.friction_held import held, rolling
 from srs_twin.sweep import load_sweep
@@ -75,6 +76,47 @@ def test_the_laws_of_friction_are_the_same_in_warp():
     scale = np.abs(here).max(axis=0)
     assert np.abs(out.numpy() - here).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
     assert np.abs(out.numpy() - here)[:, :2].max() < 1e-5
+
+
+def waves(gaits, slot, slots, steps):
+    """Return the valves that the device computes for gaits, shape (gaits, slots, segments, 2)."""
+    from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
+    from srs_twin.plants.device.ported import record, stacked
+
+    twin, empty = TwinSnake(GEN2), np.zeros((GEN2.segments, 2))
+    whole = empty.astype(int)
+    records = {
+        "relaxation": twin.pneumatics.relaxation(slot), "columns": twin.physics.columns,
+        "air": Air(empty, empty[:, 0], whole, whole, empty[:, 0]), "kept": Kept(empty[0], *3 * [empty]),
+        "wave": Wave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": Bodies(*7 * [empty]),
+    }  # fmt: skip
+    ported = {name: record(each) for name, each in records.items()}
+    spec = SimpleNamespace(h=slots * slot, slot=slot, slots=slots, tick=1, middle=False)
+    kernel, found = kernels(ported, spec).wave, []
+    given = stacked(ported["wave"], [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu")
+    out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
+    for step in range(steps):
+        count = wp.full(1, step, dtype=int, device="cpu")
+        wp.launch(kernel, dim=(len(gaits), GEN2.segments), inputs=[count, given, out], device="cpu")
+        found.append(out.numpy().copy())
+    return np.concatenate(found, axis=1)
+
+
+def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
+    """No edge of these gaits is within single-precision rounding of the middle of a slot."""
+    gaits = [
+        Gait(1.37, 0.11), Gait(2.9, -0.43, phase=0.7), Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
+        Gait(1.7, 0.09, rest_share=0.3), Gait(2.3, -0.31, phase_step=0.6, rest_share=0.1),
+    ]  # fmt: skip
+    for gait in gaits:
+        gait.reset(GEN2, 0.02)
+    slot, slots, steps = 1e-4, 2000, 6
+    there = waves(gaits, slot, slots, steps)
+    for gait, found in zip(gaits, there, strict=True):
+        schedule = gait.script(slot * slots * steps)
+        at = np.searchsorted(schedule.starts, slot * (np.arange(slots * steps) + 0.5), side="right") - 1
+        assert len(schedule.starts) > 8
+        assert (found == schedule.states[at]).all()
 
 
 @pytest.mark.slow

@@ -237,24 +237,33 @@ def test_headings_are_counted_on_over_the_turn():
     assert mean.pose.heading == pytest.approx(2.0 * (599 / 60 - 0.25), abs=1e-6)
 
 
-def test_frames_come_at_their_rate_with_noise_of_their_size_and_the_same_for_a_seed():
-    def frames(seed, rate=30.0):
-        camera, plant = (
-            CameraFrames(Camera(rate, 0.01, 0.1), seed),
-            Unicycle(Wheel(), as_told, speed=0.0, wag=0.0),
-        )
-        state, found = plant.reset(), []
-        for _ in range(5000):
-            found.append(camera.take(state))
-            state = plant.step(None)
-        return found
+def camera_frames(seed, rate=30.0):
+    """Return camera frames of a snake at rest over 100 s; None between frames."""
+    camera, plant = (
+        CameraFrames(Camera(rate, 0.01, 0.1), seed),
+        Unicycle(Wheel(), as_told, speed=0.0, wag=0.0),
+    )
+    state, found = plant.reset(), []
+    for _ in range(5000):
+        found.append(camera.take(state))
+        state = plant.step(None)
+    return found
 
-    taken = [each for each in frames(1) if each is not None]
+
+def test_frames_come_at_their_rate_and_repeat_for_a_seed():
+    taken = [each for each in camera_frames(1) if each is not None]
     assert len(taken) == pytest.approx(100 * 30, abs=1)
-    assert np.std([p.x for p in taken]) == pytest.approx(0.01, rel=0.1)
-    assert np.std([p.heading for p in taken]) == pytest.approx(0.1, rel=0.1)
-    assert frames(1) == frames(1) and frames(1) != frames(2)
-    assert all(each is not None for each in frames(1, rate=1000.0))
+    assert camera_frames(1) == camera_frames(1) and camera_frames(1) != camera_frames(2)
+    assert all(each is not None for each in camera_frames(1, rate=1000.0))
+
+
+def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
+    """Tolerances are seven standard errors of a spread and five of a correlation, of 3000 frames."""
+    noise = np.array([(*each,) for each in camera_frames(1) if each is not None])
+    assert noise.std(axis=0) == pytest.approx([0.01, 0.01, 0.1], rel=0.1)
+    assert np.abs(noise.mean(axis=0)).max() < 0.1 * 0.1
+    assert np.abs(np.corrcoef(noise.T) - np.eye(3)).max() < 0.1
+    assert np.abs(np.corrcoef(noise[:-1].T, noise[1:].T)[:3, 3:]).max() < 0.1  # from frame to frame
 
 
 def test_no_plan_ends_it_at_once_with_the_planners_reason():

@@ -16,7 +16,7 @@ from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
-from srs_twin.recordings.floor import MAPS
+from srs_twin.recordings.floor import MAPS, on_floor
 
 LAYOUTS = ("single", "head", "pair")
 
@@ -146,6 +146,16 @@ def test_the_world_may_be_turned_and_shifted(tmp_path_factory, x, y, turn, layou
     near(there.trajectory.stack("bend"), here.stack("bend"), 1e-5)
     near(wrapped(there.trajectory["heading"] - here["heading"] - turn), 0, 1e-5)
     near(there.trajectory.com, here.com @ np.array([[c, s], [-s, c]]) + [x, y], 1e-6)
+
+
+@pytest.mark.parametrize(("degrees", "levelled"), [(2.9, False), (3.1, True)])
+def test_floor_is_levelled_beyond_three_degrees(degrees, levelled):
+    flat = np.random.default_rng(0).uniform(-1, 1, (300, 4, 3)) * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+    found = on_floor(tilted, "auto", "z")
+    assert found.up == "z" and any("levelled" in each for each in found.corrections) == levelled
+    assert (np.ptp(found.height) < 0.01) == levelled
 
 
 def test_a_tilted_floor_is_levelled_and_said(tmp_path):

@@ -330,6 +330,35 @@ def test_a_regulator_keeps_the_line_within_a_hundredth():
     assert 0.99 * SUPPLY < chambers.line_pressure <= SUPPLY * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("limit", [None, COMPRESSOR])
+def test_regulated_supply_is_a_supply_of_that_pressure(limit):
+    lower = 0.6 * SUPPLY
+    more = {"flow_limit": limit, "line_begins": lower, "leak_per_s": 0.2}
+    regulated, made = (OrificePneumatics(robot(), supply_pa=each, **more) for each in (SUPPLY, lower))
+    regulated.regulate(lower)
+    traces = [each.advance(each.schedule(FILL, 0.3), np.linspace(0, 0.3, 7)) for each in (regulated, made)]
+    assert traces[0].pressure == pytest.approx(traces[1].pressure, abs=1e-6 * lower)
+    assert traces[0].air[-1] > 0 and traces[0].air == pytest.approx(traces[1].air, rel=1e-9)
+    assert (regulated.air, regulated.line_pressure) == pytest.approx((made.air, made.line_pressure))
+
+
+def test_placed_chambers_have_their_pressures_and_bends():
+    chambers, random = OrificePneumatics(robot(), supply_pa=SUPPLY), np.random.default_rng(2)
+    pressure, bend = random.uniform(0, SUPPLY, (4, 2)), np.array([1.1, -0.8, 0.3, -0.1])
+    chambers.place(pressure, bend)
+    now = chambers.now()
+    assert now.pressure[0] == pytest.approx(pressure) and now.bend[0] == pytest.approx(bend)
+
+
+def test_settings_are_recorded_in_their_units():
+    given = {"flow_limit": 2 / 60_000, "line_volume": 30e-6, "line_begins": 12e3, "leak_per_s": 0.3}
+    settings = OrificePneumatics(robot(), supply_pa=SUPPLY, **given).describe()
+    assert settings["flow_limit_l_per_min"] == pytest.approx(2.0)
+    assert settings["line_volume_ml"] == pytest.approx(30.0)
+    assert settings["line_begins_kpa"] == pytest.approx(12.0)
+    assert settings["leak_per_s"] == 0.3
+
+
 # What is refused
 
 

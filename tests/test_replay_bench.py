@@ -186,6 +186,16 @@ def test_a_bench_has_a_head_that_is_held(bench):
         on_bench(replace(take, trajectory=replace(take.trajectory, columns=columns)), MODULE)
 
 
+def test_bench_velocities_are_the_slopes_of_the_positions(bench):
+    found = on_bench(read_motion(bench / "markers.csv", MODULE, head=HEAD), MODULE).trajectory
+    for axis in "xy":
+        slope = np.gradient(found[f"com_{axis}"], found.time)
+        speed = found[f"com_velocity_{axis}"]
+        # Velocities are slopes of moving lines, so the fastest changes are smoothed.
+        assert speed.std() == pytest.approx(slope.std(), rel=0.2)
+        assert np.corrcoef(speed, slope)[0, 1] > 0.95
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -42,6 +42,18 @@ def test_a_drift_is_followed_and_a_clock_that_is_set_begins_anew():
     assert clock.offset == pytest.approx(sent + 2.0)
 
 
+@pytest.mark.parametrize("step", [0.9, -0.9, 1.1, -1.1])
+def test_clock_that_steps_by_more_than_a_second_was_set(step):
+    """A smaller step forward of our difference is a late message; a smaller one back is a quicker message."""
+    clock = SenderClock()
+    for k in range(100):
+        clock.take(0.02 * k, 0.02 * k + 5.0)
+    clock.take(2.0, 7.0 + step)
+    was_set = abs(step) > 1.0
+    assert clock.jumps == was_set
+    assert clock.offset == pytest.approx(5.0 + (step if was_set else min(step, 0.0)))
+
+
 @given(st.lists(st.floats(0.0, 0.06), min_size=5, max_size=60), st.randoms())
 def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
     inbox = Inbox(hold_s=0.03)
@@ -62,6 +74,28 @@ def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
     assert len(found) + late == len(sent)
     if max(delays) - min(delays) < 0.03:
         assert late == 0
+
+
+@pytest.mark.parametrize(
+    ("jitter", "longest", "late"), [(0.02, 0.03, 0.0), (0.08, 0.08, 0.05), (0.5, 0.1, 0.9), (3.0, 0.1, 1.0)]
+)
+def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late):
+    """Both clocks agree here: every twentieth message has no delay."""
+    delay = np.random.default_rng(4).uniform(0.0, jitter, 1500)
+    delay[::20] = 0.0
+    sent, inbox = 0.02 * np.arange(len(delay)), Inbox(hold_s=0.03)
+    events = sorted([(s + d, s) for s, d in zip(sent, delay, strict=True)] + [(t, -1.0) for t in sent + 0.01])
+    waiting: dict[float, float] = {}
+    for now, of in events:
+        if of >= 0:
+            missed = inbox.counts["robot", BENDS, "late"]
+            inbox.put(message(of, now))
+            if inbox.counts["robot", BENDS, "late"] == missed:
+                waiting[of] = now
+        for _, each in inbox.take(now):
+            del waiting[each.sent]
+        assert all(arrived > now - longest - 1e-9 for arrived in waiting.values())
+    assert inbox.counts["robot", BENDS, "late"] <= late * len(delay)
 
 
 @pytest.mark.parametrize("kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES])))

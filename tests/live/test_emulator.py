@@ -8,15 +8,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin import Gait, InputError, load_robot
+from srs_twin.live import emulator
 from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault
-from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
+from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES, Message
 from srs_twin.live.mqtt import MqttLink
+from srs_twin.live.natnet import turned
 from srs_twin.live.optitrack import NatNetLink
 
 QUIET = {"noise_rad": 0.0, "gain_spread": 0.0}
@@ -93,6 +96,22 @@ def test_robots_differ_by_seed_and_only_by_it():
     assert one.twin.spec != load_robot("gen4")
 
 
+def test_sensor_and_camera_noise_is_independent_in_every_component():
+    """Tolerances are five standard errors of 1000 frames; heading markers are 20 mm from the centre."""
+    robot = EmulatedRobot("gen4", seed=3, noise_rad=0.05)
+    seen, bends = [], []
+    for _ in range(1000):
+        seen.append([turned(each, "y")[[0, 1, 3]] for each in robot.bodies().values()])
+        bends.append(robot.bends())
+    state, bends = robot.state, np.array(bends)
+    noise = np.array(seen) - np.column_stack([state.position, state.theta])
+    noise[:, :, 2] = np.arctan2(np.sin(noise[:, :, 2]), np.cos(noise[:, :, 2]))
+    assert noise.std(axis=0) == pytest.approx(np.tile([0.3e-3, 0.3e-3, 0.3e-3 / 0.02], (5, 1)), rel=0.11)
+    assert (bends - state.bend).std(axis=0) == pytest.approx(np.full(4, 0.05), rel=0.11)
+    both = np.hstack([noise.reshape(1000, -1), bends])
+    assert np.abs(np.corrcoef(both.T) - np.eye(both.shape[1])).max() < 0.16
+
+
 def test_duties_fill_in_between():
     robot = EmulatedRobot("gen4", **QUIET)
     duty = np.zeros((4, 2))
@@ -101,6 +120,58 @@ def test_duties_fill_in_between():
         half = robot.step(duty).pressure
     assert (half[:, 0] > 5e3).all() and (half[:, 0] < 45e3).all()
     assert (half[:, 1] < 1e3).all()
+
+
+class Bench:
+    """A robot, its link and a clock that only sleeping moves; the robot keeps when it obeyed."""
+
+    tick, valves = 0.02, np.zeros((4, 2))
+
+    def __init__(self, monkeypatch, commands=()):
+        self.now, self.obeyed, self.sent = 100.0, [], []
+        self._commands = [100.0 + each for each in commands]
+        monkeypatch.setattr(emulator, "clock", lambda: self.now)
+        monkeypatch.setattr(emulator, "time", SimpleNamespace(sleep=self._sleep))
+
+    def _sleep(self, seconds):
+        self.now += seconds
+
+    def received(self):
+        due = [each for each in self._commands if each <= self.now]
+        self._commands = self._commands[len(due) :]
+        return [Message(COMMAND, "bench", each, each, np.ones((4, 2))) for each in due]
+
+    def send(self, kind, values, at=None):
+        if at is not None:
+            self.sent.append((kind, at, self.now))
+
+    def step(self, command):
+        self.obeyed.append((self.now, command is not None))
+        return SimpleNamespace(pressure=np.zeros((4, 2)))
+
+    def bends(self):
+        return np.zeros(4)
+
+
+def test_robot_vents_a_fifth_of_a_second_after_the_last_command(monkeypatch):
+    commands = [0.0, 0.05, 0.2, 1.0]
+    bench = Bench(monkeypatch, commands)
+    emulator.emulate(bench, bench, None, duration=2.0)
+    assert len(bench.obeyed) == pytest.approx(100, abs=1)
+    for now, obeys in bench.obeyed:
+        since = [now - 100.0 - each for each in commands if each <= now - 100.0]
+        assert obeys == (since[-1] < 0.2 + 1e-9)
+
+
+def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
+    """Five standard errors of 3000 messages; messages leave when the emulator wakes, every 2 ms."""
+    bench = Bench(monkeypatch)
+    emulator.emulate(bench, bench, None, air=emulator.Air(loss=0.3, jitter=0.05), duration=20.0, seed=3)
+    late = np.array([now - at for _, at, now in bench.sent])
+    assert len(late) == pytest.approx(0.7 * 3000, abs=5 * 25)
+    assert late.min() >= -1e-9 and late.max() <= 0.05 + 0.0031
+    assert late.mean() == pytest.approx(0.025 + 0.0015, abs=0.003)
+    assert {kind for kind, _, _ in bench.sent} == {BENDS, PRESSURES, VALVES}
 
 
 @needs_broker

@@ -72,6 +72,31 @@ def test_what_is_no_command_is_refused(payload, why):
     assert len(b"[" * 60_000) < LARGEST_BYTES
 
 
+@pytest.mark.parametrize(
+    ("kind", "low", "high"),
+    [(COMMAND, -1, 1), (VALVES, -1, 1), (PRESSURES, -100, 1000), (BENDS, -2 * math.pi, 2 * math.pi)],
+)
+def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
+    def document(values: list[float], time: float = 0.0) -> bytes:
+        lists = {"rad": values[:SEGMENTS]}
+        lists = lists if kind == BENDS else {"plus": values[:SEGMENTS], "minus": values[SEGMENTS:]}
+        return json.dumps({"t": time} | lists).encode()
+
+    def read(payload: bytes) -> np.ndarray:
+        return decode(kind, payload, source="x", arrived=0.0, segments=SEGMENTS).values
+
+    unit = 1000.0 if kind == PRESSURES else 1.0  # kPa
+    for limit in (low, high):
+        assert (read(document([limit] * 2 * SEGMENTS, 1e12)) == unit * limit).all()
+        for place in range(SEGMENTS if kind == BENDS else 2 * SEGMENTS):
+            beyond = [0.0] * 2 * SEGMENTS
+            beyond[place] = 1.001 * limit
+            with pytest.raises(BadMessageError, match=f"from {low:g} to {high:g}"):
+                read(document(beyond))
+    with pytest.raises(BadMessageError, match="t: a number"):
+        read(document([0.0] * 2 * SEGMENTS, 1.001e12))
+
+
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
     lambda inner: (

@@ -102,6 +102,19 @@ def test_what_is_not_ours_is_passed_over(version):
     assert found.markers == {}, "an occluded one"
 
 
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_bodies_and_markers_with_any_number_not_finite_are_not_seen(bad):
+    def with_one_bad(numbers: tuple[float, ...]) -> list[tuple[float, ...]]:
+        return [(*numbers[:k], bad, *numbers[k + 1 :]) for k in range(len(numbers))]
+
+    places, turns = with_one_bad((1.0, 2.0, 3.0)), with_one_bad((0.0, 0.0, 0.0, 1.0))
+    bodies = [RigidBody(each) for each in places] + [RigidBody((1.0, 2.0, 3.0), each) for each in turns]
+    frame = Frame(1, 0.0, dict(enumerate(bodies)), dict(enumerate(places)))
+    found = read(natnet.write_frame(frame, (4, 1)), (4, 1))
+    assert [each.tracked for each in found.bodies.values()] == [False] * 7
+    assert found.markers == {}
+
+
 @settings(max_examples=300)
 @given(version=st.sampled_from(VERSIONS), data=st.data())
 def test_no_packet_does_more_than_be_refused(version, data):

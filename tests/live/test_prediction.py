@@ -72,3 +72,17 @@ def test_hindsight_learns_from_commands_that_came_true(came):
         rhythm.take(SLOT_S * (k + 0.5), np.full((4, 2), 0.0 if came or k < 50 else 1.0))
         hindsight.see(SLOT_S * k, np.array([0.1 * (SLOT_S * k - 0.99), 0.0, 0.0]))
     assert hindsight.corrected(still).pose[-1, 0] == pytest.approx(0.1 if came else 0.0, abs=1e-3)
+
+
+def test_intervals_cover_95_percent_along_and_across_the_heading():
+    """A few percent more are allowed: standard deviations come from few predictions."""
+    heading, sd = 0.7, np.array([0.03, 0.01, 0.2])
+    error = np.random.default_rng(5).normal(size=(20_000, 3)) * sd
+    c, s = np.cos(heading), np.sin(heading)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    zeros, count = np.zeros((len(error), 3)), np.zeros(len(error))
+    predicted = Prediction(0.0, heading, np.zeros((50, 4, 2)), count, zeros + [1.0, 2.0, 3.0], zeros + sd)
+    poses = [1.0, 2.0, 3.0] + error @ turn
+    assert np.abs(predicted.off(poses) - error).max() < 1e-12
+    share = predicted.covers(poses).mean(axis=0)
+    assert (share > 0.95).all() and (share < 0.975).all()

@@ -12,8 +12,10 @@ import pytest
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.optimization import load_study, search
+from srs_twin.optimization.file import VariableFile
 from srs_twin.optimization.runs import Runs
 from srs_twin.optimization.search import front
+from srs_twin.optimization.space import Space
 from srs_twin.parallel import Done
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.sweep.task import DONE, FAILED, Row
@@ -57,8 +59,8 @@ def cost(f, p, part):
 class Engine:
     """Gives speed and cost by formula; counts what it was asked for."""
 
-    def __init__(self, breaks_after=math.inf):
-        self.keys, self._left = [], breaks_after
+    def __init__(self, breaks_after=math.inf, speed=speed):
+        self.keys, self._left, self._speed = [], breaks_after, speed
 
     def __call__(self, experiment, points):
         (plant,) = experiment.plants
@@ -75,7 +77,7 @@ class Engine:
                 yield Done(number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None)
                 continue
             values = {
-                f"{plant}.com_speed_m_s": speed(f, p, part),
+                f"{plant}.com_speed_m_s": self._speed(f, p, part),
                 f"{plant}.cost_of_transport": cost(f, p, part),
             }
             yield Done(number, Row(point.key, DONE, values), None)
@@ -98,6 +100,43 @@ def test_few_runs_of_the_twin_find_its_optimum_that_the_cheap_model_misses(tmp_p
         (run for run in found.runs if run.part == "compliant"), key=lambda run: run.metric("com_speed_m_s")
     )
     assert speed(*asked.space.values(cheap.shares), "twin") < 0.9 * 0.4
+
+
+@pytest.mark.parametrize(("most_f", "most_p"), [(0.5, 2.6), (2.8, 0.4)])
+def test_optimum_at_two_bounds_is_found(tmp_path, most_f, most_p):
+    """Nine seeds came within 1 % of the ranges."""
+
+    def slope(f, p, part):
+        aside = abs(f - most_f) / 2.3 + abs(p - most_p) / 2.2
+        return 1.0 - aside / (2 if part == "twin" else 3)
+
+    study(tmp_path, compliant=80, twin=20)
+    path = tmp_path / "question.yaml"
+    path.write_text(path.read_text("utf-8").replace("high: 3.0", "high: 2.8"), "utf-8")
+    asked = load_study(path)
+    best, *_ = answered(asked, tmp_path / "out", Engine(speed=slope)).best
+    bound = np.array([most_f == 2.8, most_p == 2.6])
+    assert np.abs(best.shares - bound).max() < 0.015
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+@pytest.mark.parametrize("whole", [False, True])
+def test_shares_map_to_both_bounds_and_back(scale, whole):
+    ranges = {
+        name: VariableFile(low=low, high=high, scale=scale, whole=whole)
+        for name, low, high in (("a", 1, 7), ("b", 3, 4000), ("c", 20, 21))
+    }
+    space = Space(ranges, {})
+    assert space.values(np.zeros(3)) == (1, 3, 20) and space.values(np.ones(3)) == (7, 4000, 21)
+    assert space.values(np.full(3, -0.1)) == (1, 3, 20) and space.values(np.full(3, 1.1)) == (7, 4000, 21)
+    for share in np.linspace(0, 1, 11):
+        values = space.values(np.full(3, share))
+        back = space.values(space.shares(dict(zip("abc", values, strict=True))))
+        assert back == pytest.approx(values, rel=2e-6)
+        if not whole:
+            assert space.shares(dict(zip("abc", values, strict=True))) == pytest.approx(share, abs=1e-4)
+    middle = space.values(np.full(3, 0.5))
+    assert middle[0] == pytest.approx({"linear": 4, "log": math.sqrt(7)}[scale], abs=0.5 if whole else 1e-5)
 
 
 def test_constraints_are_kept(tmp_path):

@@ -48,6 +48,19 @@ def test_a_dead_end_is_proven_at_the_start():
     assert answer.proven and "where the start lies" in answer.reason
 
 
+@pytest.mark.parametrize("quarters", range(4))
+def test_dead_end_between_bounds_is_proven_in_every_direction(quarters):
+    """The bounds are a corridor; the goal faces away from its closed end."""
+    turn = 1j**quarters
+    start, angle = -3.0 * turn, quarters * math.pi / 2
+    for half, proven in ((0.12, "goal"), (1.7, "")):
+        ends = np.array([complex(-3.4, -half), complex(0.8, half)]) * turn
+        x, y = (tuple(sorted(each.round(9).tolist())) for each in (ends.real, ends.imag))
+        goal = Goal(0.0, 0.0, angle + math.pi, 0.02, 0.1)
+        around = surroundings(World(bounds=Bounds(x, y)))
+        assert shut_in(Pose(start.real, start.imag, angle), goal, BODY, around, COARSE) == proven
+
+
 def test_a_pocket_with_room_to_turn_is_no_proof():
     wide = problem(pocket(1.7), math.pi)
     answer = plan(wide)

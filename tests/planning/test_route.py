@@ -51,6 +51,14 @@ def test_left_is_positive_and_ends_go_on_straight():
     assert (way.curvature(0.5), way.curvature(1.2), way.curvature(1.6), way.curvature(-1)) == (0, 2, 0, 0)
 
 
+def test_joint_of_two_arcs_belongs_to_the_second():
+    way = route([(1.0, 0.5), (-2.0, 0.25), (3.0, 0.5)])
+    assert [way.curvature(s) for s in (0.0, 0.5, 0.75, 1.25)] == [1.0, -2.0, 3.0, 0.0]
+    for s in (0.0, 0.5, 0.75):
+        before, after = way.pose(s - 1e-9), way.pose(s)
+        assert [*after] == pytest.approx([*before], abs=1e-8)
+
+
 def test_a_turn_by_more_than_half_a_circle_is_found_all_along():
     way = route([(2.0, 2.8)])
     for s in np.linspace(0.01, 2.79, 40):

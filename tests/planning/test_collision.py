@@ -1,0 +1,165 @@
+"""Body edges along a path, bounds and nearest things, one side at a time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.best_first import at_rest, one_arc
+from srs_twin.planning.collision import Checker, inside, nearest, surroundings
+from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.free_space import least_length
+from srs_twin.planning.gates import gates_of
+from srs_twin.planning.problem import path_of
+from srs_twin.planning.tree import moves_of
+from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+
+BODY = Footprint(
+    "unequal", "no two numbers are the same", (-0.3, 0.0, 0.3), (-2.0, 0.0, 2.0), (0.2, 0.2, 0.2),
+    left=(0.06, 0.05, 0.04), right=(0.03, 0.07, 0.08), ahead=0.11, behind=0.13,
+    transients=(Transient(0.3, 0.0, 0.02, 0.03, 0.4), Transient(0.0, 0.3, 0.045, 0.01, 0.6)),
+)  # fmt: skip
+BEND, STRAIGHT, STEP = (2.0, 0.3), (0.0, 1.0), 1e-4
+
+
+def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
+    """Return whether a path from the origin is free, by the plan checker and by the search."""
+    moves, free = moves_of(Primitives(3, 0.4, 0.2), BODY), True
+    way = at_rest(0.0, 0.0, 0.0, moves)
+    for curvature, length in pieces:
+        move = int(np.argmin(abs(moves.curvatures - curvature)))
+        passed, way = one_arc(way, move, length, moves, surroundings(world))
+        free = free and bool(passed)
+    return Checker(world, BODY).free_path(path_of(Pose(0.0, 0.0, 0.0), pieces, BODY)), free
+
+
+def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> World:
+    """Return a thin pin, s ahead of the start of a piece and n to its left, m."""
+    x, y, heading = path_of(Pose(0.0, 0.0, 0.0), pieces, BODY)[piece].start
+    c, sn = math.cos(heading), math.sin(heading)
+    return World((Circle(x + c * s - sn * n, y + sn * s + c * n, STEP),))
+
+
+@pytest.mark.parametrize(
+    ("s", "n", "out"),
+    [
+        pytest.param(0.3, 0.05 + 0.02, (0, 1), id="left, just after the change of offset"),
+        pytest.param(0.3, -0.07 - 0.03, (0, -1), id="right, just after the change of offset"),
+        pytest.param(0.8, 0.05, (0, 1), id="left, settled"),
+        pytest.param(0.8, -0.07, (0, -1), id="right, settled"),
+        pytest.param(0.4 + 0.11, 0.06, (1, 0), id="left, where the change has settled"),
+        pytest.param(0.4 + 0.11, -0.09, (1, 0), id="right, where the change has settled"),
+        pytest.param(1.0 + 0.11, 0.0, (1, 0), id="head"),
+    ],
+)
+def test_body_collides_exactly_at_its_edges(s, n, out):
+    pieces = [BEND, STRAIGHT]
+    for beyond, free in ((2 * STEP, True), (0.0, False)):
+        world = pin(pieces, 1, s + beyond * out[0], n + beyond * out[1])
+        assert frees(pieces, world) == (free, free)
+
+
+@pytest.mark.parametrize(
+    ("s", "n", "out"),
+    [(0.5, 0.05, (0, 1)), (0.5, -0.07, (0, -1)), (-0.13, 0.0, (-1, 0)), (1.11, 0.0, (1, 0))],
+    ids=["left", "right", "tail", "head"],
+)
+def test_path_from_rest_has_steady_edges(s, n, out):
+    for beyond, free in ((2 * STEP, True), (0.0, False)):
+        world = pin([STRAIGHT], 0, s + beyond * out[0], n + beyond * out[1])
+        assert frees([STRAIGHT], world) == (free, free)
+
+
+@pytest.mark.parametrize(("between", "left"), [(0.2, 0.045), (0.7, 0.02)], ids=["lasting", "over"])
+def test_overlapping_transients_use_the_wider_edges(between, left):
+    """The first change has the wider left edge, the second the wider right edge."""
+    pieces = [(0.0, 0.2), (2.0, between), STRAIGHT]
+    for n, out in ((0.05 + left, 1), (-0.07 - 0.03, -1)):
+        for beyond, free in ((2 * STEP, True), (0.0, False)):
+            assert frees(pieces, pin(pieces, 2, 0.3, n + beyond * out)) == (free, free)
+
+
+ROOM = Bounds((-1.0, 2.0), (-3.0, 4.0))
+WALLS = {
+    "west": (-1.0, 0.5, -1, 0),
+    "east": (2.0, 0.5, 1, 0),
+    "south": (0.5, -3.0, 0, -1),
+    "north": (0.5, 4.0, 0, 1),
+}
+
+
+@pytest.fixture(params=WALLS)
+def wall(request):
+    return WALLS[request.param]
+
+
+def test_nearest_compares_each_bound_with_obstacles(wall):
+    x, y, east, north = wall
+    near, beyond = ((x + d * east, y + d * north) for d in (-0.1, 0.1))
+
+    def box(gap: float) -> Polygon:
+        """Return a square at this distance from the point near the bound, on the inner side."""
+        a, b = near[0] - (gap + 0.1) * east, near[1] - (gap + 0.1) * north
+        return Polygon(tuple((a + u, b + v) for u, v in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))))
+
+    for gap, found in ((0.11, 0), (0.09, 1)):
+        disc = Circle(near[0] - (gap + 0.3) * east, near[1] - (gap + 0.3) * north, 0.3)
+        assert nearest(World((disc,), ROOM), *near) == ("bounds", "obstacle 1")[found]
+        assert nearest(World(bounds=ROOM, polygons=(box(gap),)), *near) == ("bounds", "polygon 1")[found]
+        assert nearest(World((disc,), ROOM), *beyond) == "bounds"
+    assert nearest(World(polygons=(box(0.2),)), *near) == "polygon 1" and nearest(World(), *near) == ""
+
+
+def test_crossing_a_bound_is_reported_on_each_side(wall):
+    x, y, east, north = wall
+    world, said = World(bounds=ROOM), "the bounds (x -1 to 2 m, y -3 to 4 m)"
+    body = Footprint.box(0.05, 0.0, speed=0.2, curvature=2.0, ahead=0.09)
+    for gap, hit in ((0.001, ""), (-0.001, said)):
+        assert inside(world, x - gap * east, y - gap * north) == hit
+        facing = Pose(x - (0.09 + gap) * east, y - (0.09 + gap) * north, math.atan2(north, east))
+        assert Checker(world, body).blocker(facing) == hit
+        sideways = Pose(x - (0.025 + gap) * east, y - (0.025 + gap) * north, facing.heading + math.pi / 2)
+        assert Checker(world, body).blocker(sideways) == hit
+
+
+def turned(world: World, quarters: int) -> World:
+    """Return the world after quarter turns to the left about the origin."""
+    if quarters == 0:
+        return world
+    (west, east), (south, north) = world.bounds.x, world.bounds.y
+    circles = tuple(Circle(-c.y, c.x, c.radius) for c in world.obstacles)
+    polygons = tuple(Polygon(tuple((-y, x) for x, y in p.corners)) for p in world.polygons)
+    return turned(World(circles, Bounds((-north, -south), (west, east)), None, polygons), quarters - 1)
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_least_length_respects_each_bound(quarters):
+    """The shortest path passes the near end of a wall if the gap to the bound is wide enough."""
+    start, goal = (complex(x, 0.0) * 1j**quarters for x in (-2.0, 2.0))
+    for gap, around in ((0.099, 3.0), (0.101, 0.5)):
+        wall = Polygon(((-0.01, -3.0), (0.01, -3.0), (0.01, 0.5), (-0.01, 0.5)))
+        world = turned(World((), Bounds((-9, 9), (-9, 0.5 + gap)), None, (wall,)), quarters)
+        ends = Pose(start.real, start.imag, 0.0), Goal(goal.real, goal.imag, None, 0.0)
+        found = least_length(*ends, world, 0.05)
+        assert 2 * math.hypot(1.99, around) < found < 2 * math.hypot(2.0, around + 0.06) + 0.02
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_gates_at_a_bound_rotate_with_the_world(quarters):
+    world = World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15)))
+    body = Footprint.box(0.2, 0.0, speed=0.2, curvature=2.0)
+
+    def gates(world: World) -> np.ndarray:
+        x, y, heading, through = gates_of(world, body).T
+        rows = np.column_stack([x, y, np.cos(heading), np.sin(heading), through])
+        return rows[np.lexsort(rows.round(6).T)]
+
+    c, s = round(math.cos(quarters * math.pi / 2)), round(math.sin(quarters * math.pi / 2))
+    turn, before = np.array([[c, s], [-s, c]]), gates(world)
+    assert len(before)
+    expected = np.column_stack([before[:, :2] @ turn, before[:, 2:4] @ turn, before[:, 4]])
+    expected = expected[np.lexsort(expected.round(6).T)]
+    assert gates(turned(world, quarters)) == pytest.approx(expected, abs=1e-6)

@@ -1,0 +1,35 @@
+"""Gaps and outliers of tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srs_twin.recordings.gaps import longest_complete, outliers
+
+pytestmark = pytest.mark.fast
+
+
+@pytest.mark.parametrize("missing", [1, 3, 7])
+def test_gap_lasts_from_the_last_sample_before_it_to_the_first_after_it(missing):
+    time = 5.0 + 0.01 * np.arange(60)
+    tracks = np.zeros((60, 2, 2))
+    tracks[20 : 20 + missing, 1] = np.nan
+    lasts = 0.01 * (missing + 1)
+    assert longest_complete(time, tracks, lasts + 1e-6) == slice(0, 60)
+    assert longest_complete(time, tracks, lasts - 1e-6) == slice(20 + missing, 60)
+
+
+@pytest.mark.parametrize("place", [0.0, 10.0])
+@pytest.mark.parametrize("hidden", [False, True], ids=["seen", "between gaps"])
+def test_outliers_are_found_wherever_the_track_is(place, hidden):
+    """A cubic track has none; 5 mm in any direction is one, also where only its neighbours are seen."""
+    s = np.linspace(-1, 1, 200)
+    track = place + np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])
+    points = np.stack([track, track[::-1]], axis=1)
+    if hidden:
+        points[[57, 61, 119, 123]] = np.nan
+    assert not outliers(points, 1e-3).any()
+    points[59, 0] += [0.003, -0.004]
+    points[121, 1] -= [0.0, 0.005]
+    assert np.argwhere(outliers(points, 1e-3)).tolist() == [[59, 0], [121, 1]]
