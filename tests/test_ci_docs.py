@@ -106,6 +106,7 @@ def room(tmp_path, monkeypatch):
     skip = '[ "$1" = sync ] && exit 0\nwhile [ "$1" != srs-twin ]; do shift; done; shift'
     uv.write_text(f'#!/bin/sh\n{skip}\n{python} "$@"\n')
     uv.chmod(0o755)
+    monkeypatch.setenv("RECORD", str(tmp_path / "record"))
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
     (tmp_path / "scenarios").mkdir()
     return tmp_path
@@ -119,13 +120,60 @@ def bash(script, room, **variables):
     )
 
 
+def run_action(room, **given):
+    """Run the shell steps of the action with inputs in the places that it gives them."""
+    files = {"GITHUB_OUTPUT": room / "output", "GITHUB_STEP_SUMMARY": room / "summary"}
+    steps = [step for step in github_steps() if "run" in step]
+    return [
+        bash(
+            inputs_of(step["run"], **given), room, **files,
+            **{name: inputs_of(value, **given) for name, value in step.get("env", {}).items()},
+        )
+        for step in steps
+    ]  # fmt: skip
+
+
+HOSTILE = [
+    "runs$(touch X)", "runs`touch X`", "runs; touch X", "runs && touch X #", "runs | touch X",
+    '"; touch X; "', "'; touch X; '", '" > X; "', "runs\ntouch X", "$IFS;touch${IFS}X",
+    "${OUT@P}$(touch X)", "a=([$(touch X)]=1)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_inputs_are_never_executed(text, room):
+    (room / "bin/uv").write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$RECORD"\n')
+    (room / "output").touch()
+    for name in ACTION["inputs"]:
+        run_action(room, **{name: text})
+    for name in TEMPLATE["variables"]:
+        bash("\n".join(TEMPLATE["script"]), room, **TEMPLATE["variables"] | {name: text})
+    assert not list(room.rglob("X"))
+    lines = (room / "output").read_text().splitlines()
+    assert lines and all(line.startswith("junit=") for line in lines)
+    assert "srs-twin" in (room / "record").read_text().split()
+
+
+def test_no_workflow_pastes_an_expression_into_a_shell():
+    files = [*ROOT.glob(".github/**/*.yml"), ROOT / "ci/gitlab.yml"]
+
+    def scripts(value):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            if key in ("run", "script", "before_script"):
+                yield str(each)
+            elif isinstance(each, dict | list):
+                yield from scripts(each)
+
+    found = [text for path in files for text in scripts(YAML(typ="safe", pure=True).load(path))]
+    assert len(found) >= 5
+    assert not [text for text in found if "${{" in text]
+
+
 @pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
 def test_the_steps_of_the_action_run(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
-    install, run = (step["run"] for step in github_steps() if "run" in step)
-    files = {"GITHUB_OUTPUT": room / "output", "GITHUB_STEP_SUMMARY": room / "summary"}
-    assert bash(inputs_of(install, project=str(ROOT)), room, **files).returncode == 0
-    done = bash(inputs_of(run, project=str(ROOT)), room, **files)
+    installed, done = run_action(room, project=str(ROOT))
+    assert installed.returncode == 0
     assert done.returncode == code, done.stderr
     assert ("met " if code == 0 else "MISSED") in (room / "summary").read_text()
     assert (room / "output").read_text() == "junit=runs/junit.xml\n"
