@@ -6,8 +6,11 @@ import json
 import os
 import re
 import shlex
+import shutil
+import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from conftest import ROOT
@@ -221,6 +224,62 @@ def test_containerfile_copies_what_is_there_and_runs_as_nobody_special():
     assert re.findall(r"^USER (.*)$", last, re.M) == ["snake"] and "useradd --create-home snake" in last
     assert json.loads(re.search(r"^ENTRYPOINT (.*)$", last, re.M).group(1)) == ["srs-twin"]
     assert not re.search(r"(?i)^(ARG|ENV) .*(token|secret|password|key)", CONTAINERFILE, re.M)
+
+
+@pytest.fixture
+def container(tmp_path):
+    """The start script of the container, and a program that prints the cache folders it gets."""
+    for name in ("start", "bin", "tmp"):
+        (tmp_path / name).mkdir()
+    shutil.copy(ROOT / "ci/container.sh", tmp_path / "start/srs-twin")
+    program = tmp_path / "bin/srs-twin"
+    program.write_text('#!/bin/sh\necho "$NUMBA_CACHE_DIR"; echo "$MPLCONFIGDIR"; echo "$@"\n')
+    program.chmod(0o755)
+    return tmp_path
+
+
+def started(container):
+    """Return the private folder that the program gets."""
+    taken = ("NUMBA_CACHE_DIR", "MPLCONFIGDIR")
+    given = {name: value for name, value in os.environ.items() if name not in taken}
+    words = [str(container / "start/srs-twin"), "run", "a b"]
+    env = given | {"TMPDIR": str(container / "tmp")}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
+    kernels, pictures, arguments = done.stdout.splitlines()
+    assert (Path(kernels).name, Path(pictures).name) == ("numba", "matplotlib")
+    assert Path(kernels).parent == Path(pictures).parent and arguments == "run a b"
+    return Path(kernels).parent
+
+
+@pytest.mark.parametrize("before", ["nothing", "private", "open", "link", "file", "foreign"])
+def test_caches_of_the_container_are_private_to_its_user(before, container):
+    own = container / f"tmp/srs-twin-{os.getuid()}"
+    if before in ("open", "foreign"):
+        own.mkdir()
+        own.chmod(0o777)
+    elif before == "private":
+        own.mkdir(mode=0o700)
+    elif before == "link":
+        (container / "elsewhere").mkdir(mode=0o777)
+        own.symlink_to(container / "elsewhere")
+    elif before == "file":
+        own.touch()
+    if before == "foreign":
+        if os.getuid() != 0:
+            pytest.skip("only root can give a folder away")
+        os.chown(own, 65534, 65534)
+    found = started(container)
+    there = found.lstat()
+    assert stat.S_ISDIR(there.st_mode) and stat.S_IMODE(there.st_mode) == 0o700
+    assert there.st_uid == os.getuid() and found.parent == own.parent
+    assert (found == own) == (before in ("nothing", "private"))
+
+
+def test_the_container_starts_with_private_caches():
+    last = CONTAINERFILE.rpartition("FROM ")[2]
+    assert "COPY ci/container.sh /opt/srs-twin/start/srs-twin\n" in last
+    assert "ENV PATH=/opt/srs-twin/start:/opt/srs-twin/bin:$PATH\n" in last
+    assert "CACHE_DIR" not in last and os.access(ROOT / "ci/container.sh", os.X_OK)
 
 
 def test_containerfile_installs_what_the_doctor_asks_for():
