@@ -114,7 +114,7 @@ def _unsafe(folder: Path) -> str | None:
             continue
         if found.st_uid not in (os.getuid(), 0):
             return f"{path} belongs to another user"
-        # In a folder with the sticky bit, such as /tmp, others cannot replace what is not theirs.
+        # In a folder with the sticky bit, such as /tmp, only the owner can replace a file.
         sticky = path != folder and found.st_mode & stat.S_ISVTX
         if found.st_mode & stat.S_IWOTH and not sticky:
             return f"{path} can be written by all users"

@@ -57,7 +57,7 @@ class CopiedWhole:
         return copy.deepcopy(self)
 
     def __reduce_ex__(self, protocol: Any) -> str | tuple[Any, ...]:
-        """Return the parts by which `copy` and `pickle` make the object again.
+        """Return the class and the attributes, for `copy` and `pickle`.
 
         Raises:
             InputError: an attribute can be neither copied nor pickled.

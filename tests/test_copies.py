@@ -50,7 +50,7 @@ def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
     go_on(plant, controller, 11)
     pairs = copies((plant, controller)) | {"alone": (copy.copy(plant), copy.copy(controller))}
     pairs.pop("copy")  # of a tuple it is the tuple
-    # The copies move first: whatever they shared with the original would have changed when it moves.
+    # The copies move first, so that state which they share with the original has changed when it moves.
     moved = {name: go_on(*pair, 9) for name, pair in pairs.items()}
     here = go_on(plant, controller, 9)
     for name, (other, steering) in pairs.items():
@@ -135,7 +135,7 @@ def test_pickles_continue_with_the_same_bits_in_another_process(tmp_path):
 
 
 class Steered(Gait):
-    """A gait of somebody's own that holds one thing more."""
+    """A user's gait with one more attribute."""
 
     def __init__(self, own: Any) -> None:
         super().__init__(2.0)

@@ -39,7 +39,7 @@ def contents(tokens: Iterable[Token]) -> Iterator[str]:
 
 
 def words(parser: MarkdownIt, text: str) -> Counter[str]:
-    # Letters alone: formulas keep those whatever a parser takes for emphasis or for an escape.
+    # Letters alone: parsers differ in the emphasis and the escapes that they see in formulas.
     return Counter(re.findall(r"[^\W\d_]+", " ".join(contents(parser.parse(text, {})))))
 
 

@@ -54,7 +54,7 @@ def test_copies_of_what_gymnasium_makes_give_the_same_episodes(task, when):
     if when == "before the first reset":
         for each in (*others.values(), env):
             each.reset(seed=3)
-    # The copies move first: whatever they shared with the original would have changed when it moves.
+    # The copies move first, so that state which they share with the original has changed when it moves.
     moved = {name: played(other, actions) for name, other in others.items()}
     here = played(env, actions)
     for name in WAYS:
