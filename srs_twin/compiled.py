@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import pickle
+import stat
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -70,7 +73,10 @@ def _kept(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class _Cache(FunctionCache):
-    """numba's cache of one function, which does without its folder where that fails."""
+    """numba's cache of one function, which does without its folder where that fails.
+
+    Its files are pickles, and loading one executes code: a folder that other users can write is not used.
+    """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load machine code for a signature, of just this computation; None where there is none.
@@ -78,6 +84,9 @@ class _Cache(FunctionCache):
         Only now, at the first call, is everything there that the function refers to.
         """
         self._cache_file._source_stamp = _stamp(self._py_func)
+        if (why := _unsafe(Path(self._cache_path))) is not None:
+            _warn(why, "that only you can write")
+            self.disable()
         found = super().load_overload(sig, target_context)
         if found is None and _told:
             _told.pop()()
@@ -94,13 +103,31 @@ class _Cache(FunctionCache):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 
 
-def _warn(why: str) -> None:
+def _unsafe(folder: Path) -> str | None:
+    """Return why other users can put files into a folder; None where they cannot, or it does not exist."""
+    if not hasattr(os, "getuid"):
+        return None
+    for path in (folder, folder.parent):
+        try:
+            found = path.stat()
+        except OSError:
+            continue
+        if found.st_uid not in (os.getuid(), 0):
+            return f"{path} belongs to another user"
+        # In a folder with the sticky bit, such as /tmp, only the owner can replace a file.
+        sticky = path != folder and found.st_mode & stat.S_ISVTX
+        if found.st_mode & stat.S_IWOTH and not sticky:
+            return f"{path} can be written by all users"
+    return None
+
+
+def _warn(why: str, wanted: str = "that can be written") -> None:
     """Warn once a process: the next kernel would fail for the same reason."""
     global _warned
     if not _warned:
         _warned = True
         said = f"machine code cannot be kept, every start compiles anew ({why})"
-        remedy = "set NUMBA_CACHE_DIR to a folder that can be written"
+        remedy = f"set NUMBA_CACHE_DIR to a folder {wanted}"
         warnings.warn(f"{said}; {remedy}", CacheWarning, stacklevel=1)
 
 

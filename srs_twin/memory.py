@@ -23,10 +23,13 @@ import importlib
 import json
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from types import FunctionType, GeneratorType, MethodType
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
@@ -43,7 +46,48 @@ def names(*given: str) -> tuple[str, ...]:
     return given
 
 
-class Remembers:
+class CopiedWhole:
+    """Base of classes whose objects share no state with their copies.
+
+    `copy.copy` makes a deep copy: a shallow one would step the chambers and bodies of the original. A copy,
+    or an object that was pickled and loaded, continues with the same bits as the original.
+    """
+
+    def __copy__(self) -> Self:
+        return copy.deepcopy(self)
+
+    def __reduce_ex__(self, protocol: Any) -> str | tuple[Any, ...]:
+        """Return the class and the attributes, for `copy` and `pickle`.
+
+        Raises:
+            InputError: an attribute can be neither copied nor pickled.
+        """
+        for name, value in vars(self).items():
+            if (kind := _unique(value)) is not None:
+                raise InputError(
+                    f"{type(self).__name__} can be neither copied nor pickled, because its attribute "
+                    f"'{name}' is {kind}; use save() and restore() instead"
+                )
+        return super().__reduce_ex__(protocol)
+
+
+def _unique(value: Any) -> str | None:
+    """Return why a value can be neither copied nor pickled; None where no reason is known.
+
+    A copy of a function that is defined inside another one would share that one's variables.
+    """
+    if isinstance(value, partial):
+        return _unique(value.func)
+    if isinstance(value, MethodType):
+        return _unique(value.__self__)
+    if isinstance(value, FunctionType) and "<" in value.__qualname__:
+        return "a function without a name in its module"
+    if isinstance(value, GeneratorType):
+        return "a generator"
+    return "a task of another thread" if isinstance(value, Future | Executor) else None
+
+
+class Remembers(CopiedWhole):
     """What has a memory.
 
     Attributes:
@@ -57,7 +101,16 @@ class Remembers:
         return {name: _taken(getattr(self, name)) for name in self._names()}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Take a memory that `remembered` returned, here or elsewhere."""
+        """Take a memory that `remembered` returned, here or elsewhere.
+
+        Raises:
+            InputError: the memory is incomplete; nothing of it has been taken then.
+        """
+        missing = [name for name in self._names() if name not in memory]
+        if missing:
+            raise InputError(
+                f"{type(self).__name__}: the state is incomplete; it has no {', '.join(missing)}"
+            )
         for name in self._names():
             part = getattr(self, name, None)
             if isinstance(part, Remembers):

@@ -61,6 +61,9 @@ class Workers:
         # Idle threads end by themselves once nobody holds the pool.
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Workers, (self.threads,)
+
     def each(
         self,
         count: int,

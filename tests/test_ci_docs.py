@@ -6,8 +6,11 @@ import json
 import os
 import re
 import shlex
+import shutil
+import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from conftest import ROOT
@@ -106,6 +109,7 @@ def room(tmp_path, monkeypatch):
     skip = '[ "$1" = sync ] && exit 0\nwhile [ "$1" != srs-twin ]; do shift; done; shift'
     uv.write_text(f'#!/bin/sh\n{skip}\n{python} "$@"\n')
     uv.chmod(0o755)
+    monkeypatch.setenv("RECORD", str(tmp_path / "record"))
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
     (tmp_path / "scenarios").mkdir()
     return tmp_path
@@ -119,13 +123,60 @@ def bash(script, room, **variables):
     )
 
 
+def run_action(room, **given):
+    """Run the shell steps of the action with inputs in the places that it gives them."""
+    files = {"GITHUB_OUTPUT": room / "output", "GITHUB_STEP_SUMMARY": room / "summary"}
+    steps = [step for step in github_steps() if "run" in step]
+    return [
+        bash(
+            inputs_of(step["run"], **given), room, **files,
+            **{name: inputs_of(value, **given) for name, value in step.get("env", {}).items()},
+        )
+        for step in steps
+    ]  # fmt: skip
+
+
+HOSTILE = [
+    "runs$(touch X)", "runs`touch X`", "runs; touch X", "runs && touch X #", "runs | touch X",
+    '"; touch X; "', "'; touch X; '", '" > X; "', "runs\ntouch X", "$IFS;touch${IFS}X",
+    "${OUT@P}$(touch X)", "a=([$(touch X)]=1)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_inputs_are_never_executed(text, room):
+    (room / "bin/uv").write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$RECORD"\n')
+    (room / "output").touch()
+    for name in ACTION["inputs"]:
+        run_action(room, **{name: text})
+    for name in TEMPLATE["variables"]:
+        bash("\n".join(TEMPLATE["script"]), room, **TEMPLATE["variables"] | {name: text})
+    assert not list(room.rglob("X"))
+    lines = (room / "output").read_text().splitlines()
+    assert lines and all(line.startswith("junit=") for line in lines)
+    assert "srs-twin" in (room / "record").read_text().split()
+
+
+def test_no_workflow_pastes_an_expression_into_a_shell():
+    files = [*ROOT.glob(".github/**/*.yml"), ROOT / "ci/gitlab.yml"]
+
+    def scripts(value):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            if key in ("run", "script", "before_script"):
+                yield str(each)
+            elif isinstance(each, dict | list):
+                yield from scripts(each)
+
+    found = [text for path in files for text in scripts(YAML(typ="safe", pure=True).load(path))]
+    assert len(found) >= 5
+    assert not [text for text in found if "${{" in text]
+
+
 @pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
 def test_the_steps_of_the_action_run(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
-    install, run = (step["run"] for step in github_steps() if "run" in step)
-    files = {"GITHUB_OUTPUT": room / "output", "GITHUB_STEP_SUMMARY": room / "summary"}
-    assert bash(inputs_of(install, project=str(ROOT)), room, **files).returncode == 0
-    done = bash(inputs_of(run, project=str(ROOT)), room, **files)
+    installed, done = run_action(room, project=str(ROOT))
+    assert installed.returncode == 0
     assert done.returncode == code, done.stderr
     assert ("met " if code == 0 else "MISSED") in (room / "summary").read_text()
     assert (room / "output").read_text() == "junit=runs/junit.xml\n"
@@ -173,6 +224,62 @@ def test_containerfile_copies_what_is_there_and_runs_as_nobody_special():
     assert re.findall(r"^USER (.*)$", last, re.M) == ["snake"] and "useradd --create-home snake" in last
     assert json.loads(re.search(r"^ENTRYPOINT (.*)$", last, re.M).group(1)) == ["srs-twin"]
     assert not re.search(r"(?i)^(ARG|ENV) .*(token|secret|password|key)", CONTAINERFILE, re.M)
+
+
+@pytest.fixture
+def container(tmp_path):
+    """The start script of the container, and a program that prints the cache folders it gets."""
+    for name in ("start", "bin", "tmp"):
+        (tmp_path / name).mkdir()
+    shutil.copy(ROOT / "ci/container.sh", tmp_path / "start/srs-twin")
+    program = tmp_path / "bin/srs-twin"
+    program.write_text('#!/bin/sh\necho "$NUMBA_CACHE_DIR"; echo "$MPLCONFIGDIR"; echo "$@"\n')
+    program.chmod(0o755)
+    return tmp_path
+
+
+def started(container):
+    """Return the private folder that the program gets."""
+    taken = ("NUMBA_CACHE_DIR", "MPLCONFIGDIR")
+    given = {name: value for name, value in os.environ.items() if name not in taken}
+    words = [str(container / "start/srs-twin"), "run", "a b"]
+    env = given | {"TMPDIR": str(container / "tmp")}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
+    kernels, pictures, arguments = done.stdout.splitlines()
+    assert (Path(kernels).name, Path(pictures).name) == ("numba", "matplotlib")
+    assert Path(kernels).parent == Path(pictures).parent and arguments == "run a b"
+    return Path(kernels).parent
+
+
+@pytest.mark.parametrize("before", ["nothing", "private", "open", "link", "file", "foreign"])
+def test_caches_of_the_container_are_private_to_its_user(before, container):
+    own = container / f"tmp/srs-twin-{os.getuid()}"
+    if before in ("open", "foreign"):
+        own.mkdir()
+        own.chmod(0o777)
+    elif before == "private":
+        own.mkdir(mode=0o700)
+    elif before == "link":
+        (container / "elsewhere").mkdir(mode=0o777)
+        own.symlink_to(container / "elsewhere")
+    elif before == "file":
+        own.touch()
+    if before == "foreign":
+        if os.getuid() != 0:
+            pytest.skip("only root can give a folder away")
+        os.chown(own, 65534, 65534)
+    found = started(container)
+    there = found.lstat()
+    assert stat.S_ISDIR(there.st_mode) and stat.S_IMODE(there.st_mode) == 0o700
+    assert there.st_uid == os.getuid() and found.parent == own.parent
+    assert (found == own) == (before in ("nothing", "private"))
+
+
+def test_the_container_starts_with_private_caches():
+    last = CONTAINERFILE.rpartition("FROM ")[2]
+    assert "COPY ci/container.sh /opt/srs-twin/start/srs-twin\n" in last
+    assert "ENV PATH=/opt/srs-twin/start:/opt/srs-twin/bin:$PATH\n" in last
+    assert "CACHE_DIR" not in last and os.access(ROOT / "ci/container.sh", os.X_OK)
 
 
 def test_containerfile_installs_what_the_doctor_asks_for():

@@ -52,6 +52,46 @@ def test_a_full_disk_costs_the_machine_code_and_nothing_else(kernel, monkeypatch
     assert len(heard) == 1
 
 
+def writable(folder):
+    folder.chmod(0o777)
+
+
+def foreign(folder):
+    os.chown(folder, 65534, 65534)
+
+
+@pytest.mark.parametrize(
+    ("where", "change", "words"),
+    [
+        ("folder", writable, "can be written by all users"),
+        ("folder", lambda folder: folder.chmod(0o1777), "can be written by all users"),
+        ("parent", writable, "can be written by all users"),
+        ("folder", foreign, "belongs to another user"),
+    ],
+)
+def test_machine_code_of_a_folder_that_others_can_write_is_not_loaded(kernel, where, change, words, tmp_path):
+    """The pickle there would create a file."""
+    cache = kernel._cache
+    folder, index = Path(cache.cache_path), Path(cache._cache_file._index_path)
+    folder.mkdir(exist_ok=True)
+    index.write_bytes(b"cposix\nsystem\n(S'touch " + os.fsencode(tmp_path / "executed") + b"'\ntR.")
+    if change is foreign and os.getuid() != 0:
+        pytest.skip("only root can give a folder away")
+    change(folder if where == "folder" else folder.parent)
+    with pytest.warns(CacheWarning, match=f"{SAID} .*{words}.*NUMBA_CACHE_DIR.* only you can write") as heard:
+        assert (kernel(1, 2), kernel(1.0, 2.0)) == (3, 3.0)
+    assert len(heard) == 1 and not (tmp_path / "executed").exists()
+    assert list(folder.iterdir()) == [index]
+
+
+def test_a_private_folder_within_tmp_is_used(kernel, tmp_path):
+    Path(kernel._cache.cache_path).parent.chmod(0o1777)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert kernel(1, 2) == 3
+    assert list(tmp_path.rglob("*.nbc"))
+
+
 @pytest.mark.parametrize("damage", [Path.mkdir, Path.touch, lambda path: path.write_bytes(b"junk")])
 def test_an_index_that_cannot_be_read_is_done_without(kernel, damage):
     index = Path(kernel._cache._cache_file._index_path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import sys
 from dataclasses import replace
 from itertools import product
@@ -245,6 +247,14 @@ def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
 def test_what_a_device_cannot_do_is_refused_by_its_name(settings, named):
     with pytest.raises(InputError, match=named):
         TwinBatch([GEN2], **settings, **ON)
+
+
+@pytest.mark.parametrize("way", [pickle.dumps, copy.deepcopy, copy.copy])
+def test_copies_of_a_batch_on_a_device_are_refused(way):
+    from srs_twin.plants.device.batch import WarpBatch
+
+    with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
+        way(object.__new__(WarpBatch))
 
 
 def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkeypatch):

@@ -48,6 +48,9 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
+            # The environment checks both itself; `copy.copy` of a wrapper would share the environment.
+            order_enforce=False,
+            disable_env_checker=True,
         )
 
 

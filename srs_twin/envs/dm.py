@@ -10,11 +10,12 @@ from dm_control.rl import control
 from dm_env import specs
 
 from srs_twin.envs import make_task
-from srs_twin.envs.task import Episode, Signal, StepResult, Task, high, low
+from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, high, low
+from srs_twin.memory import CopiedWhole
 from srs_twin.plants.physics import dm as dm_mujoco
 
 
-class EpisodePhysics(control.Physics):
+class EpisodePhysics(CopiedWhole, control.Physics):
     """Episodes of a task as dm_control steps them; one step is one of the task's.
 
     Attributes:
@@ -102,7 +103,11 @@ class DmTask(control.Task):
         return 1.0 if physics.result.truncated else None
 
 
-def load(task: str, *, seed: int | None = None, **settings: Any) -> control.Environment:
+class SnakeEnvironment(CopiedWhole, control.Environment):
+    """A dm_env environment whose copies share no state with it."""
+
+
+def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnvironment:
     """Return a task as a dm_env.
 
     Args:
@@ -114,8 +119,9 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> control.Envi
         UnknownNameError: another task.
         InputError: as the task raises it.
     """
+    check_seed(seed)
     made = make_task(task, **settings)
-    return control.Environment(EpisodePhysics(made, np.random.default_rng(seed)), DmTask(made))
+    return SnakeEnvironment(EpisodePhysics(made, np.random.default_rng(seed)), DmTask(made))
 
 
 def _spec(signal: Signal) -> specs.BoundedArray:

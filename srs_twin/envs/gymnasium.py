@@ -8,19 +8,23 @@ the interpreter's lock. Pictures show the twin coloured by pressure, its obstacl
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import seeding
 from gymnasium.vector import SyncVectorEnv
 
 from srs_twin.envs import make_task
-from srs_twin.envs.task import Episode, Signals, high, low
+from srs_twin.envs.task import Episode, Signals, check_seed, checked_options, finite, high, low, shortened
 from srs_twin.errors import EngineWarning, InputError, UnknownNameError, one_of
+from srs_twin.memory import CopiedWhole
 from srs_twin.parallel import Workers
 from srs_twin.plants.batch import ENGINES, warp_batch
 
@@ -36,6 +40,9 @@ class Pictures:
         self._size = width, height
         self._canvas: Any = None
         self._model: mujoco.MjModel | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Pictures, self._size  # a copy asks for OpenGL itself
 
     def of(self, episode: Episode) -> np.ndarray:
         """Return a picture of now, shape (height, width, 3), bytes.
@@ -95,7 +102,7 @@ RENDER_MODES = ("rgb_array",)
 FPS = 10
 
 
-class SnakeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class SnakeEnv(CopiedWhole, gymnasium.Env[np.ndarray, np.ndarray]):
     """A task for one agent; `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` makes it.
 
     Actions and observations are boxes of float32, one number for each of the task's signals. The time limit
@@ -152,17 +159,31 @@ class SnakeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         Raises:
             UnknownNameError: another option.
-            InputError: a state that does not belong to this episode.
+            InputError: a state that does not belong to this episode, or a value that is not allowed; the
+                environment is then as it was before.
         """
-        super().reset(seed=seed)
-        given = dict(options or {})
-        for name in given.keys() - {"state", "snake", "yaw_rate"}:
-            raise UnknownNameError("option of reset", name, ["state", "snake", "yaw_rate"])
-        self.episode = self.task.begin(self.np_random, self.episode)
+        return self.take(seed, self.draw(seed, options))
+
+    def draw(self, seed: int | None, options: dict[str, Any] | None) -> tuple[np.random.Generator, Episode]:
+        """Return an episode to begin and the generator that it was drawn from; raises as `reset`."""
+        check_seed(seed)
+        given = checked_options(options)
+        rng = copy.deepcopy(self.np_random) if seed is None else seeding.np_random(seed)[0]
+        # With options something may be refused: the twin of the last episode is left alone until then.
+        episode = self.task.begin(rng, None if given else self.episode)
         if "state" in given:
-            self.episode.go_on(given["state"])
+            episode.go_on(given["state"])
         elif "snake" in given:
-            self.episode.place(given["snake"], given.get("yaw_rate", 0.0))
+            episode.place(given["snake"], given.get("yaw_rate", 0.0))
+        return rng, episode
+
+    def take(
+        self, seed: int | None, drawn: tuple[np.random.Generator, Episode]
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode that `draw` returned for this seed; return its first observation and info."""
+        super().reset(seed=seed)
+        rng, self.episode = drawn
+        self.np_random.bit_generator.state = rng.bit_generator.state
         return self.episode.first.observation, self.episode.first.info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -200,7 +221,7 @@ def space_of(signals: Signals) -> spaces.Box:
 StepTuple = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
-class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
+class SnakeVectorEnv(CopiedWhole, SyncVectorEnv[np.ndarray, np.ndarray]):
     """Environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
 
     An environment whose episode has ended begins another with the next step, whatever its action
@@ -232,7 +253,7 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         """
         if num_envs < 1:
             raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
-        super().__init__([lambda: SnakeEnv(task, **settings)] * num_envs)
+        super().__init__([partial(SnakeEnv, task, **settings)] * num_envs)
         one_of("engine", engine, ENGINES)
         self._kind: Any = warp_batch() if engine == "warp" else None
         self._device = device
@@ -250,17 +271,20 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
             options: of all, as `SnakeEnv.reset` takes them.
 
         Raises:
-            InputError: not one seed an environment, or as `SnakeEnv.reset` raises it.
+            InputError: not one seed an environment, or as `SnakeEnv.reset` raises it; all environments are
+                then as they were before.
         """
-        if seed is None or isinstance(seed, int | np.integer):
-            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
-        else:
+        if np.iterable(seed):
             seeds = list(seed)
+        else:
+            check_seed(seed)
+            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise InputError(f"seed: {len(seeds)} were given for {self.num_envs} environments; give one each")
-        begun = self._workers.each(
-            self.num_envs, lambda k, _: self.envs[k].reset(seed=seeds[k], options=options)
-        )
+        for each in seeds:
+            check_seed(each)
+        drawn = self._workers.each(self.num_envs, lambda k, _: self.envs[k].draw(seeds[k], options))
+        begun = [env.take(seed, each) for env, seed, each in zip(self.envs, seeds, drawn, strict=True)]
         self._over = np.zeros(self.num_envs, dtype=bool)
         if self._kind is not None:
             self._put()
@@ -274,12 +298,15 @@ class SnakeVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         Raises:
             InputError: not one action of finite numbers an environment; nothing has moved then.
         """
-        given, wanted = np.asarray(actions, dtype=float), self.action_space.shape
-        if given.shape != wanted or not np.isfinite(given).all():
+        wanted = self.action_space.shape
+        assert wanted is not None, "a box has a shape"
+        given = finite(actions, wanted)
+        if given is None:
             raise InputError(
-                f"actions of shape {given.shape} are not allowed; give finite numbers of shape {wanted}, "
+                f"actions {shortened(actions)} are not allowed; give finite numbers of shape {wanted}, "
                 f"an action for each of {self.num_envs} environments"
             )
+        actions = given
         if self._batch is not None:
             stepped = self._together(actions)
         else:

@@ -13,6 +13,7 @@ only a sum, draws keep that sum.
 from __future__ import annotations
 
 import os
+import reprlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -75,17 +76,81 @@ def taken(signals: Signals, action: object) -> list[float]:
     """Return an agent's action, brought to the bounds of its signals.
 
     Raises:
-        InputError: another shape, or a number that is not finite.
+        InputError: another shape, or anything but finite numbers.
     """
-    values = np.asarray(action, dtype=float)
-    if values.shape != (len(signals),) or not np.isfinite(values).all():
+    values = finite(action, (len(signals),))
+    if values is None:
         names = ", ".join(each.name for each in signals)
         raise InputError(
-            f"action {values.tolist()} is not allowed; give {len(signals)} finite numbers: {names}"
+            f"action {shortened(action)} is not allowed; give {len(signals)} finite numbers: {names}"
         )
     return [
         min(max(value, each.low), each.high) for value, each in zip(values.tolist(), signals, strict=True)
     ]
+
+
+def finite(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return numbers as float64; None where they have another shape or are not all finite numbers."""
+    try:
+        values = np.asarray(numbers)
+    except (TypeError, ValueError):  # lists of different lengths, tensors on a device
+        return None
+    if values.dtype.kind not in "biuf" or values.shape != shape:
+        return None
+    values = values.astype(float)
+    return values if np.isfinite(values).all() else None
+
+
+def shortened(given: object) -> str:
+    """Return a value for a message; of an array with many numbers its shape."""
+    if isinstance(given, np.ndarray):
+        return f"of shape {given.shape}" if given.size > _FEW_NUMBERS else str(given.tolist())
+    return reprlib.repr(given)
+
+
+def check_seed(seed: object) -> None:
+    """Refuse a seed of episodes that is not an integer from 0 on, or None.
+
+    Raises:
+        InputError: it is not.
+    """
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not (seed is None or (whole and seed >= 0)):  # type: ignore[operator]
+        raise InputError(f"seed {shortened(seed)} is not allowed; it must be an integer of 0 or more")
+
+
+_FEW_NUMBERS = 6
+_OPTIONS = ("state", "snake", "yaw_rate")
+
+
+def checked_options(options: object) -> dict[str, Any]:
+    """Return the options of a reset, {} for None.
+
+    Raises:
+        UnknownNameError: an option that does not exist.
+        InputError: no mapping, options that exclude each other, or a value of another type.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise InputError(
+            f"options {shortened(options)} are not allowed; give a dict with {', '.join(_OPTIONS)}"
+        )
+    for name in options:
+        if name not in _OPTIONS:
+            raise UnknownNameError("option of reset", str(name), _OPTIONS)
+    kinds = {
+        "state": (SavedState, "a SavedState, which episode.save() returns"),
+        "snake": (SnakeState, "a SnakeState, such as plant.state"),
+    }
+    for name, (kind, wanted) in kinds.items():
+        if name in options and not isinstance(options[name], kind):
+            raise InputError(f"option {name} {shortened(options[name])} is not allowed; give {wanted}")
+    if "state" in options and len(options) > 1:
+        raise InputError("option state excludes the options snake and yaw_rate; leave them out")
+    if "yaw_rate" in options and "snake" not in options:
+        raise InputError("option yaw_rate belongs to option snake; give both")
+    return dict(options)
 
 
 _TASKS_OWN = {"spec", "tick", "supply_pa", "base", "world"}

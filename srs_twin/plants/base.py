@@ -7,6 +7,7 @@ takes for 0, or a valve state that is no number.
 
 from __future__ import annotations
 
+import reprlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -286,6 +287,27 @@ class PneumaticPlant(Plant):
     @abstractmethod
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks; return so many samples."""
+
+
+def check_moment(snake: SnakeState, yaw_rate: float, segments: int) -> None:
+    """Refuse a state that no snake with so many segments can begin in, before anything has moved.
+
+    Args:
+        snake: see `Plant.place`.
+        yaw_rate: rad/s.
+        segments: of the plant.
+
+    Raises:
+        InputError: a value has another shape, or is not a finite number; or `snake` is a history.
+    """
+    shapes = {"com": (2,), "com_velocity": (2,), "heading": (), "bend": (segments,)}
+    shapes |= {"bend_rate": (segments,), "pressure": (segments, 2)}
+    values = {name: getattr(snake, name) for name in shapes} | {"yaw_rate": yaw_rate}
+    for name, value in values.items():
+        array, shape = np.asarray(value), shapes.get(name, ())
+        if array.dtype.kind not in "iuf" or array.shape != shape or not np.isfinite(array).all():
+            wanted = f"finite numbers of shape {shape}" if shape else "a finite number"
+            raise InputError(f"{name} {reprlib.repr(array.tolist())} is not allowed; it must be {wanted}")
 
 
 _STATES = np.iinfo(np.int8)

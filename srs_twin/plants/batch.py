@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, one_of
+from srs_twin.memory import CopiedWhole
 from srs_twin.parallel import Workers
 from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin import TwinSnake
@@ -37,7 +38,7 @@ from srs_twin.robot.spec import RobotSpec
 ENGINES = ("cpu", "warp")
 
 
-class TwinBatch:
+class TwinBatch(CopiedWhole):
     """Many twins with one number of connectors and one tick, stepped together over threads.
 
     Each gives bit for bit what a `TwinSnake` of its spec alone gives.

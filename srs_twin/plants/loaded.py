@@ -37,6 +37,7 @@ from numba import types
 
 from srs_twin.arrays import one_blas_thread
 from srs_twin.compiled import compiled, inside
+from srs_twin.errors import InputError
 from srs_twin.memory import Remembers, names
 from srs_twin.mjcf import surroundings
 from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
@@ -148,6 +149,25 @@ class LoadedContact(Remembers):
         self._work = Work(*map(np.zeros, shapes))._replace(matrix=data.M)
         self._long = WarmStart(model) if spec.segments > _SHORT else None
         self._stand()
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse: a copy would hold addresses in the original's data.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "contacts can be neither copied nor pickled alone; copy the TwinSnake, or use save()"
+        )
+
+    @property
+    def settled(self) -> tuple[Contacts, Pattern, WarmStart | None]:
+        """Numbers taken from the model when the contacts were made."""
+        return self._contacts, self._pattern, self._long
+
+    @settled.setter
+    def settled(self, numbers: tuple[Contacts, Pattern, WarmStart | None]) -> None:
+        self._contacts, self._pattern, self._long = numbers
 
     @property
     def records(self) -> dict[str, Any]:

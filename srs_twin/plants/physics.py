@@ -142,13 +142,46 @@ class SnakePhysics(dm.Physics, Remembers):
         # A copy: whoever changes a number in the model of one twin must not change the others'.
         felt = world if world and (world.solid or world.uneven) else None
         model = copy.copy(_compiled(spec, numerics, supply_pa, felt))
+        return cls._of(model, spec, numerics, chambers)
+
+    @classmethod
+    def _of(
+        cls, model: mujoco.MjModel, spec: RobotSpec, numerics: Numerics, chambers: Pneumatics
+    ) -> SnakePhysics:
+        """Return the physics of a compiled scene, which becomes its own."""
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
         physics._attach(spec, numerics, chambers)
         return physics
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy the model and the memory; the engine's data are made again, because they hold addresses."""
+        made_of = self.model.ptr, self._spec, self._numerics, self._pneumatics
+        # Numbers of a model may have been changed since these were taken from it.
+        kinds = np.ndarray | WarmStart
+        settled = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
+        contact = None if self.loaded is None else self.loaded.settled
+        return type(self)._of, made_of, (self.remembered(), settled, contact)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        memory, settled, contact = state
+        self.__dict__.update(settled)
+        if self.loaded is not None:
+            self.loaded.settled = contact
+        self.recall(memory)
+
+    def copy(self, share_model: bool = False) -> SnakePhysics:
+        """Return a copy that shares neither chambers nor model.
+
+        Raises:
+            InputError: the model is to be shared.
+        """
+        if share_model:
+            raise InputError("copies of a snake's physics cannot share its model; leave out share_model")
+        return copy.deepcopy(self)
+
     def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
         raw = self.model.ptr
-        self._pneumatics, self._spec = pneumatics, spec
+        self._pneumatics, self._spec, self._numerics = pneumatics, spec, numerics
         self.free = numerics.base == "free"
         loaded = numerics.contact == "loaded" and self.free
         self._rest_load = rest_loads(spec, -raw.opt.gravity[2])

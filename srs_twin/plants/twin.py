@@ -22,7 +22,15 @@ from srs_twin.mjcf.numerics import (
     Numerics,
     preset_of,
 )
-from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
+from srs_twin.plants.base import (
+    BASES,
+    PneumaticPlant,
+    Pose,
+    SnakeState,
+    check_before,
+    check_moment,
+    check_plausible,
+)
 from srs_twin.plants.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
@@ -176,6 +184,7 @@ class TwinSnake(PneumaticPlant):
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
         """See `Plant.place`."""
+        check_moment(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         pose = x, y, float(snake.heading)
         self.reset(pose=pose, seed=seed)

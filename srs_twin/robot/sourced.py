@@ -201,6 +201,10 @@ class Records(Strict):
                 words = f"{'' if unit == '1' else f', {unit}'}, {given.low:.10g} to {given.high:.10g}"
                 setattr(cls, key, Field(None if given.optional else ..., description=words))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as plain data: pickle does not find the classes of the records by name."""
+        return type(self).model_validate, (self.model_dump(exclude_unset=True),)
+
     def in_si(self) -> dict[str, Any]:
         """Return the numbers by key without its unit, in SI."""
         return {split_unit(key)[0]: in_si(key, each.value) for key, each in self if each is not None}

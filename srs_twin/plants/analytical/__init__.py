@@ -31,7 +31,15 @@ from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, chord_terms, pose_body
 from srs_twin.plants.analytical.steps import Steps, advance
-from srs_twin.plants.base import BASES, PneumaticPlant, Pose, SnakeState, check_before, check_plausible
+from srs_twin.plants.base import (
+    BASES,
+    PneumaticPlant,
+    Pose,
+    SnakeState,
+    check_before,
+    check_moment,
+    check_plausible,
+)
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
@@ -429,6 +437,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
         """See `Plant.place`."""
+        check_moment(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)

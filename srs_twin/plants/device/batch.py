@@ -101,6 +101,17 @@ class WarpBatch:
         """Say whether there is a device that is faster than the processor."""
         return bool(wp.get_preferred_device().is_cuda)
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse: the runs' states are on the device.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "a batch of engine 'warp' can be neither copied nor pickled; engine 'cpu' can, and each of its "
+            "twins has save() and restore()"
+        )
+
     def __len__(self) -> int:
         """Return the number of runs."""
         return len(self.twins)
