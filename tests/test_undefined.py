@@ -51,7 +51,7 @@ BENCH: dict[str, Any] = STEP | {"controller": GAIT["controller"], "sensor": {"ki
 
 
 def ran(document: dict[str, Any], **changes: Any) -> tuple[dict[str, Any], Trajectory]:
-    """Return what metrics.json says of an analytical plant's run, and the run."""
+    """Run the analytical plant of a scenario; return its metrics.json and its trajectory."""
     scenario = parse_scenario({"title": "Brief", "expect": []} | document | changes, name="brief")
     run = PreparedRun.of(scenario, Path(), ["analytical"])
     plant, controller = run.parts["analytical"]

@@ -211,7 +211,9 @@ class Expectation(Section):
 
 
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
-    """Return the path of the uncertain parameter with the largest total index; None where none stands out.
+    """Return the path of the parameter with the largest total index.
+
+    None if another index is as large within the error of the largest.
 
     Args:
         sensitivity: path → `total` index and its `total_error`, half of its 95 % interval.
@@ -233,7 +235,7 @@ def _parameter(path: str | None) -> str:
 
 
 def _ends(low: float, high: float, inside: float) -> str:
-    """Return the ends of an interval with three digits, or as many as show on which side a value lies."""
+    """Return the ends of an interval with three digits, or more if a value would change sides by rounding."""
     within = low <= inside <= high
     texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
     return " to ".join(next(two for two in texts if (float(two[0]) <= inside <= float(two[1])) == within))
