@@ -19,6 +19,7 @@ import numpy as np
 from srs_twin.comparison.compare import Comparison, MeasuredDifference
 from srs_twin.comparison.compare import compare as difference
 from srs_twin.comparison.metrics import headline, plant_metrics
+from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
@@ -195,7 +196,8 @@ class PreparedRun:
         asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]
         if any(each.within for each in asked):
             metrics["intervals"] = kept_intervals(scenario)
-        metrics["expectations"] = [each.check(metrics) for each in asked]
+        lacks = [why_undefined(each.metric, each.subject, metrics, drawn) for each in asked]
+        metrics["expectations"] = [each.check(metrics, why) for each, why in zip(asked, lacks, strict=True)]
         metrics.get("intervals", {}).pop("plants", None)
         metrics["versions"] = versions()
         # The plants' own robot: a scenario may have taken its gaps away.
@@ -225,24 +227,24 @@ INTERVALS = Path("calibration/intervals")
 
 
 def kept_intervals(scenario: Scenario) -> dict[str, Any]:
-    """Return what `srs-twin uncertainty SCENARIO --write` kept: in the current folder, else what is shipped.
+    """Return the intervals stored by `srs-twin uncertainty SCENARIO --write`: in this folder, else shipped.
 
     Returns:
-        The file's document, with "stale": why it does not hold, None where robot and scenario are still those
-        that it was made from; "renew": the command that renews it.
+        The file's document, with "stale": the reason why it does not apply, None where robot and scenario are
+        those that it was made from; "renew": the command that renews it.
     """
     given = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
     name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {given} --write`"
     path = next((p for p in (INTERVALS / name, data_root() / INTERVALS / name) if p.is_file()), None)
     if path is None:
-        return {"stale": f"no interval is kept; {renew} makes one"}
+        return {"stale": f"no interval is stored; {renew} makes one"}
     try:
         found = json.loads(path.read_text("utf-8"))
         kept, plants = found["digest"], found["plants"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        return {"stale": f"{shown(path)} cannot be read ({error}); {renew} makes it anew"}
+        return {"stale": f"{shown(path)} cannot be read ({error}); {renew} writes it again"}
     if kept != judged_digest(scenario.document):
-        return {"stale": f"stale: {shown(path)} is of another robot or scenario; {renew} renews it"}
+        return {"stale": f"the interval in {shown(path)} is for another robot or scenario; {renew} renews it"}
     return {"stale": None, "file": shown(path), "renew": renew, "plants": plants}
 
 

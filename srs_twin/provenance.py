@@ -90,12 +90,13 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str]) -> str:
 
 
 def judged_digest(document: Mapping[str, Any]) -> str:
-    """Return a digest of a scenario with its robot and what it reads.
+    """Return a digest of a scenario with its robot and the files that it reads.
 
-    Laws do not count: whether they are the same still is seen in the values themselves.
+    Laws, duration and seed do not count: whether they change a result is seen in its value.
     """
+    skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(
-        scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
+        scenario={key: value for key, value in document.items() if key not in skipped},
         files=list(file_digests(document).values()),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -188,8 +189,18 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
         (both((0.2, -0.1)), "The twin crawls otherwise than the model (-0.1 against 0.2 m/s)."),
         (
             both((0.2, 0.15), cause=CAUSE),
-            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; 15 of these 25 % are "
-            "compliance).",
+            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
+            "it by 15 %, other effects by another 10 %).",
+        ),
+        (
+            both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": -0.062}),
+            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
+            "it by 31 %, other effects offset 6 %).",
+        ),
+        (
+            both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": -0.05}),
+            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
+            "it by 25 %).",
         ),
         # A cause that acts the other way explains nothing.
         (
@@ -205,6 +216,26 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
 )
 def test_the_sentence_says_who_is_faster_by_how_much_and_why(metrics, said):
     assert headline(metrics) == said
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+@pytest.mark.parametrize("twin", [0.05, 0.1234, 0.15, 0.196, 0.2049, 0.25, 0.31])
+@pytest.mark.parametrize("effect", [-1.7, -1.0, -0.5049, -0.26, 0.26, 0.505, 1.0, 1.004, 1.243, 2.5])
+def test_the_per_cents_of_the_sentence_add_up(averaged, twin, effect):
+    change = effect * (twin - 0.2)
+    share = {"name": "compliance", "value": [change, 0.0]}
+    why = {"attribution": {"measures": ["com_speed_m_s", "yaw_rate_rad_s"], "shares": [share]}}
+    said = headline(both((0.2, twin), **why if averaged else {"cause": CAUSE | {"com_speed_m_s": change}}))
+    whole, direction = re.search(r"(\d+) % (slower|faster)", said).groups()
+    assert (direction == "slower") == (twin < 0.2)
+    cause = re.search(r"compliance.* (?:slows?|speeds?) it(?: up)? by (\d+) %", said)
+    assert (cause is None) == (effect < 0), "a cause that acts the other way is not named"
+    if cause is not None:
+        others = re.search(r"other effects (by another|offset) (\d+) %", said)
+        rest = 0 if others is None else int(others[2]) * (1 if others[1] == "by another" else -1)
+        assert int(cause[1]) + rest == int(whole)
+        assert int(cause[1]) == pytest.approx(100 * abs(change / 0.2), abs=0.5001)
+        assert ("alone would" in said) != averaged
 
 
 def test_every_run_has_a_sentence_of_its_plants():

@@ -57,7 +57,11 @@ def marked(*numbers):
 
 
 MET = {**METRICS, "expectations": METRICS["expectations"][:1]}
-GIVEN = {"met": MET, "missed": METRICS, "known": marked(1), "holds": marked(0, 1)}
+UNJUDGED = {"state": "not_judged", "reason": "the run is short", "value": None, "met": False}
+NOT_JUDGED = {**METRICS, "expectations": [each | UNJUDGED for each in marked(1)["expectations"]]}
+GIVEN = {
+    "met": MET, "missed": METRICS, "known": marked(1), "holds": marked(0, 1), "not_judged": NOT_JUDGED,
+}  # fmt: skip
 EXPECTED = (
     Expectation(metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"),
     Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.12),
@@ -265,6 +269,20 @@ def test_quiet_tells_what_fails_and_what_begins_to_hold(start):
     assert left.err == f"HOLDS  {holds}\n"
     left = start("run", *"ab", "--strict", "-q", a="known", b="holds")
     assert (left.code, left.err) == (1, f"known  {KNOWN}\nHOLDS  {holds}\nknown  {KNOWN}\n")
+
+
+def test_what_is_not_judged_is_counted_apart_and_shown_with_its_reason(start):
+    left = start("run", *"ab", "--check", a="met", b="not_judged")
+    assert left.code == 0 and "expectations: 1 met, 2 not judged\n" in left.err
+    words = (
+        "not judged twin com_speed_m_s = none, allowed 0.1819 to 0.2461 (Table 10); reason: the run is short"
+    )
+    assert words in " ".join(left.out.split())
+    assert "why the plants differ" not in left.err
+    for option, code in (("--check", 0), ("--strict", 1)):
+        quiet = start("run", "a", option, "-q", a="not_judged")
+        assert (quiet.code, quiet.err.splitlines()[0]) == (code, words)
+    assert start("run", "a", a="not_judged").code == 0
 
 
 def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):

@@ -104,6 +104,17 @@ def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
     assert {each["where"] for each in moved} == {"supply.pressure_kpa=41", "supply.pressure_kpa=42"}
 
 
+def test_an_expectation_that_is_no_longer_judged_has_moved(capsys, tmp_path):
+    row = {"metric": "com_speed_m_s", "of": "twin", "met": True}
+    for name, found in (("a", row), ("b", row | {"met": False, "state": "not_judged"})):
+        run = {"scenario": "walk", "plants": {}, "comparison": None, "expectations": [found], "versions": {}}
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "metrics.json").write_text(json.dumps(run))
+    code, out, _ = call(capsys, "diff", str(tmp_path / "a"), str(tmp_path / "b"), "--json")
+    (moved,) = json.loads(out)["moved"]
+    assert (code, moved["metric"], moved["a"], moved["b"]) == (1, "expectations[0].met", True, "not judged")
+
+
 def test_a_verdict_that_changed_has_moved(capsys, tmp_path):
     outcome = {"verdict": "met", "value": 1.0, "values": [1.0], "error": 0.0, "why": ""}
     rows = [{"id": "row", "outcomes": {"twin": outcome}}]

@@ -20,8 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.cli.batch import Case, CaseResult
+from srs_twin.cli.batch import Case, CaseResult, failing
 from srs_twin.cli.junit import report_path, write_junit
+from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
 from srs_twin.experiment import RunResult
 from srs_twin.scenario import Expectation
@@ -43,7 +44,8 @@ EXPECT = (
     Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.12),
     Expectation(metric="com_speed_rel", of="comparison", above=-0.5),
 )
-METRICS = {"plants": {"twin": {"com_speed_m_s": 0.2}}, "comparison": {"com_speed_rel": -0.2}}
+FOUND = {"plants": {"twin": {"com_speed_m_s": 0.2}}, "comparison": {"com_speed_rel": -0.2}}
+METRICS = FOUND | {"expectations": [each.check(FOUND) for each in EXPECT]}
 
 
 def case(name, *, metrics=None, errors=(), ended=True):
@@ -135,7 +137,8 @@ def test_every_kind_of_end(tmp_path):
 def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
     known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
     scenario = SimpleNamespace(name="ran", expect=(*EXPECT, *known))
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS), (), 1.5)
+    rows = [each.check(FOUND) for each in scenario.expect]
+    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
     for fails, of_known in (
         (frozenset({"missed"}), ["passed", "skipped", "passed"]),
         (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
@@ -152,6 +155,24 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
                 "value: -0.2\nallowed: -0.12 to 0.12\nsource: ours\nknown: never <measured>",
             }[of_known[1]]
         )
+
+
+def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
+    named = SimpleNamespace(name="ran", expect=())
+    rows = [EXPECT[0].check({}, Undefined("the run is short")), EXPECT[0].check({})]
+    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
+    for strict, outcomes in ((False, ["passed", "skipped", "failure"]), (True, ["passed", *2 * ["failure"]])):
+        write_junit(tmp_path / "r.xml", [Case("ran", named, ended=ended)], failing(check=True, strict=strict))
+        found = read(tmp_path / "r.xml")["ran"]
+        assert kinds(found) == outcomes
+        words = {"skipped": "not judged: the run is short\n", "failure": "reason: the run is short"}
+        assert found["twin com_speed_m_s"][1].endswith(words[outcomes[1]])
+
+
+def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
+    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
+    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(name="ran", expect=EXPECT), ended=ended)])
+    assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
 @given(st.text(min_size=1), st.text(min_size=1))

@@ -405,7 +405,7 @@ def test_an_outcome_carries_the_published_value():
     )
     assert outcome == {
         "metric": "com_speed_m_s", "of": "twin", "value": 0.2, "allowed": "0.1819 to 0.2461", "met": True,
-        "near": 0.214, "source": "Table 10", "known": None,
+        "state": "met", "reason": None, "near": 0.214, "source": "Table 10", "known": None,
     }  # fmt: skip
 
 

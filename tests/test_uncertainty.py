@@ -233,8 +233,8 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
 ):
     path = short()
     without = srs_twin("run", str(path), "--check", cwd=tmp_path)
-    assert without.returncode == 1
-    assert "no interval is kept" in without.stdout
+    assert without.returncode == 0
+    assert "no interval is stored" in without.stdout and "expectations: 1 not judged" in without.stderr
     done = srs_twin(
         "uncertainty", str(path), "--samples", "64", "--workers", "1", "--write", "--json", cwd=tmp_path
     )
@@ -250,21 +250,23 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
     assert kept["plants"]["analytical"]["com_speed_m_s"]["interval_95"] == pytest.approx(
         [low, high], rel=1e-5
     )
-    judged = srs_twin("run", str(path), "--check", "--json", cwd=tmp_path)
-    (row,) = json.loads(judged.stdout)["expectations"]
-    assert row["met"] == (low <= 0.19 <= high)
-    assert judged.returncode == (0 if row["met"] else 1)
+    words = ("run", str(path), "--check", "--json", "--junit", "r.xml")
+    for changed in ((), ("--seed", "1")):
+        judged = srs_twin(*words, *changed, cwd=tmp_path)
+        (row,) = json.loads(judged.stdout)["expectations"]
+        assert row["state"] == ("met" if low <= 0.19 <= high else "missed")
+        assert judged.returncode == (0 if row["met"] else 1)
+        assert ("<failure" in (tmp_path / "r.xml").read_text("utf-8")) == (not row["met"])
     assert row["error"] == pytest.approx(row["value"] - 0.19)
     assert row["largest"] in ("u_num", "u_input", "u_d")
     # Another law, seen in the value; another scenario.
     kept["plants"]["analytical"]["com_speed_m_s"]["value"] += 0.011 * (high - low)
     (tmp_path / "calibration/intervals/short.json").write_text(json.dumps(kept), "utf-8")
     moved = srs_twin("run", str(path), "--check", cwd=tmp_path)
-    short(duration_s=2.5)
-    stale = srs_twin("run", str(path), "--check", cwd=tmp_path)
-    for each, why in ((moved, "stale: the value was"), (stale, "of another robot or scenario")):
-        assert each.returncode == 1
-        assert why in (said := " ".join(each.stdout.split()))
+    stale = srs_twin("run", str(path), "--check", "--set", "controller.offset=0.1", cwd=tmp_path)
+    for each, why in ((moved, "the stored interval is for"), (stale, "for another robot or scenario")):
+        assert each.returncode == 0
+        assert why in (said := " ".join(each.stdout.split())) and "not judged" in said
         assert "srs-twin uncertainty" in said.replace("srs- twin", "srs-twin")
 
 

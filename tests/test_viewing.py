@@ -393,6 +393,10 @@ def report(tmp_path_factory, spec, runs):
                 "metric": "path_rms_m", "of": "comparison", "value": 0.1, "met": True,
                 "allowed": "below 0.2", "known": "once it was",
             },
+            {
+                "metric": "rise_time_s", "of": "twin", "value": None, "met": False, "state": "not_judged",
+                "allowed": "at most 0.2", "reason": "the run is short",
+            },
         ],
         "versions": {"mujoco": "3.17"},
     }  # fmt: skip
@@ -460,8 +464,9 @@ def test_report_tells_results_and_expectations(report, parsed):
     assert rows["turning radius"][2] == "–"
     assert rows["bend amplitude"][2].startswith("1.2, 1.2")
     assert rows["shape RMS"][1] == "m" and float(rows["shape RMS"][4]) > 0
-    assert rows["met"][1:] == ["CoM speed", "twin", "0.2", "0.214 within 15 %", "Table 10", ""]
-    assert rows["missed"][1:] == ["CoM speed, relative difference", "comparison", "-0.09", "above 0", "", ""]
+    assert rows["met"][1:] == ["CoM speed", "twin", "0.2", "0.214 within 15 %", "Table 10", "", ""]
+    assert rows["missed"][1:3] == ["CoM speed, relative difference", "comparison"]
+    assert rows["missed"][3:] == ["-0.09", "above 0", "", "", ""]
     assert rows["known"][1:] == [
         "yaw rate, size of difference",
         "comparison",
@@ -469,9 +474,12 @@ def test_report_tells_results_and_expectations(report, parsed):
         "below 0.2",
         "",
         "soft bends",
+        "",
     ]
-    assert rows["holds"][1:] == ["path RMS", "comparison", "0.1", "below 0.2", "", "once it was"]
+    assert rows["holds"][1:] == ["path RMS", "comparison", "0.1", "below 0.2", "", "once it was", ""]
+    assert rows["not judged"][2:] == ["twin", "–", "at most 0.2", "", "", "the run is short"]
     assert "Expectations: 1 met, 1 missed, 1 known to be missed, 1 met though known to be missed" in report
+    assert "1 not judged" in report
     assert rows["geometry.segment_length"] == ["geometry.segment_length", "0.037"]
     assert rows["mujoco"] == ["mujoco", "3.17"]
 

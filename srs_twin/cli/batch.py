@@ -129,7 +129,7 @@ def simulate(
 
 def failing(*, check: bool, strict: bool) -> frozenset[str]:
     """Return the verdicts on expectations (`scenario.expectation.verdict`) with which the exit code is 1."""
-    return frozenset({"missed", "known", "holds"} if strict else {"missed"} if check else ())
+    return frozenset({"missed", "known", "holds", "not_judged"} if strict else {"missed"} if check else ())
 
 
 def run_all(
@@ -304,7 +304,7 @@ def _report(
                 )
                 say(f"why the plants differ: `srs-twin compare {words} --explain`")
         elif fails and not as_json:
-            for line in expectation_lines(ended.metrics, fails | {"holds"}):
+            for line in expectation_lines(ended.metrics, fails | {"holds", "not_judged"}):
                 say(line)
     for error in ended.errors:
         show_traceback(error)

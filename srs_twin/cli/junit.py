@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -89,7 +89,7 @@ def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
     """Write a report: a suite for each scenario, a test case for its run and for each of its expectations.
 
     A missed expectation is a failure; a divergence, bad input or a dead worker is an error of the test case
-    ``runs``; what was not reached, could not be measured or is known to be missed is skipped.
+    ``runs``. An expectation that was not reached, is not judged or is known to be missed is skipped.
 
     Args:
         path: the file; an earlier one is replaced.
@@ -103,8 +103,6 @@ def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
 
 
 def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
-    from srs_twin.scenario.expectation import verdict
-
     run = TestCase(case.name, "runs", case.ended.wall_s if case.ended else 0.0)
     if case.ended is None:
         run = run._replace(outcome="skipped", message="not finished")
@@ -112,23 +110,36 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
         words, kind = "\n".join(map(str, case.ended.errors)), type(case.ended.errors[0]).__name__
         run = run._replace(outcome="error", message=words, kind=kind, text=words)
     yield run
-    metrics = case.ended.metrics if case.ended else None
+    metrics = case.ended.metrics if case.ended else {}
+    expected = case.scenario.expect if case.scenario else ()
+    rows = [{"of": each.subject, "metric": each.metric} for each in expected]
+    # As they were judged: of plants that did not run there are none.
+    rows = metrics["expectations"] if metrics else rows
     seen: Counter[str] = Counter()
-    for each in case.scenario.expect if case.scenario else ():
-        name = f"{each.subject} {each.metric}"
+    for row in rows:
+        name = f"{row['of']} {row['metric']}"
         seen[name] += 1
         test = TestCase(case.name, f"{name} ({seen[name]})" if seen[name] > 1 else name)
-        found = each.check(metrics) if metrics else None
-        if found is None:
-            test = test._replace(outcome="skipped", message="there is no whole run to measure")
-        elif verdict(found) in fails:
-            said = f"{test.name} = {found['value']}, allowed {found['allowed']}"
-            keys = ("value", "allowed", "source", *["known"] * bool(found["known"]))
-            text = "\n".join(f"{key}: {(found | {'source': found['source'] or 'ours'})[key]}" for key in keys)
-            test = test._replace(outcome="failure", message=said, kind="expectation", text=text)
-        elif verdict(found) == "known":
-            test = test._replace(outcome="skipped", message=f"known: {found['known']}")
-        yield test
+        yield (
+            _judged(test, row, fails)
+            if metrics
+            else test._replace(outcome="skipped", message="there is no whole run to measure")
+        )
+
+
+def _judged(test: TestCase, row: Mapping[str, Any], fails: Set[str]) -> TestCase:
+    """Return the test case of an expectation with its verdict."""
+    from srs_twin.scenario.expectation import in_words, verdict
+
+    found = verdict(row)
+    if found in fails:
+        given = {key: row[key] for key in ("reason", "known") if row.get(key)}
+        about = {"value": row["value"], "allowed": row["allowed"], "source": row["source"] or "ours"} | given
+        text = "\n".join(f"{key}: {value}" for key, value in about.items())
+        message = f"{test.name} {in_words(row)}"
+        return test._replace(outcome="failure", message=message, kind="expectation", text=text)
+    skipped = {"known": f"known: {row.get('known')}", "not_judged": f"not judged: {row.get('reason')}"}
+    return test._replace(outcome="skipped", message=skipped[found]) if found in skipped else test
 
 
 def _writable(text: str) -> str:

@@ -59,7 +59,7 @@ ScenarioArgument = Annotated[str, argument("SCENARIO", "A shipped scenario or a 
 RobotArgument = Annotated[str, argument("ROBOT", "A shipped robot or a file.", of=["robot"])]
 OneOutOption = Annotated[str | None, option("--out DIR", "Folder for the files. [default: runs/SCENARIO]")]
 CheckOption = Annotated[bool, option("--check", "Exit with 1 when an expectation fails.")]
-_STRICT = "--check, which also fails on what is marked `known`, met or missed."
+_STRICT = "Like --check, and also fail on expectations marked `known` or not judged."
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[bool, option("--quiet -q", "No table and no progress; errors only.")]
 JobsOption = Annotated[int | None, at_once("--jobs -j N")]

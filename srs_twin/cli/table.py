@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from srs_twin.cli import console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows
-from srs_twin.scenario.expectation import verdict
+from srs_twin.scenario.expectation import in_words, verdict
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _HEADINGS = {
     "inside_50mm_share": "inside 50 mm",
     "replans": "new plans",
 }
-WORDS = {"met": "met", "missed": "MISSED", "known": "known", "holds": "HOLDS"}
+WORDS = {"met": "met", "missed": "MISSED", "known": "known", "holds": "HOLDS", "not_judged": "not judged"}
 """Verdict on an expectation → how a line begins."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
@@ -121,13 +121,11 @@ def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = WOR
 
 def asks_why(metrics: Mapping[str, Any]) -> bool:
     """Say whether the plants differ by more than was expected, and nobody has said why yet."""
-    missed = {each["metric"] for each in metrics["expectations"] if not each["met"]}
+    missed = {each["metric"] for each in metrics["expectations"] if verdict(each) in ("missed", "known")}
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
 def _expectation(each: Mapping[str, Any]) -> str:
     source = f" ({each['source']})" if each.get("source") else ""
-    known = f"; known: {each['known']}" if each.get("known") else ""
-    value = _number(each["value"]) or "none"
-    said = f"{each['of']} {each['metric']} = {value}, allowed {each['allowed']}"
-    return f"{WORDS[verdict(each)]:6} {said}{source}{known}"
+    why = [f"; {key}: {each[key]}" for key in ("reason", "known") if each.get(key)]
+    return f"{WORDS[verdict(each)]:6} {each['of']} {each['metric']} {in_words(each)}{source}{''.join(why)}"

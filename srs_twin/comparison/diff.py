@@ -211,7 +211,13 @@ def _document(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
     if "rows" not in given:
         where, parts = str(given["scenario"]), {**given["plants"], "comparison": given["comparison"]}
         values = [((where, metric), value) for metric, value in _leaves(parts, "")]
-        met = [(f"expectations[{i}].met", bool(each["met"])) for i, each in enumerate(given["expectations"])]
+        met = [
+            (
+                f"expectations[{i}].met",
+                "not judged" if each.get("state") == "not_judged" else bool(each["met"]),
+            )
+            for i, each in enumerate(given["expectations"])
+        ]
         return values + [((where, metric), value) for metric, value in met], versions
     return [
         ((f"{row['id']}, {column}", name), outcome[name])

@@ -62,17 +62,29 @@ class GaitWindow:
             InputError: the gait frequency in the metadata is no positive number.
         """
         frequency = positive_number(trajectory, "gait_frequency_hz")
-        if frequency is None or len(trajectory) < LEAST_PERIODS * _LEAST_SAMPLES_A_PERIOD:
+        if frequency is None or cls.lacking(trajectory):
             return None
         time = trajectory.time
-        # A run meant to end on a whole period may miss it by rounding.
-        whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
-        samples = 1.0 / (frequency * float(np.median(np.diff(time))))
-        if whole < LEAST_PERIODS or samples < _LEAST_SAMPLES_A_PERIOD:
-            return None
+        whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
         instants = max(_LEAST_INSTANTS, int(np.ceil(4 * samples)))
         return cls(float(time[0]) + warm_up / frequency, 1.0 / frequency, whole - warm_up, instants)
+
+    @classmethod
+    def lacking(cls, trajectory: Trajectory) -> str:
+        """Return the reason why a run has no window, in words; empty where it has one.
+
+        Raises:
+            InputError: as `of`.
+        """
+        frequency = positive_number(trajectory, "gait_frequency_hz")
+        if frequency is None:
+            return "the run has no gait frequency"
+        whole, samples = _extent(trajectory, frequency)
+        if whole < LEAST_PERIODS:
+            return f"the run has {whole} of the {LEAST_PERIODS} whole gait periods that are needed"
+        few = samples < _LEAST_SAMPLES_A_PERIOD or len(trajectory) < LEAST_PERIODS * _LEAST_SAMPLES_A_PERIOD
+        return f"the run has fewer than {_LEAST_SAMPLES_A_PERIOD} samples per gait period" if few else ""
 
     @classmethod
     def last(cls, trajectory: Trajectory, period: float, end: float, periods: int) -> GaitWindow | None:
@@ -122,6 +134,14 @@ class GaitWindow:
         seen = interpolant(trajectory, values)(self.times(self.periods))
         by_period = seen.reshape(self.periods, self.instants, *values.shape[1:])
         return 0.5 * np.ptp(by_period, axis=1).mean(axis=0)
+
+
+def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
+    """Return the number of whole gait periods of a run, and its samples per period."""
+    time = trajectory.time
+    # A run meant to end on a whole period may miss it by rounding.
+    whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
+    return whole, (1.0 / (frequency * float(np.median(np.diff(time)))) if len(time) > 1 else 0.0)
 
 
 LEAST_WAY = 1e-3

@@ -279,13 +279,29 @@ def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, uni
     share = value / of - 1
     if abs(share) < _ALIKE:
         return f"like the model ({both})"
-    causes = [
-        f"{abs(100 * change / of):.0f} of these {abs(100 * share):.0f} % are {name}"
-        for name, change in _causes(metrics, metric)
-        if change * (value - of) > 0 and abs(change) > _A_CAUSE * abs(value - of)
-    ]
-    why = f"; {causes[0]}" if causes else ""
+    why = _main_cause(metrics, metric, of, share)
     return f"{abs(100 * share):.0f} % {less if share < 0 else more} than the model ({both}{why})"
+
+
+def _main_cause(metrics: Mapping[str, Any], metric: str, of: float, share: float) -> str:
+    """Return the main cause of a relative difference in words, in whole per cents that add up to it.
+
+    A cause that was switched on alone "would" have its effect; the shares of an attribution are averages over
+    the orders of switching. Empty where no cause acts in the direction of the difference.
+    """
+    whole = round(100 * share)
+    for name, change in _causes(metrics, metric):
+        effect = round(100 * change / of)
+        if effect * share <= 0 or abs(change / of) <= _A_CAUSE * abs(share):
+            continue
+        alone, rest = "attribution" not in metrics, whole - effect
+        verb = ("slow" if share < 0 else "speed") + ("" if alone else "s")
+        does = f"{'alone would ' if alone else ''}{verb} it{' up' if share > 0 else ''} by {abs(effect)} %"
+        if not rest:
+            return f"; {name} {does}"
+        others = f"by another {abs(rest)} %" if rest * share > 0 else f"offset {abs(rest)} %"
+        return f"; {name} {does}, other effects {others}"
+    return ""
 
 
 def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:

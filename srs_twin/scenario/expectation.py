@@ -1,4 +1,8 @@
-"""Expectations: what a metric must come out as, checked against what did."""
+"""Expected values of metrics, and the verdicts on them.
+
+An expectation is met, missed, missed for a known reason, or not judged. It is not judged where the run leaves
+its metric undefined, or where its stored interval is for another run.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, METRICS_LISTED
+from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import UnknownNameError
+from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
 COMPARISON = "comparison"
 _BOUND = 1e9
-_MOVED = 0.01  # of an interval: a value that differs by more comes from other laws
+_MOVED = 0.01  # of an interval: a value that differs by more comes from other laws or another duration
+_KEPT = 1e-5  # of a value: stored values have six digits
 _SCATTER = 0.01  # of a published value: the second or third digit that is printed
 _UNIT = "the metric's unit"
 _TALLY = {
@@ -22,7 +29,22 @@ _TALLY = {
     "missed": "missed",
     "known": "known to be missed",
     "holds": "met though known to be missed (take `known` out)",
+    "not_judged": "not judged",
 }
+_OUTSIDE = {"interval_50": 0.5, "interval_95": 0.05}
+_INTERVALS = {"interval_50": "50 % interval", "interval_95": "95 % interval"}
+_PARAMETERS = {
+    "friction.mu_t": "rolling friction",
+    "friction.mu_n": "sideways friction",
+    "friction.drag_n": "axial drag",
+    "bending.stiffness_nm_per_rad": "bending stiffness",
+    "bending.damping_time_s": "damping time of the bends",
+    "actuator.bend_rad": "bend of a free module",
+    "actuator.tau_fill_s": "filling time of the chambers",
+    "actuator.tau_vent_s": "venting time of the chambers",
+    "mass.connectors_kg": "mass of the connectors",
+}
+"""Parameters of a robot whose keys do not say enough."""
 
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
@@ -62,7 +84,7 @@ class Expectation(Section):
     source: Words | None = None
     """Where the value is published; none for our own."""
     known: Words | None = None
-    """Why it is missed, where that is known: `--check` lets it pass, `--strict` does not."""
+    """Reason why it is missed, if known: `--check` lets it pass, `--strict` does not."""
 
     @field_validator("metric")
     @classmethod
@@ -112,62 +134,111 @@ class Expectation(Section):
         tolerance = self.abs if self.abs is not None else (self.rel or 0.0) * math.fabs(self.near)
         return self.near - tolerance, self.near + tolerance
 
-    def check(self, metrics: Mapping[str, Any]) -> dict[str, Any]:
-        """Compare with what came out.
+    def check(self, metrics: Mapping[str, Any], undefined: Undefined | None = None) -> dict[str, Any]:
+        """Compare with the results of a run.
 
         Args:
             metrics: as in metrics.json: "plants" → plant → metric, "comparison" → metric, and "intervals",
-                the kept ones, as `experiment.kept_intervals` returns them.
+                the stored ones, as `experiment.kept_intervals` returns them.
+            undefined: reason why the run leaves the metric without a value; None where it has one, or where
+                the missing value is the outcome of the run.
 
         Returns:
-            A row of the expectations of metrics.json: `metric`, `of`, the `value` or None, what is `allowed`
-            in words, whether it is `met` (never without a value), `near`, `source`, `known`.
+            A row of the expectations of metrics.json: `metric`, `of`, the `value` or None, the values
+            `allowed` in words, `state` ("met", "missed", "known" or "not_judged"), the `reason` why it is not
+            judged, whether it is `met` (never without a value), `near`, `source`, `known`.
         """
         (low, high), subject = self.allowed, self.subject
         found = metrics.get(COMPARISON) if self.of else (metrics.get("plants") or {}).get(subject)
         value = (found or {}).get(self.metric)
+        row: dict[str, Any] = {"metric": self.metric, "of": subject, "value": value}
+        row |= {"allowed": _in_words(low, high), "met": False, "reason": None}
         if self.within is not None:
-            return self._judged(value, metrics.get("intervals") or {})
-        return {
-            "metric": self.metric,
-            "of": subject,
-            "value": value,
-            "allowed": _in_words(low, high),
-            "met": value is not None and math.isfinite(value) and low <= value <= high,
-            "near": self.near,
-            "source": self.source,
-            "known": self.known,
-        }
+            within = f"published {self.published:.4g} within the {_INTERVALS[self.within]}"
+            row |= {"allowed": within, "within": self.within}
+        if value is None or not math.isfinite(value):
+            limit = high if self.published is None else self.published
+            if value is None and undefined is not None and undefined.beyond < limit:
+                row["reason"] = undefined.reason
+        elif self.within is None:
+            row["met"] = low <= value <= high
+        else:
+            row |= self._judged(value, metrics.get("intervals") or {})
+        missed = "missed" if self.known is None else "known"
+        state = "not_judged" if row["reason"] is not None else "met" if row["met"] else missed
+        stated = self.near if self.published is None else self.published
+        return row | {"state": state, "near": stated, "source": self.source, "known": self.known}
 
-    def _judged(self, value: float | None, kept: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the row of a published value and a kept interval.
+    def _judged(self, value: float, kept: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the part of a row that a stored interval decides; a `reason` where it does not apply.
 
-        It has the terms of ASME V&V 20 besides: the `error` E = value − published, the standard uncertainties
-        `u_num` of the time step, `u_input` of the robot's numbers and `u_d` of what was published, which of
-        them is `largest`; the interval's `width` and, for published and interval of 95 %, the `score`
-        (Gneiting and Raftery 2007), which is lower for narrow intervals that hold.
+        The terms are those of ASME V&V 20: the `error` E = value − published, the standard uncertainties
+        `u_num` of the time step, `u_input` of the robot's parameters and `u_d` of the published value, the
+        name of the `largest`, and the `largest_parameter` of the robot; the `interval` and its `width` and,
+        for published and interval of 95 %, the `score` (Gneiting and Raftery 2007), which is lower for narrow
+        intervals that contain the published value.
         """
-        row: dict[str, Any] = {"metric": self.metric, "of": self.subject, "value": value}
-        rest = {"near": self.published, "source": self.source, "known": self.known}
+        assert self.within is not None and self.published is not None, "they go together"
         spread = ((kept.get("plants") or {}).get(self.subject) or {}).get(self.metric)
-        if kept.get("stale") is not None or spread is None or value is None or self.published is None:
-            why = kept.get("stale") or f"the kept intervals have no {self.metric} of the {self.subject} plant"
-            return row | {"allowed": why, "met": False} | rest
+        if kept.get("stale") is not None or spread is None:
+            missing = f"the stored intervals have no {self.metric} of the {self.subject} plant"
+            return {"reason": kept.get("stale") or missing}
         low, high = spread[self.within]
-        moved = abs(value - spread["value"]) / (high - low)
-        if not moved <= _MOVED:
-            why = f"stale: the value was {spread['value']:.6g}; {kept['renew']} renews the interval"
-            return row | {"allowed": why, "met": False} | rest
+        # Relative to the interval and to the stored digits: another processor changes neither verdict.
+        if not abs(value - spread["value"]) <= max(_MOVED * (high - low), _KEPT * abs(spread["value"])):
+            other = f"the stored interval is for {spread['value']:.4g} (other laws, duration or seed)"
+            return {"reason": f"{other}; {kept['renew']} renews it"}
         scatter = _SCATTER * abs(self.published) if self.scatter is None else self.scatter
         terms = {"u_num": spread["u_num"] or 0.0, "u_input": spread["u_input"], "u_d": scatter}
         largest = max(terms, key=lambda name: terms[name])
+        parameter = largest_parameter(spread.get("sensitivity") or {}) if largest == "u_input" else None
         off = max(low - self.published, self.published - high, 0.0)
-        share = 0.05 if self.within == "interval_95" else 0.5
-        judged = {"error": value - self.published, **terms, "largest": largest, "width": high - low}
-        judged |= {"score": high - low + 2 / share * off, "interval": [low, high]}
-        said = f"{self.published:.4g} published within {low:.4g} to {high:.4g}"
-        allowed = f"{said}; {largest} {terms[largest]:.2g} is largest"
-        return row | {"allowed": allowed, "met": low <= self.published <= high} | rest | judged
+        met = off == 0.0
+        cause = {"u_num": "the time step", "u_d": "the published value"}.get(largest, _parameter(parameter))
+        lies = f"lies {'within' if met else 'outside'} the {_INTERVALS[self.within]}"
+        ends = _ends(low, high, self.published)
+        return {
+            "allowed": f"published {self.published:.4g} {lies} {ends} (largest uncertainty: {cause})",
+            "met": met,
+            "error": value - self.published,
+            **terms,
+            "largest": largest,
+            "largest_parameter": parameter,
+            "width": high - low,
+            "score": high - low + 2 / _OUTSIDE[self.within] * off,
+            "interval": [low, high],
+        }
+
+
+def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
+    """Return the path of the parameter with the largest total index.
+
+    None if another index is as large within the error of the largest.
+
+    Args:
+        sensitivity: path → `total` index and its `total_error`, half of its 95 % interval.
+    """
+    ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
+    if not ranked:
+        return None
+    first, *others = (sensitivity[path] for path in ranked)
+    floor = max([0.0, *(each["total"] for each in others)])
+    return ranked[0] if first["total"] - first.get("total_error", 0.0) > floor else None
+
+
+def _parameter(path: str | None) -> str:
+    """Return the name of a parameter for people: "axial drag"."""
+    if path is None:
+        return "the robot's parameters"
+    name = split_unit(path.rpartition(".")[2])[0].replace("_", " ")
+    return _PARAMETERS.get(path, name)
+
+
+def _ends(low: float, high: float, inside: float) -> str:
+    """Return the ends of an interval with three digits, or more if a value would change sides by rounding."""
+    within = low <= inside <= high
+    texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
+    return " to ".join(next(two for two in texts if (float(two[0]) <= inside <= float(two[1])) == within))
 
 
 def _in_words(low: float, high: float) -> str:
@@ -184,17 +255,28 @@ class ExpectationsFile(Section):
 
 
 def verdict(checked: Mapping[str, Any]) -> str:
-    """Return what came of an expectation.
+    """Return the verdict on an expectation.
 
     Args:
-        checked: as `Expectation.check` returns it.
+        checked: as `Expectation.check` returns it; rows of earlier versions have no `state`.
 
     Returns:
-        "met", "missed", "known" (missed, as the scenario says) or "holds" (met, though it says so).
+        Its state, "met", "missed", "known" (missed, as the scenario says) or "not_judged"; or "holds" (met,
+        though the scenario says that it is missed).
     """
-    if checked.get("known") is None:
-        return "met" if checked["met"] else "missed"
-    return "holds" if checked["met"] else "known"
+    known = checked.get("known") is not None
+    state = checked.get("state") or ("met" if checked["met"] else "known" if known else "missed")
+    return "holds" if state == "met" and known else str(state)
+
+
+def in_words(checked: Mapping[str, Any]) -> str:
+    """Return the value of an expectation and the allowed values: "= 0.15, allowed 0.18 to 0.25"."""
+    value, metric = checked["value"], checked["metric"]
+    if not checked.get("within"):
+        return f"= {'none' if value is None else f'{value:.4g}'}, allowed {checked['allowed']}"
+    unit = (METRIC_UNITS | COMPARISON_UNITS).get(metric, "1")
+    text = "none" if value is None else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
+    return f"= {text}; {checked['allowed']}"
 
 
 def tally(verdicts: Mapping[str, int]) -> str:

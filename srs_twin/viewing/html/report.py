@@ -145,12 +145,13 @@ def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
 
 def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[str]) -> Table:
     keys = ["allowed", "source", *["known"] * bool({"known", "holds"} & set(verdicts))]
+    keys += ["reason"] * ("not_judged" in verdicts)
     rows = []
     for word, each in zip(verdicts, expectations, strict=True):
         color = "missed" if word == "missed" else "met" if each["met"] else "sub"
         texts = [each.get(key) or "" for key in ("of", *keys)]
         title, value = metric_title(each["metric"]), _text(tidy(each["metric"], each.get("value")))
-        rows.append([colored(word, color), title, texts[0], value, *texts[1:]])
+        rows.append([colored(word.replace("_", " "), color), title, texts[0], value, *texts[1:]])
     return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
 
 

@@ -1,0 +1,159 @@
+"""Reasons why a run leaves a metric undefined.
+
+A metric without a value has one of two causes. The run lacks the material of the metric, such as whole gait
+periods, a reference or a recording; then nothing can be judged. Or the missing value is the outcome: a path
+without a turning radius is straight, a plan without a length was not found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from srs_twin.comparison.following import FOLLOWING_UNITS, following
+from srs_twin.comparison.gait import GaitWindow
+from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
+from srs_twin.comparison.metrics import MEASURED_UNITS
+from srs_twin.comparison.reading import READING_UNITS, ReadingCurve
+from srs_twin.comparison.tracking import TRACKING_UNITS
+from srs_twin.trajectory import Trajectory
+
+_ENERGY = {
+    "mechanical_power_w": "work",
+    "cost_of_transport": "work",
+    "pneumatic_power_w": "air",
+    "pneumatic_cost_of_transport": "air",
+}
+_OF_A_GAIT = {"com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m", "mean_bend_amplitude_rad", *_ENERGY}
+_OF_TWO_GAITS = {"com_speed_rel", "yaw_rate_abs", "measured_com_speed_rel", "measured_yaw_rate_abs"}
+_REACHED = {"rise_time_s", "settling_2_s", "settling_5_s"}
+_SINE = {
+    "amplitude_rel", "amplitude_spread_rel", "phase_lag_rad", "phase_lag_spread_rad", "fit_residual_rad",
+}  # fmt: skip
+_OPENINGS = {"inlet_openings", "outlet_openings"}
+
+
+@dataclass(frozen=True)
+class Undefined:
+    """A metric that a run leaves undefined.
+
+    Attributes:
+        reason: in words.
+        beyond: the value is larger than this, in the unit of the metric: a bend that has not settled by the
+            end of a run may settle later. -inf where nothing is known of the value.
+    """
+
+    reason: str
+    beyond: float = -math.inf
+
+
+def why_undefined(
+    metric: str, subject: str, metrics: Mapping[str, Any], runs: Mapping[str, Trajectory]
+) -> Undefined | None:
+    """Return the reason why a run leaves a metric without a value.
+
+    Args:
+        metric: name of the metric.
+        subject: "analytical", "twin" or "comparison".
+        metrics: as in metrics.json: "plants" → plant → metric, "comparison" → metric.
+        runs: plant → trajectory, and "measured" → the recording that is replayed.
+
+    Returns:
+        None of a metric that has a value, and where the missing value is the outcome of the run.
+    """
+    found = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
+    if found.get(metric) is not None:
+        return None
+    if metric in _OF_TWO_GAITS | _OF_A_GAIT:
+        others = {"comparison": ("analytical", "twin")}.get(
+            subject, ("measured",) * (metric in MEASURED_UNITS)
+        )
+        named = [run for name, run in runs.items() if name in (subject, *others)]
+        return _of(_not_measured(metric, runs) or _no_gait(metric, named))
+    run = runs.get(subject)
+    if run is None:
+        return None
+    if metric in TRACKING_UNITS:
+        return _tracking(metric, found, run)
+    if metric in LEARNING_UNITS:
+        return _learning(metric, found, run)
+    return _of(_not_measured(metric, runs) or _other(metric, run))
+
+
+def _of(reason: str) -> Undefined | None:
+    return Undefined(reason) if reason else None
+
+
+def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
+    """Return the reason why one of the runs has no gait metrics; empty of a run that ended early."""
+    for run in runs:
+        if reason := GaitWindow.lacking(run):
+            return "" if run.metadata.get("ended_by") else reason
+        if (column := _ENERGY.get(metric)) and not run.has(column):
+            return f"the run does not record {column}"
+    return ""
+
+
+def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
+    """Return the reason why a plant has no difference from the recording; empty of other metrics."""
+    if metric not in MEASURED_UNITS:
+        return ""
+    if (measured := runs.get("measured")) is None:
+        return "no recording of the robot is replayed"
+    if measured.metadata.get("bends_only") and metric != "measured_bend_rms_rad":
+        return "only bends were recorded"
+    clamped = any(run.metadata.get("base") == "clamped" for run in runs.values())
+    return "the robot was clamped at its head" if clamped and metric in _OF_TWO_GAITS else ""
+
+
+def _tracking(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+    if found.get("error_rms_rad") is None:
+        return Undefined("the run follows no reference")
+    if metric in _REACHED and found.get("overshoot_rel") is not None:
+        changes = np.flatnonzero(np.diff(run["reference_1"])) + 1
+        passed = float(run.time[-1] - run.time[changes[0] if len(changes) else 0])
+        return Undefined(f"it is not reached within the {passed:.4g} s after the step", passed)
+    if metric in _SINE:
+        return Undefined("the run does not hold enough whole periods of a sine reference")
+    if metric in _OPENINGS:
+        return Undefined("the run does not record these openings")
+    if metric == "sensed_ripple_pp_rad" and found.get("ripple_pp_rad") is not None:
+        return Undefined("the run has no sensor")
+    return Undefined("the reference is not a single step")
+
+
+def _learning(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+    if not is_learning(run):
+        return Undefined("the run has no iterative learning")
+    periods = len(found.get("duty") or ())
+    still = found.get("heading_drift_rad") is not None and found.get("path_curvature_per_m") is None
+    if metric == "periods_to_converge" and found.get("amplitude_error_end_rad") is not None:
+        return Undefined(f"the amplitudes have not converged within {periods} periods", periods)
+    if not metric.startswith(("path_", "box_", "heading_")):
+        return Undefined(f"it is not defined by the learning periods of the run ({periods})")
+    if still or (metric.startswith("path_radius") and found.get("path_curvature_per_m") is not None):
+        return None
+    if found.get("heading_drift_rad") is None:
+        return Undefined(f"the run has fewer than {LAST_PERIODS} whole periods")
+    return Undefined("no two whole periods before the duties change have a curved path")
+
+
+def _other(metric: str, run: Trajectory) -> str:
+    """Return the reason for the metrics of plans, sensors and benches; empty where there is none."""
+    about = following(run)
+    if metric in FOLLOWING_UNITS:
+        if about is None:
+            return "the run follows no plan"
+        if metric == "arrival_heading_error_rad":
+            return "the goal has no heading"
+        obstacles = metric in ("contacts", "contact_time_s", "clearance_m")
+        return "the world has no obstacles" if obstacles else ""
+    if metric in READING_UNITS:
+        if ReadingCurve.of(run) is None:
+            return "the run has no sensor, or an ideal one"
+        return "the sensor has no Hall element" if metric == "reading_range_t" else ""
+    return "the run is not on a bench without a reference" if metric == "final_bend_rad" else ""
