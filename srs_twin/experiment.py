@@ -84,7 +84,7 @@ class PreparedRun:
     @classmethod
     def of(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
         """Build plants and controllers; arguments as in `prepare`."""
-        kinds = tuple(plants or scenario.plants)
+        kinds, scenario = tuple(plants or scenario.plants), scenario.run_on(plants)
         with scenario.named_in_errors():
             parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
         return cls(scenario, folder, parts)
@@ -174,6 +174,7 @@ class PreparedRun:
             "plants": {k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()},
             "comparison": comparison.metrics if comparison else None,
             "events": {k: _notable(t) for k, t in trajectories.items()},
+            "changes": list(scenario.changes),
         }
         drawn, differences = dict(trajectories), {}
         if measured is not None:
@@ -196,6 +197,7 @@ class PreparedRun:
         if any(each.within for each in asked):
             metrics["intervals"] = kept_intervals(scenario)
         metrics["expectations"] = [each.check(metrics) for each in asked]
+        metrics["left_out"] = [each for each in scenario.left_out if each["of"] in there]
         metrics.get("intervals", {}).pop("plants", None)
         metrics["versions"] = versions()
         # The plants' own robot: a scenario may have taken its gaps away.
@@ -347,7 +349,7 @@ def compare(
     found = shared["comparison"]
     parts = {each.name: getattr(found, each.name) for each in fields(found)}
     return ComparedRuns(
-        **parts, title=scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
+        **parts, title=run.scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
     )
 
 

@@ -24,7 +24,7 @@ from srs_twin import __version__
 from srs_twin.errors import InputError
 from srs_twin.io.files import find
 
-NOT_PHYSICS = ("name", "title", "expect")
+NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
 
 POINTS = "srs_twin.sweep.task"

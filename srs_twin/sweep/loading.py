@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,12 +14,13 @@ import numpy as np
 from srs_twin.comparison.following import PLANNING_UNITS
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, some
-from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
+from srs_twin.io.documents import Change, Document, Loc, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.modified import changed_fields, decides, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.sweep.file import RangeFile, SweepFile
 from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, sample
@@ -117,6 +119,7 @@ def load_sweep(
     """
     path = find("sweep", name_or_path)
     document, name = load_yaml(path), results_name(path)
+    written = copy.deepcopy(document.data)
     for change in set:
         document.change(replace(change, loc=("fixed", dotted(change.loc))))
     if plants is not None:
@@ -127,8 +130,38 @@ def load_sweep(
     if file is not None and scenario is not None:
         sweep = _Loading(document, file, scenario).sweep(name)
     document.finish(foreign)
-    assert sweep is not None, "no problem was reported"
-    return sweep
+    assert sweep is not None and scenario is not None, "no problem was reported"
+    return _modified(sweep, scenario, written, [change.loc for change in set])
+
+
+def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:
+    """Return a sweep with the fields that were set in its title, without the published values they decide.
+
+    Args:
+        sweep: as it runs.
+        scenario: as its file has it.
+        written: plain data of the sweep's file.
+        locs: paths of the scenario's fields that were set.
+    """
+    before = replace(sweep.experiment, base=scenario.document).with_fixed(written.get("fixed") or {})
+    found = changed_fields(before, sweep.experiment.base, locs)
+    named = written["plants"] if written.get("plants") is not None else list(scenario.plants)
+    changes = with_plants(found, named, sweep.experiment.plants)
+    sweep = replace(sweep, title=marked(sweep.title, changes), changes=changes)
+    if sweep.beside is None:
+        return sweep
+    decided = {
+        metric: [each["field"] for each in changes if any(decides(each["field"], metric, p) for p in PLANTS)]
+        for metric in sweep.beside.metrics
+    }
+    kept = {metric: values for metric, values in sweep.beside.metrics.items() if not decided[metric]}
+    if len(kept) == len(decided):
+        return sweep
+    fields = dict.fromkeys(field for each in decided.values() for field in each)
+    left_out = ", ".join(metric for metric in decided if metric not in kept)
+    warning = f"beside: published values of {left_out} are left out, because {', '.join(fields)} was changed"
+    beside = sweep.beside.model_copy(update={"metrics": kept}) if kept else None
+    return replace(sweep, beside=beside, warnings=(*sweep.warnings, warning))
 
 
 def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
@@ -180,9 +213,11 @@ class _Loading:
         if values is None or len(self._document.problems) > before:
             return None
         experiment = Experiment(self._scenario, self._plants, file.periods, robots, file.trajectories)
-        base = self._scenario
-        for field, value in file.fixed.items():
-            base = experiment.with_change(base, field, value)
+        base = experiment.with_fixed(file.fixed)
+        if changes := changed_fields(
+            self._scenario, base, map(path_of, file.fixed), self._scenario.get("changes", ())
+        ):
+            base["changes"] = changes
         sweep = Sweep(
             name=name,
             title=file.title or name,
