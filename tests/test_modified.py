@@ -207,6 +207,14 @@ def test_a_comparison_from_python_says_what_was_run():
     assert [each["field"] for each in found.results["changes"]] == ["controller.frequency_hz", "duration_s"]
 
 
+def test_intervals_of_a_modified_scenario_are_not_kept_for_the_unmodified_one(srs_twin, tmp_path):
+    words = ["uncertainty", "gen2_straight", "--set", "controller.frequency_hz=1", "--write"]
+    done = srs_twin(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "scenario as its file has it, but controller.frequency_hz was changed" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_modified_plan_is_marked(srs_twin, tmp_path):
     words = ["plan", "follow_gen4_a", "--set", "world.goal.radius_m=0.12", "--check"]
     done = srs_twin(*words, cwd=tmp_path)
@@ -224,6 +232,8 @@ def test_a_modified_sweep_is_marked_and_stands_beside_nothing_published():
     assert found.title == f"{plain.title} (modified: robot.friction.mu_t 0.0901 → 0.2)"
     assert plain.beside is not None and found.beside is None
     assert "because robot.friction.mu_t was changed" in found.warnings[-1]
+    # What is written as sweep.yaml.
+    assert found.document["title"] == found.title and "beside" not in found.document
     again = load_sweep("table8", set=set_to("seed", 3), plants=["twin"])
     assert again.beside == plain.beside and "modified: seed" in again.title and "plants" in again.title
 

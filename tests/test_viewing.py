@@ -472,7 +472,7 @@ def test_report_tells_results_and_expectations(report, parsed):
     ]
     assert rows["holds"][1:] == ["path RMS", "comparison", "0.1", "below 0.2", "", "once it was"]
     assert "Expectations: 1 met, 1 missed, 1 known to be missed, 1 met though known to be missed" in report
-    assert rows["geometry.segment_length"] == ["geometry.segment_length", "0.037"]
+    assert rows["geometry.segment_length"] == ["geometry.segment_length", "m", "0.037"]
     assert rows["mujoco"] == ["mujoco", "3.17"]
 
 

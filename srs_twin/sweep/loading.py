@@ -20,7 +20,7 @@ from srs_twin.io.validation import validate
 from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
-from srs_twin.scenario.modified import changed_fields, decides, marked, with_plants
+from srs_twin.scenario.modified import Changes, changed_fields, decides, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.sweep.file import RangeFile, SweepFile
 from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, sample
@@ -147,21 +147,28 @@ def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs
     found = changed_fields(before, sweep.experiment.base, locs)
     named = written["plants"] if written.get("plants") is not None else list(scenario.plants)
     changes = with_plants(found, named, sweep.experiment.plants)
-    sweep = replace(sweep, title=marked(sweep.title, changes), changes=changes)
-    if sweep.beside is None:
+    if not changes:
         return sweep
-    decided = {
-        metric: [each["field"] for each in changes if any(decides(each["field"], metric, p) for p in PLANTS)]
-        for metric in sweep.beside.metrics
-    }
-    kept = {metric: values for metric, values in sweep.beside.metrics.items() if not decided[metric]}
-    if len(kept) == len(decided):
-        return sweep
-    fields = dict.fromkeys(field for each in decided.values() for field in each)
-    left_out = ", ".join(metric for metric in decided if metric not in kept)
-    warning = f"beside: published values of {left_out} are left out, because {', '.join(fields)} was changed"
-    beside = sweep.beside.model_copy(update={"metrics": kept}) if kept else None
-    return replace(sweep, beside=beside, warnings=(*sweep.warnings, warning))
+    title, beside, warnings = marked(sweep.title, changes), sweep.beside, sweep.warnings
+    if beside is not None:
+        by = {metric: _deciding(changes, metric) for metric in beside.metrics}
+        kept = {metric: values for metric, values in beside.metrics.items() if not by[metric]}
+        if left_out := [metric for metric in by if metric not in kept]:
+            fields = ", ".join(dict.fromkeys(field for metric in left_out for field in by[metric]))
+            text = f"published values of {', '.join(left_out)} are left out, because {fields} was changed"
+            beside = beside.model_copy(update={"metrics": kept}) if kept else None
+            warnings = (*warnings, f"beside: {text}")
+    # sweep.yaml, which is made from it, can be run again.
+    document = {key: value for key, value in sweep.document.items() if key != "beside"}
+    document |= {"title": title[:200]}
+    if beside is not None:
+        document |= {"beside": beside.model_dump(mode="json", exclude_none=True)}
+    return replace(sweep, title=title, changes=changes, beside=beside, warnings=warnings, document=document)
+
+
+def _deciding(changes: Changes, metric: str) -> list[str]:
+    """Return the changed fields that decide a metric of any plant."""
+    return [each["field"] for each in changes if any(decides(each["field"], metric, p) for p in PLANTS)]
 
 
 def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
