@@ -174,7 +174,7 @@ def test_nothing_that_a_run_leaves_claims_the_unmodified_scenario(slow_run):
         assert "eft out: 2 expectations of the unmodified scenario" in text
     assert done.stderr.splitlines()[-1] == "expectations: none, 2 left out"
     assert f"{TITLE} {ALL_THREE}".encode() in (run / "recording.rrd").read_bytes()
-    # What `render` and `view` read.
+    # `render` reads the scenario of the run folder.
     assert load_run(run).scenario.title == f"{TITLE} {ALL_THREE}"
     suites = ElementTree.parse(folder / "out.xml").getroot()
     assert [suite.get("name") for suite in suites] == [f"gen2_straight {ALL_THREE}"]
@@ -211,7 +211,7 @@ def test_intervals_of_a_modified_scenario_are_not_kept_for_the_unmodified_one(sr
     words = ["uncertainty", "gen2_straight", "--set", "controller.frequency_hz=1", "--write"]
     done = srs_twin(*words, cwd=tmp_path)
     assert done.returncode == 2
-    assert "scenario as its file has it, but controller.frequency_hz was changed" in done.stderr
+    assert "intervals of unmodified scenarios, but controller.frequency_hz was changed" in done.stderr
     assert not list(tmp_path.iterdir())
 
 
@@ -232,7 +232,7 @@ def test_a_modified_sweep_is_marked_and_stands_beside_nothing_published():
     assert found.title == f"{plain.title} (modified: robot.friction.mu_t 0.0901 → 0.2)"
     assert plain.beside is not None and found.beside is None
     assert "because robot.friction.mu_t was changed" in found.warnings[-1]
-    # What is written as sweep.yaml.
+    # The document is written as sweep.yaml.
     assert found.document["title"] == found.title and "beside" not in found.document
     again = load_sweep("table8", set=set_to("seed", 3), plants=["twin"])
     assert again.beside == plain.beside and "modified: seed" in again.title and "plants" in again.title

@@ -73,9 +73,7 @@ def uncertainty(
     found = load_scenario(scenario, set=changes.changes())
     if write and found.left_out:
         fields = ", ".join(dict.fromkeys(field for each in found.left_out for field in each["because"]))
-        raise InputError(
-            f"--write keeps intervals of the scenario as its file has it, but {fields} was changed"
-        )
+        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
     priors = Priors.of(RobotFile.model_validate(found.document["robot"]), without=without or ())
     chosen = tuple(plants_of(plants) or found.plants)
     study = Study(

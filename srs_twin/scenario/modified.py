@@ -65,7 +65,7 @@ def changed_fields(
     """Return the fields in which two resolved scenarios differ.
 
     Args:
-        before: plain data of the scenario as its file has it.
+        before: plain data of the unmodified scenario.
         after: plain data of the scenario that is run.
         locs: paths that were set; of a block, the values in it are compared.
         earlier: changes that `before` had already; a field that has its first value again is left out.
@@ -121,8 +121,8 @@ def text_of(value: Any) -> str:
 def invalidated_by(each: Expectation, changes: Changes) -> list[str]:
     """Return the changed fields that decide what an expectation says of the unmodified scenario.
 
-    An expectation with `source`, `published` or `known` refers to the scenario as its file has it. One
-    without them is a bound of our own, which holds for modified scenarios too.
+    An expectation with `source`, `published` or `known` refers to the unmodified scenario. Other expectations
+    are bounds that hold for modified scenarios too.
     """
     if each.source is None and each.published is None and each.known is None:
         return []

@@ -93,12 +93,12 @@ class Scenario:
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """What must come out, without the expectations that changed fields invalidate."""
+        """The expectations that changed fields leave valid."""
         return tuple(each for each in self.file.expect if not invalidated_by(each, self.changes))
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """The other expectations as plain data: `metric`, `of`, `source`, and `because` of which fields."""
+        """The invalidated expectations: `metric`, `of`, `source`, and the changed fields (`because`)."""
         found = ((each, invalidated_by(each, self.changes)) for each in self.file.expect)
         return [
             {"metric": each.metric, "of": each.subject, "source": each.source, "because": fields}

@@ -139,7 +139,7 @@ def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs
 
     Args:
         sweep: as it runs.
-        scenario: as its file has it.
+        scenario: the unmodified scenario.
         written: plain data of the sweep's file.
         locs: paths of the scenario's fields that were set.
     """
