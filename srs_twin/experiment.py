@@ -85,7 +85,7 @@ class PreparedRun:
     @classmethod
     def of(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
         """Build plants and controllers; arguments as in `prepare`."""
-        kinds = tuple(plants or scenario.plants)
+        kinds, scenario = tuple(plants or scenario.plants), scenario.run_on(plants)
         with scenario.named_in_errors():
             parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
         return cls(scenario, folder, parts)
@@ -175,6 +175,7 @@ class PreparedRun:
             "plants": {k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()},
             "comparison": comparison.metrics if comparison else None,
             "events": {k: _notable(t) for k, t in trajectories.items()},
+            "changes": list(scenario.changes),
         }
         drawn, differences = dict(trajectories), {}
         if measured is not None:
@@ -198,6 +199,7 @@ class PreparedRun:
             metrics["intervals"] = kept_intervals(scenario)
         lacks = [why_undefined(each.metric, each.subject, metrics, drawn) for each in asked]
         metrics["expectations"] = [each.check(metrics, why) for each, why in zip(asked, lacks, strict=True)]
+        metrics["left_out"] = [each for each in scenario.left_out if each["of"] in there]
         metrics.get("intervals", {}).pop("plants", None)
         metrics["versions"] = versions()
         # The plants' own robot: a scenario may have taken its gaps away.
@@ -349,7 +351,7 @@ def compare(
     found = shared["comparison"]
     parts = {each.name: getattr(found, each.name) for each in fields(found)}
     return ComparedRuns(
-        **parts, title=scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
+        **parts, title=run.scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
     )
 
 

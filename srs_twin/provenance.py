@@ -25,7 +25,7 @@ from srs_twin.arrays import blas_kernels, one_blas_thread
 from srs_twin.errors import InputError
 from srs_twin.io.files import find
 
-NOT_PHYSICS = ("name", "title", "expect")
+NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
 
 POINTS = "srs_twin.sweep.task"

@@ -43,6 +43,8 @@ METRICS = {
             "allowed": "-0.12 to 0.12", "met": False, "source": None,
         },
     ],
+    "changes": [],
+    "left_out": [],
 }  # fmt: skip
 
 
@@ -112,7 +114,10 @@ def start(monkeypatch, capsys, tmp_path):
             if isinstance(endings[name], InputError):
                 raise endings[name]
             expect = EXPECTED[:1] if endings[name] == "met" else EXPECTED
-            return SimpleNamespace(name=name, expect=expect, warnings=(f"{name} is warned of",))
+            warned = (f"{name} is warned of",)
+            scenario = SimpleNamespace(name=name, label=name, expect=expect, warnings=warned)
+            scenario.run_on = lambda plants: scenario
+            return scenario
 
         def prepare(scenario, folder, *, plants):
             return Job(scenario.name, folder, log, endings[scenario.name])

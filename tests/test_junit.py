@@ -50,7 +50,7 @@ METRICS = FOUND | {"expectations": [each.check(FOUND) for each in EXPECT]}
 
 def case(name, *, metrics=None, errors=(), ended=True):
     """A scenario with three expectations and what came of it."""
-    found = Case(name, SimpleNamespace(name=name, expect=EXPECT), Path("runs") / name)
+    found = Case(name, SimpleNamespace(label=name, expect=EXPECT), Path("runs") / name)
     result = None if metrics is None else RunResult(name, found.folder, {}, metrics)
     found.ended = CaseResult(result, errors, 1.5) if ended else None
     return found
@@ -136,7 +136,7 @@ def test_every_kind_of_end(tmp_path):
 
 def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
     known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
-    scenario = SimpleNamespace(name="ran", expect=(*EXPECT, *known))
+    scenario = SimpleNamespace(label="ran", expect=(*EXPECT, *known))
     rows = [each.check(FOUND) for each in scenario.expect]
     ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
     for fails, of_known in (
@@ -178,7 +178,7 @@ def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
 @given(st.text(min_size=1), st.text(min_size=1))
 def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"
-    scenario = SimpleNamespace(name=name, expect=())
+    scenario = SimpleNamespace(label=name, expect=())
     write_junit(path, [Case("x", scenario, ended=CaseResult(None, (InputError(words),)))])
     (suite,) = ElementTree.parse(path).getroot()
     message = suite.find("testcase/error").get("message")

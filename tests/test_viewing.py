@@ -480,7 +480,7 @@ def test_report_tells_results_and_expectations(report, parsed):
     assert rows["not judged"][2:] == ["twin", "–", "at most 0.2", "", "", "the run is short"]
     assert "Expectations: 1 met, 1 missed, 1 known to be missed, 1 met though known to be missed" in report
     assert "1 not judged" in report
-    assert rows["geometry.segment_length"] == ["geometry.segment_length", "0.037"]
+    assert rows["geometry.segment_length"] == ["geometry.segment_length", "m", "0.037"]
     assert rows["mujoco"] == ["mujoco", "3.17"]
 
 

@@ -81,6 +81,11 @@ class Case:
         """What it is called: the scenario's name, or its file's where there is none."""
         return Path(self.source).stem if self.scenario is None else self.scenario.name
 
+    @property
+    def label(self) -> str:
+        """The name, with the changed fields."""
+        return self.name if self.scenario is None else self.scenario.label
+
     def document(self) -> Mapping[str, Any]:
         """Return what came of it as plain data: metrics.json, or what stopped it."""
         ended = self.ended or CaseResult(None)
@@ -179,7 +184,7 @@ def run_all(
             # Found out now that it cannot be written; and whatever ends this process, no old report is left.
             write()
             ends.callback(write)
-        to_do = _load(cases, out, quiet, changes)
+        to_do = _load(cases, out, quiet, changes, plants)
         with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
             for case in run:
                 _report(case, fails=fails, quiet=quiet, as_json=as_json, changes=changes)
@@ -190,7 +195,8 @@ def run_all(
         from srs_twin.scenario.expectation import tally
 
         verdicts = sum((case.ended.verdicts for case in to_do if case.ended), Counter())
-        say(f"expectations: {tally(verdicts)}")
+        left_out = sum(len(case.ended.metrics.get("left_out", ())) for case in to_do if case.ended)
+        say(f"expectations: {tally(verdicts)}{f', {left_out} left out' if left_out else ''}")
     if code := max((case.ended.exit_code(fails) for case in cases if case.ended), default=0):
         raise typer.Exit(code)
 
@@ -207,7 +213,13 @@ def cases_of(given: Sequence[str]) -> list[Case]:
     return [Case(each) for each in dict.fromkeys(found)]
 
 
-def _load(cases: Sequence[Case], out: str | None, quiet: bool, changes: Sequence[Change]) -> list[Case]:
+def _load(
+    cases: Sequence[Case],
+    out: str | None,
+    quiet: bool,
+    changes: Sequence[Change],
+    plants: Sequence[str] | None,
+) -> list[Case]:
     """Load every scenario and see that it can run; say what is wrong with the bad ones, return the others."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import open_folder
@@ -217,7 +229,8 @@ def _load(cases: Sequence[Case], out: str | None, quiet: bool, changes: Sequence
     taken: set[Path] = set()
     for case in cases:
         with _ending(case):
-            case.scenario = scenario = case.scenario or load_scenario(case.source, set=changes)
+            scenario = case.scenario or load_scenario(case.source, set=changes)
+            case.scenario = scenario = scenario.run_on(plants)
             case.folder = base if out and len(cases) == 1 else base / scenario.name
             if case.folder in taken:
                 raise InputError(

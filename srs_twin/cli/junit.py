@@ -99,11 +99,11 @@ def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
     Raises:
         InputError: it cannot be written.
     """
-    write_report(path, "srs-twin", [(case.name, _test_cases(case, fails | {"missed"})) for case in cases])
+    write_report(path, "srs-twin", [(case.label, _test_cases(case, fails | {"missed"})) for case in cases])
 
 
 def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
-    run = TestCase(case.name, "runs", case.ended.wall_s if case.ended else 0.0)
+    run = TestCase(case.label, "runs", case.ended.wall_s if case.ended else 0.0)
     if case.ended is None:
         run = run._replace(outcome="skipped", message="not finished")
     elif case.ended.errors:
@@ -119,7 +119,7 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
     for row in rows:
         name = f"{row['of']} {row['metric']}"
         seen[name] += 1
-        test = TestCase(case.name, f"{name} ({seen[name]})" if seen[name] > 1 else name)
+        test = TestCase(case.label, f"{name} ({seen[name]})" if seen[name] > 1 else name)
         yield (
             _judged(test, row, fails)
             if metrics

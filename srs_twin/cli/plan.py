@@ -50,6 +50,7 @@ def plan(
     from srs_twin.io.files import open_folder
     from srs_twin.scenario import load_scenario
     from srs_twin.scenario.expectation import verdict
+    from srs_twin.scenario.modified import left_out_line
 
     loaded = load_scenario(scenario, set=changed.changes())
     if loaded.planner is None:
@@ -74,6 +75,9 @@ def plan(
         (say if as_json else print)(
             f"{WORDS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}"
         )
+    left_out = [each for each in loaded.left_out if each["metric"] in metrics]
+    for line in left_out_line(left_out) if not quiet else ():
+        (say if as_json else print)(line)
     judged = any(each["metric"] == "plan_found" for each in checked)
     if check and (missed or not (found.found or judged)):
         raise typer.Exit(EXPECTATION_FAILED)
@@ -86,7 +90,7 @@ def _checked(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]
 
 
 def _show(scenario: Scenario, found: Plan) -> None:
-    print(f"{scenario.name}: {found.outcome.value}: {found.reason}")
+    print(f"{scenario.label}: {found.outcome.value}: {found.reason}")
     if found.found:
         quality = _quality(found)
         print(
@@ -127,6 +131,7 @@ def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metr
         "segments": [asdict(each) for each in found.segments],
         "quality": _quality(found) if found.found else None,
         "metrics": metrics,
+        "changes": list(scenario.changes),
     }
     figure = plan_plot(about, found.segments, problem.footprint, f"{scenario.title}: {found.outcome.value}")
     with replaced(folder, (PLAN, PICTURE)) as fresh:

@@ -65,6 +65,7 @@ def sweep(
         plants: analytical, twin or both. [default: the sweep's]
     """
     chosen = chosen_engine(engine, workers, address)
+    from srs_twin.scenario.modified import marked
     from srs_twin.sweep import load_sweep, open_sweep
 
     found = load_sweep(given, set=changed_fields.changes(), plants=plants_of(plants))
@@ -91,7 +92,7 @@ def sweep(
         done = {"rows": summary.done, "failed": summary.failed, "sha256": summary.sha256}
         print_json(done | {"results": str(summary.folder / "results.parquet")})
     elif not quiet:
-        _show(summary)
+        _show(summary, marked(found.name, found.changes) if found.changes else None)
     say(f"files in {summary.folder}: {', '.join(summary.files)}", quiet=quiet)
     if summary.exit_code:
         _complain(summary)
@@ -150,9 +151,9 @@ def chosen_engine(name: str, workers: int | None, address: str | None) -> Engine
     return execution.local(workers)
 
 
-def _show(summary: Summary) -> None:
+def _show(summary: Summary, title: str | None) -> None:
     """Print what the results span, and where they are."""
-    lines = new_table("metric", "least", "median", "most")
+    lines = new_table("metric", "least", "median", "most", title=title)
     for name, (least, median, most) in summary.spans.items():
         lines.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
     terminal = console()

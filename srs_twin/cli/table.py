@@ -10,6 +10,7 @@ from srs_twin.cli import console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows
 from srs_twin.scenario.expectation import in_words, verdict
+from srs_twin.scenario.modified import left_out_line, marked
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
@@ -76,13 +77,16 @@ def show(result: RunResult) -> None:
     needless = {"difference": len(plants) < 2, "published": not any(line[-1] for line in lines)}
     headings = ["metric", "unit", *plants, "difference", "published"]
     kept = [k for k, heading in enumerate(headings) if not needless.get(heading)]
-    shown = new_table(*(headings[k] for k in kept), left=(0, 1), title=result.name)
+    shown = new_table(
+        *(headings[k] for k in kept), left=(0, 1), title=marked(result.name, result.metrics["changes"])
+    )
     for line in lines:
         shown.add_row(*(line[k] for k in kept))
     terminal.print(shown)
     if "attribution" in result.metrics:
         terminal.print(_why(result.metrics["attribution"]))
-    for text in [*event_lines(result.metrics), *expectation_lines(result.metrics)]:
+    left_out = left_out_line(result.metrics["left_out"])
+    for text in [*event_lines(result.metrics), *expectation_lines(result.metrics), *left_out]:
         for part in textwrap.wrap(text, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
             print(part)
 

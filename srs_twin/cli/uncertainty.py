@@ -21,6 +21,7 @@ from srs_twin.cli.options import (
     print_json,
 )
 from srs_twin.cli.progress import Counting
+from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.sweep.task import Row
@@ -70,6 +71,9 @@ def uncertainty(
     from srs_twin.uncertainty import Priors, Study
 
     found = load_scenario(scenario, set=changes.changes())
+    if write and found.left_out:
+        fields = ", ".join(dict.fromkeys(field for each in found.left_out for field in each["because"]))
+        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
     priors = Priors.of(RobotFile.model_validate(found.document["robot"]), without=without or ())
     chosen = tuple(plants_of(plants) or found.plants)
     study = Study(

@@ -108,10 +108,12 @@ def play(
         change: Another value of a field, as robot.friction.mu_t=0.1; repeatable.
     """
     from srs_twin.io.documents import Document
-    from srs_twin.robot.file import resolve_robot
+    from srs_twin.robot.file import load_robot_file, resolve_robot
+    from srs_twin.scenario.modified import changed_fields, changes_text
 
     document = Document(robot, {"robot": robot})
-    for each in ChangeOptions(change).changes():
+    changed = ChangeOptions(change).changes()
+    for each in changed:
         if each.loc[0] != "robot":
             raise InputError(f"{each.words}: play has no scenario; set a field of robot")
         document.change(each)
@@ -123,6 +125,10 @@ def play(
     refuse_without_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
-    snake = LiveSnake(found.spec())
+    before = {"robot": load_robot_file(robot).model_dump(mode="json")}
+    after = {"robot": found.model_dump(mode="json")}
+    changes = changed_fields(before, after, [each.loc for each in changed])
+    # MuJoCo's font has ASCII alone.
+    snake = LiveSnake(found.spec(), modified=changes_text(changes).replace("→", "to"))
     with MujocoWindow(snake) as window:
         steer(snake, window)

@@ -203,7 +203,7 @@ class Answer:
         scenario = self.study.scenario.document
         for k, run in enumerate(self.optimum.best, start=1):
             whole = self.study.experiments["twin"].document(self.study.space.changes(run.shares))
-            whole |= {"plants": scenario["plants"], "title": f"{self.study.title}: best {k}"}
+            whole |= {"plants": scenario["plants"], "title": f"{self.study.title}: best {k}"[:200]}
             (folder / "best").mkdir(parents=True, exist_ok=True)
             write_text(folder / f"best/{k}.yaml", dump_yaml(whole))
             write_text(folder / f"best/{k}.robot.yaml", dump_yaml(whole["robot"]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,12 +12,13 @@ import numpy as np
 
 from srs_twin.comparison.metrics import METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
-from srs_twin.io.documents import Change, Document, dotted, load_yaml
+from srs_twin.io.documents import Change, Document, Loc, dotted, load_yaml
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.optimization.file import SEGMENTS, StudyFile
 from srs_twin.optimization.space import Space
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.modified import Changes, changed_fields, marked
 from srs_twin.sweep import Experiment
 from srs_twin.sweep.points import leaves
 from srs_twin.uncertainty.propagation import compliant_partner
@@ -33,6 +35,7 @@ class Study:
         space: of designs.
         experiments: "compliant" (where that can run the scenario) and "twin" → what they run.
         document: plain data of the file.
+        changes: fields that differ from the study's file; `title` names them.
     """
 
     name: str
@@ -41,11 +44,12 @@ class Study:
     space: Space
     experiments: Mapping[str, Experiment]
     document: Mapping[str, Any] = field(repr=False)
+    changes: Changes = ()
 
     @property
     def title(self) -> str:
         """One line for people."""
-        return self.file.title or self.name
+        return marked(self.file.title or self.name, self.changes)
 
 
 def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Change] = ()) -> Study:
@@ -61,6 +65,7 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Change] = 
     """
     path = find("study", name_or_path)
     document = load_yaml(path)
+    written = copy.deepcopy(document.data)
     for change in set:
         whose = change.loc if change.loc == ("seed",) else ("fixed", dotted(change.loc))
         document.change(replace(change, loc=whose))
@@ -80,15 +85,22 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Change] = 
         _check_ends(document, study)
     document.finish(foreign)
     assert study is not None, "no problem was reported"
-    return study
+    return replace(study, changes=_changes(study, written, [change.loc for change in set]))
+
+
+def _changes(study: Study, written: Mapping[str, Any], locs: Sequence[Loc]) -> Changes:
+    """Return the fields that were set, those of the scenario and the study's seed."""
+    after = study.experiments["twin"]
+    before = replace(after, base=study.scenario.document).with_fixed(written.get("fixed") or {})
+    found = changed_fields(before, after.base, [loc for loc in locs if loc != ("seed",)])
+    seed: dict[str, Any] = {"seed": 0, **written}
+    return found + changed_fields(seed, study.document, [loc for loc in locs if loc == ("seed",)])
 
 
 def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -> Study:
     settings = scenario.document["plants"].get("twin", {})
     base: Any = {**scenario.document, "plants": {"twin": settings}, "expect": []}
-    whole = Experiment(base, ("twin",))
-    for changed, value in file.fixed.items():
-        base = whole.with_change(base, changed, value)
+    base = Experiment(base, ("twin",)).with_fixed(file.fixed)
     experiments = {"twin": Experiment(base, ("twin",))}
     partner = None
     try:

@@ -384,7 +384,8 @@ def units_of(section: str) -> dict[str, str]:
     """Return the units of a section's records by key; nothing for what is no section."""
     field = RobotFile.model_fields.get(section)
     kinds = (get_args(field.annotation) or (field.annotation,)) if field else ()
-    keys: Mapping[str, Any] = next((each.model_fields for each in kinds if issubclass(each, Records)), {})
+    sections = [each for each in kinds if isinstance(each, type) and issubclass(each, Records)]
+    keys: Mapping[str, Any] = sections[0].model_fields if sections else {}
     return {key: split_unit(key)[1] for key in keys if key != "seed"}
 
 

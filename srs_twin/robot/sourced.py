@@ -47,14 +47,15 @@ UNITS = {
 }
 """How a key ends → the unit of its number; longer ends first."""
 
-# One of the unit in SI, as a numerator and a denominator: 3.1 mm divided by 1000 are the double 0.0031.
+# The SI unit, and one of the unit in it as a numerator and a denominator: 3.1 mm divided by 1000 are the
+# double 0.0031.
 _IN_SI = {
-    "kPa": (1000, 1),
-    "mm": (1, 1000),
-    "ml": (1, 1e6),
-    "µV": (1, 1e6),
-    "L/min": (1, 60_000),
-    "deg": (math.pi, 180),
+    "kPa": ("Pa", 1000, 1),
+    "mm": ("m", 1, 1000),
+    "ml": ("m³", 1, 1e6),
+    "µV": ("V", 1, 1e6),
+    "L/min": ("m³/s", 1, 60_000),
+    "deg": ("rad", math.pi, 180),
 }
 
 
@@ -65,15 +66,21 @@ def split_unit(key: str) -> tuple[str, str]:
     return key.removesuffix(ending), UNITS.get(ending, "1")
 
 
+def si_unit(key: str) -> str:
+    """Return the SI unit of a key's value after `in_si`."""
+    unit = split_unit(key)[1]
+    return _IN_SI.get(unit, (unit, 1, 1))[0]
+
+
 def in_si(key: str, value: Any) -> Any:
     """Return a value of a key in SI."""
-    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
+    _, up, down = _IN_SI.get(split_unit(key)[1], ("", 1, 1))
     return value if value is None or up == down else value * up / down
 
 
 def in_unit(key: str, value: Any) -> Any:
     """Return a value in SI in the unit that a key names."""
-    up, down = _IN_SI.get(split_unit(key)[1], (1, 1))
+    _, up, down = _IN_SI.get(split_unit(key)[1], ("", 1, 1))
     return value if value is None or up == down else round(value * down / up, 6)
 
 

@@ -16,6 +16,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.fields import FilePath, Line, Section, constructor_default, quantity
+from srs_twin.scenario.modified import ChangedField
 from srs_twin.scenario.planner import PlannerFile
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.start import StartFile
@@ -245,6 +246,8 @@ class ScenarioFile(Section):
     """How the plants are compared."""
     expect: Annotated[list[Expectation], Field(max_length=200)] = []
     """What must come out."""
+    changes: Annotated[list[ChangedField], Field(max_length=1000)] | None = None
+    """Fields that were changed by --set and the like; a run writes them into scenario.resolved.yaml."""
 
     elsewhere: ClassVar[dict[str, str]] = {
         key: f"robot.{key}" for key in RobotFile.model_fields if key not in ("name", "title", "supply")

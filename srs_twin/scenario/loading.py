@@ -30,6 +30,7 @@ from srs_twin.scenario.checks import (
 )
 from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.planner import RoutePlanner
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
@@ -69,14 +70,9 @@ def parse_scenario(
 def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Change]) -> Scenario:
     if isinstance(changes, Mapping):
         changes = [Change(f"set {key}={value!r}", path_of(key), value) for key, value in changes.items()]
+    unmodified = copy.deepcopy(document.data) if changes else None
     for change in changes:
-        _check_field(change)
-        before = document.get(*change.loc)
-        if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
-            change = replace(change, value=restated(before, change.value, None, f"set by {change.words}"))
-        if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
-            document.data["plants"]["twin"] = with_preset(twin, change.value)
-        document.change(change)
+        _set(document, change)
     file = validate(ScenarioFile, document, document.data)
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
@@ -110,12 +106,17 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
             "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
         )
     resolved = _resolved(file, robot, file.name or name, layout, recording)
+    before = _resolved_or_raw(unmodified, recording) if changes else resolved
+    if changed := changed_fields(
+        before, resolved, [each.loc for each in changes], document.get("changes") or ()
+    ):
+        resolved["changes"] = changed
     file = ScenarioFile.model_validate_json(json.dumps(resolved), strict=True)
     pose = file.start.build()
     assert file.name and file.title, "defaults are written out"
     return Scenario(
         name=file.name,
-        title=file.title,
+        title=marked(file.title, changed),
         robot=robot.spec(file.seed),
         duration=file.duration_s,
         seed=file.seed,
@@ -133,9 +134,33 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     )
 
 
+def _set(document: Document, change: Change) -> None:
+    """Put a changed value into the document."""
+    _check_field(change)
+    before = document.get(*change.loc)
+    if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
+        change = replace(change, value=restated(before, change.value, None, f"set by {change.words}"))
+    if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
+        document.data["plants"]["twin"] = with_preset(twin, change.value)
+    document.change(change)
+
+
+def _resolved_or_raw(data: Any, recording: Recording | None) -> dict[str, Any]:
+    """Return the plain data of a scenario with its defaults; as they are if it is incomplete."""
+    document = Document("", data if isinstance(data, dict) else {})
+    file, (robot, _) = validate(ScenarioFile, document, document.data), _robot(document)
+    if file is None or robot is None:
+        return document.data
+    recording = recording if file.recording else None
+    layout: str = file.valves.layout or (*file.controller.layouts(recording), "")[0]
+    return _resolved(file, robot, "", layout, recording)
+
+
 def _check_field(change: Change) -> None:
     """Refuse a field whose beginning no scenario has, with those like it."""
     first, *more = change.loc
+    if first == "changes":
+        raise InputError(f"{change.words}: srs_twin itself lists the changed fields; set the fields instead")
     sections = {*RobotFile.model_fields, "base"}
     if first not in ScenarioFile.model_fields or (first == "robot" and more and more[0] not in sections):
         from srs_twin.scenario.schema import field_paths
@@ -150,7 +175,8 @@ def _resolved(
 ) -> dict[str, Any]:
     """Return plain data of the same scenario with all defaults and the robot written out."""
     # The supply's own allow_overpressure is another name of the scenario's.
-    left_out = {"supply": {"allow_overpressure"}} | ({"start": True} if file.bench else {})
+    left_out: Any = {"supply": {"allow_overpressure"}, "changes": True}
+    left_out |= {"start": True} if file.bench else {}
     plain = file.model_dump(mode="json", exclude_none=True, exclude=left_out, by_alias=True)
     document = plain | {
         "name": name,

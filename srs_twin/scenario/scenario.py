@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import Expectation
+from srs_twin.scenario.modified import Changes, invalidated_by, marked, with_plants
 from srs_twin.scenario.plants import PLANTS, AnalyticalFile, PlantFile, TwinFile
 from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
 from srs_twin.trajectory import Trajectory
@@ -36,7 +37,7 @@ class Scenario:
 
     Attributes:
         name: of the file, and of the folder of results.
-        title: one line for people.
+        title: one line for people, with the changed fields.
         robot: the snake, overrides included.
         duration: s.
         seed: for whatever is random.
@@ -81,9 +82,38 @@ class Scenario:
         return self.file.controller
 
     @property
+    def changes(self) -> Changes:
+        """The fields that differ from the scenario's file."""
+        return tuple(self.document.get("changes", ()))
+
+    @property
+    def label(self) -> str:
+        """The name, with the changed fields."""
+        return marked(self.name, self.changes)
+
+    @property
     def expect(self) -> tuple[Expectation, ...]:
-        """What must come out."""
-        return tuple(self.file.expect)
+        """The expectations that changed fields leave valid."""
+        return tuple(each for each in self.file.expect if not invalidated_by(each, self.changes))
+
+    @property
+    def left_out(self) -> list[dict[str, Any]]:
+        """The invalidated expectations: `metric`, `of`, `source`, and the changed fields (`because`)."""
+        found = ((each, invalidated_by(each, self.changes)) for each in self.file.expect)
+        return [
+            {"metric": each.metric, "of": each.subject, "source": each.source, "because": fields}
+            for each, fields in found
+            if fields
+        ]
+
+    def run_on(self, plants: Sequence[str] | None) -> Scenario:
+        """Return the scenario with a note of the plants that run where these are not its own (None)."""
+        changes = with_plants(self.changes, tuple(self.plants), plants or tuple(self.plants))
+        if changes == list(self.changes):
+            return self
+        document = {key: value for key, value in self.document.items() if key != "changes"}
+        document |= {"changes": changes} if changes else {}
+        return replace(self, document=document, title=marked(document["title"], changes))
 
     @property
     def layout(self) -> str:

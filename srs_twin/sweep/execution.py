@@ -262,6 +262,7 @@ class OpenSweep:
         return {
             "sweep": self.sweep.name,
             "title": self.sweep.title,
+            "changes": list(self.sweep.changes),
             "points": summary.points,
             "done": summary.done,
             "failed": summary.failed,

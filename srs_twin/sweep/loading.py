@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,12 +14,13 @@ import numpy as np
 from srs_twin.comparison.following import PLANNING_UNITS
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, some
-from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
+from srs_twin.io.documents import Change, Document, Loc, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.provenance import NOT_PHYSICS, versions
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.modified import Changes, changed_fields, decides, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.sweep.file import RangeFile, SweepFile
 from srs_twin.sweep.points import Experiment, Sweep, Value, leaves, sample
@@ -117,6 +119,7 @@ def load_sweep(
     """
     path = find("sweep", name_or_path)
     document, name = load_yaml(path), results_name(path)
+    written = copy.deepcopy(document.data)
     for change in set:
         document.change(replace(change, loc=("fixed", dotted(change.loc))))
     if plants is not None:
@@ -127,8 +130,45 @@ def load_sweep(
     if file is not None and scenario is not None:
         sweep = _Loading(document, file, scenario).sweep(name)
     document.finish(foreign)
-    assert sweep is not None, "no problem was reported"
-    return sweep
+    assert sweep is not None and scenario is not None, "no problem was reported"
+    return _modified(sweep, scenario, written, [change.loc for change in set])
+
+
+def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:
+    """Return a sweep with the fields that were set in its title, without the published values they decide.
+
+    Args:
+        sweep: as it runs.
+        scenario: the unmodified scenario.
+        written: plain data of the sweep's file.
+        locs: paths of the scenario's fields that were set.
+    """
+    before = replace(sweep.experiment, base=scenario.document).with_fixed(written.get("fixed") or {})
+    found = changed_fields(before, sweep.experiment.base, locs)
+    named = written["plants"] if written.get("plants") is not None else list(scenario.plants)
+    changes = with_plants(found, named, sweep.experiment.plants)
+    if not changes:
+        return sweep
+    title, beside, warnings = marked(sweep.title, changes), sweep.beside, sweep.warnings
+    if beside is not None:
+        by = {metric: _deciding(changes, metric) for metric in beside.metrics}
+        kept = {metric: values for metric, values in beside.metrics.items() if not by[metric]}
+        if left_out := [metric for metric in by if metric not in kept]:
+            fields = ", ".join(dict.fromkeys(field for metric in left_out for field in by[metric]))
+            text = f"published values of {', '.join(left_out)} are left out, because {fields} was changed"
+            beside = beside.model_copy(update={"metrics": kept}) if kept else None
+            warnings = (*warnings, f"beside: {text}")
+    # sweep.yaml, which is made from it, can be run again.
+    document = {key: value for key, value in sweep.document.items() if key != "beside"}
+    document |= {"title": title[:200]}
+    if beside is not None:
+        document |= {"beside": beside.model_dump(mode="json", exclude_none=True)}
+    return replace(sweep, title=title, changes=changes, beside=beside, warnings=warnings, document=document)
+
+
+def _deciding(changes: Changes, metric: str) -> list[str]:
+    """Return the changed fields that decide a metric of any plant."""
+    return [each["field"] for each in changes if any(decides(each["field"], metric, p) for p in PLANTS)]
 
 
 def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
@@ -180,9 +220,11 @@ class _Loading:
         if values is None or len(self._document.problems) > before:
             return None
         experiment = Experiment(self._scenario, self._plants, file.periods, robots, file.trajectories)
-        base = self._scenario
-        for field, value in file.fixed.items():
-            base = experiment.with_change(base, field, value)
+        base = experiment.with_fixed(file.fixed)
+        if changes := changed_fields(
+            self._scenario, base, map(path_of, file.fixed), self._scenario.get("changes", ())
+        ):
+            base["changes"] = changes
         sweep = Sweep(
             name=name,
             title=file.title or name,

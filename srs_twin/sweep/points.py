@@ -21,6 +21,7 @@ from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.sweep.file import MAX_POINTS, RangeFile, SamplingFile
 
 if TYPE_CHECKING:
+    from srs_twin.scenario.modified import Changes as Changed
     from srs_twin.viewing.plots.sweep_table import Plot, Published
 
 
@@ -64,12 +65,19 @@ class Experiment:
 
     def document(self, changes: Changes) -> dict[str, Any]:
         """Return plain data of the scenario with these changes, as `parse_scenario` takes them."""
-        document: dict[str, Any] = {k: v for k, v in self.base.items() if k != "expect"}
+        document: dict[str, Any] = {k: v for k, v in self.base.items() if k not in ("expect", "changes")}
         for name, value in changes.items():
             document = self.with_change(document, name, value)
         if self.periods is not None:
             document["duration_s"] = _duration(document, self.plants, self.periods)
         return document
+
+    def with_fixed(self, fixed: Mapping[str, Value | list[Value]]) -> dict[str, Any]:
+        """Return the base with other values of some fields."""
+        found = dict(self.base)
+        for name, value in fixed.items():
+            found = self.with_change(found, name, value)
+        return found
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
         """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
@@ -104,6 +112,7 @@ class Sweep:
         document: plain data of the sweep file.
         warnings: what a person should know before believing the results.
         beside: what was published of the metrics; the keys of points do not depend on it.
+        changes: fields that differ from the sweep's file; `title` names them.
     """
 
     name: str
@@ -117,6 +126,7 @@ class Sweep:
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
     beside: Published | None = None
+    changes: Changed = ()
 
     @cached_property
     def points(self) -> tuple[Point, ...]:

@@ -427,6 +427,7 @@ class Propagation:
         return {
             "scenario": self.study.scenario.name,
             "robot": self.study.scenario.robot.name,
+            "changes": list(self.study.scenario.changes),
             "plants": plants,
             "measure_next": self.measure_next(),
             "target": {"plant": plant, "metric": metric},

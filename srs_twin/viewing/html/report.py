@@ -23,8 +23,11 @@ from srs_twin.comparison.metrics import (
     tidy,
 )
 from srs_twin.planning import Plan
+from srs_twin.robot.file import RobotFile, units_of
+from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
+from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.html.fit_report import parameter_table
 from srs_twin.viewing.html.page import Picture, Table, colored, picture, piece, render
@@ -87,10 +90,12 @@ def write_report(
         title=scenario_title,
         subtitle=f"{spec.title}, {duration:g} s simulated, {' and '.join(trajectories)}",
         headline=headline(metrics),
+        changes=_changes(metrics.get("changes") or ()),
         results=_results(metrics, chosen(metrics["plants"])),
         every=_results(metrics, METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS),
         tally=tally(Counter(verdicts)),
         expectations=_expectations(expectations, verdicts),
+        left_out=left_out_line(metrics.get("left_out") or ()),
         **_why(attribution),
         plots=_plots(trajectories, spec, comparison, measured, tracked=tracked),
         kind="tracking" if tracked else kind_of(trajectories),
@@ -141,6 +146,12 @@ def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
         said = f"{_text(stated[name][0])} ({stated[name][1]})" if name in stated else ""
         rows.append([metric_title(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
     return Table(headings, rows, range(2, len(headings)))
+
+
+def _changes(changes: Changes) -> Table:
+    """Return the table of the fields that differ from the scenario's file."""
+    rows = [[each["field"], text_of(each["from"]), text_of(each["to"])] for each in changes]
+    return Table(["changed field", "in the scenario", "in this run"], rows)
 
 
 def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[str]) -> Table:
@@ -221,12 +232,27 @@ def _settings(
     about = {plant: run.metadata for plant, run in trajectories.items()}
     keys = dict.fromkeys(key for metadata in about.values() for key in metadata)
     runs = [[key, *(_text(metadata.get(key)) for metadata in about.values())] for key in keys]
-    robot = [[name, _text(value)] for name, value in _leaves(asdict(spec))]
     return {
         "Plants and controller": Table(["setting", *about], runs),
-        f"Robot {spec.name} (SI units)": Table(["parameter", "value"], robot),
+        f"Robot {spec.name}": robot_table(spec),
         "Versions": Table(["package", "version"], list(versions.items())),
     }
+
+
+def robot_table(spec: RobotSpec) -> Table:
+    """Return the table of a robot's parameters with their units."""
+    units = _robot_units()
+    rows = [[name, units.get(name, ""), _text(value)] for name, value in _leaves(asdict(spec))]
+    return Table(["parameter", "unit", "value"], rows)
+
+
+def _robot_units() -> dict[str, str]:
+    """Return parameter of a `RobotSpec` → unit: those of robot files in SI, and of numbers made from them."""
+    found = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad"}
+    for section in RobotFile.model_fields:
+        inside = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
+        found |= {f"{inside}{split_unit(key)[0]}": si_unit(key) for key in units_of(section)}
+    return {name: unit.replace("*", "·") for name, unit in found.items()}
 
 
 def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:

@@ -54,13 +54,18 @@ class LiveSnake:
     held: bool
     _gait: CommandedGait
 
-    def __init__(self, spec: RobotSpec) -> None:
+    def __init__(self, spec: RobotSpec, *, modified: str = "") -> None:
         """Lay a robot down, with a gait in the middle of its limits.
+
+        Args:
+            spec: the robot.
+            modified: its changed fields, which the screen shows.
 
         Raises:
             InputError: a robot that the twin cannot be made of.
         """
         self.limits = limits = GaitLimits.of(spec)
+        self._modified = modified
         self._first = GaitCommand(0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure)))
         self.twin = TwinSnake(spec, supply_pa=limits.pressure[1])
         self._pressed: deque[int] = deque()
@@ -92,6 +97,7 @@ class LiveSnake:
             ("speed", f"{float((speed**2).sum()) ** 0.5:.3f} m/s"),
             ("time (space holds it)", f"{float(self.state.time):.1f} s{', held' if self.held else ''}"),
             ("home: straight, backspace: anew", ""),
+            *([("modified", self._modified)] if self._modified else []),
         ]
 
     def _begin(self) -> None:

@@ -57,5 +57,5 @@ def draw_intervals(title: str, document: Mapping[str, Any], swings: Sequence[Bar
     for panel in (left, right):
         panel.tick_params(labelsize=8)
         panel.title.set_fontsize(9)
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(title, fontsize=11, wrap=True)
     return figure

@@ -173,7 +173,7 @@ def plan_plot(
         title: over the picture.
     """
     figure, axes = _sheet(about, segments, footprint)
-    axes.set_title(title, fontsize=10)
+    axes.set_title(title, fontsize=10, wrap=True)
     return figure
 
 
