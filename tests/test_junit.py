@@ -158,7 +158,7 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
 
 
 def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
-    named = SimpleNamespace(name="ran", expect=())
+    named = SimpleNamespace(label="ran", expect=())
     rows = [EXPECT[0].check({}, Undefined("the run is short")), EXPECT[0].check({})]
     ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
     for strict, outcomes in ((False, ["passed", "skipped", "failure"]), (True, ["passed", *2 * ["failure"]])):
@@ -171,7 +171,7 @@ def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
 
 def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
     ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
-    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(name="ran", expect=EXPECT), ended=ended)])
+    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), ended=ended)])
     assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
