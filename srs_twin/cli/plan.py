@@ -114,7 +114,7 @@ def _quality(found: Plan) -> dict[str, float]:
 
 def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
     """Write the plan as data and as a picture."""
-    from srs_twin.io.files import replaced
+    from srs_twin.io.file_sets import replaced
     from srs_twin.viewing.plots.plan_view import plan_plot
 
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
@@ -136,7 +136,7 @@ def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metr
 
 def _write_search(folder: Path, title: str, found: Plan) -> None:
     """Write what the search has seen as a picture and as a recording."""
-    from srs_twin.io.files import replaced
+    from srs_twin.io.file_sets import replaced
     from srs_twin.planning.explored import explored
     from srs_twin.viewing.plots.plan_view import search_plot
     from srs_twin.viewing.rerun.recording import write_search
