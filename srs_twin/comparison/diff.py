@@ -178,7 +178,8 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     given = Path(path)
     if not given.is_dir():
         return _read(existing(given, suffix=".json"), "")
-    files = sorted(each for name in _FILES for each in given.rglob(name) if each.is_file())
+    there = (each for name in _FILES for each in given.rglob(name) if each.is_file())
+    files = sorted(each for each in there if not _hidden(each, given))
     if not files:
         raise InputError(f"{shown(given)}: holds no results ({', '.join(_FILES)})")
     values: dict[Place, Leaf] = {}
@@ -189,6 +190,11 @@ def read_results(path: str | os.PathLike[str]) -> Results:
         values |= found.values
         versions |= found.versions
     return Results(values, versions)
+
+
+def _hidden(path: Path, folder: Path) -> bool:
+    """Return whether a path leads through a hidden folder, where a killed process may have left files."""
+    return any(name.startswith(".") for name in path.relative_to(folder).parts)
 
 
 def _read(path: Path, folder: str) -> Results:

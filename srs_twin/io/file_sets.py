@@ -76,6 +76,18 @@ def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         ) from error
 
 
+def unmark(mark: Path) -> None:
+    """Remove the completion mark of a set that no longer belongs to its folder.
+
+    Raises:
+        InputError: it cannot be removed.
+    """
+    try:
+        mark.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{shown(mark)}: cannot be replaced ({error.strerror})") from error
+
+
 @contextmanager
 def _named_as_in(folder: Path, fresh: Path) -> Iterator[None]:
     """Name files in error messages by their later places."""
