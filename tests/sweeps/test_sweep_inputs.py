@@ -44,7 +44,7 @@ BOTH = ("analytical", "twin")
 CASES = {
     "scenario": (WALK.format(robot="gen2"), BOTH),
     "robot": (WALK.format(robot="mine.yaml"), BOTH),
-    "robot base": (WALK.format(robot="{base: mine.yaml, friction: {mu_n: 0.5}}"), BOTH),
+    "robot base": (WALK.format(robot="{base: mine.yaml, friction: {mu_t: 0.05}}"), BOTH),
     "map, circles and footprint": (ROUTE, BOTH),
     "what is only planned": (ROUTE, ()),
     "earlier run": (WALK.format(robot="gen2") + "start: {from: earlier, time_s: 0.1}\n", BOTH),
