@@ -20,6 +20,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import existing, shown
+from srs_twin.io.parquet import read_table
 from srs_twin.io.validation import Strict, load_model
 
 REL, ABS = 1e-6, 1e-9
@@ -240,14 +241,15 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
 
 
 def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    def check(schema: Any) -> None:
+        if b"srs_twin.sweep" not in (schema.metadata or {}):
+            raise ValueError("a Parquet file of something else")
 
     try:
-        table = pq.read_table(path)
-        about = json.loads((table.schema.metadata or {})[b"srs_twin.sweep"])
-    except pa.ArrowException as error:
-        raise ValueError("no Parquet") from error
+        table = read_table(path, "the results of a sweep", check)
+    except InputError as error:
+        raise ValueError("no results of a sweep") from error
+    about = json.loads(table.schema.metadata[b"srs_twin.sweep"])
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]
