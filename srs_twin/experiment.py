@@ -23,7 +23,8 @@ from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import data_root, open_folder, replaced, shipped_names, shown
+from srs_twin.io.file_sets import replaced
+from srs_twin.io.files import data_root, open_folder, shipped_names, shown
 from srs_twin.plants.base import Plant
 from srs_twin.provenance import judged_digest, versions
 from srs_twin.robot.spec import RobotSpec

@@ -38,6 +38,7 @@ from srs_twin.io.files import atomic_write, shown
 
 VERSION = 1
 _TREE = "state"
+_MOST_BYTES = 256 << 20  # unpacked
 _PACKAGE = __name__.partition(".")[0] + "."
 
 
@@ -197,6 +198,9 @@ class SavedState:
         """
         try:
             with np.load(path, allow_pickle=False) as archive:
+                unpacked = sum(each.file_size for each in archive.zip.infolist())
+                if unpacked > _MOST_BYTES:
+                    raise ValueError(f"{unpacked} bytes, unpacked; at most {_MOST_BYTES} are read")
                 document = json.loads(str(archive[_TREE]))
                 content = _decoded(document["content"], archive)
                 return SavedState(document["of"], content, document["version"])

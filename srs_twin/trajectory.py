@@ -152,11 +152,9 @@ class Trajectory(Shown):
         Raises:
             InputError: not a Parquet file, not one of a trajectory, damaged, or beyond all bounds.
         """
-        table = read_table(path, _OURS)
+        table = read_table(path, _OURS, _check_schema)
         about = table.schema.metadata or {}
         try:
-            if not {b"srs_twin.events", b"srs_twin.metadata"} <= about.keys():
-                raise TypeError("a Parquet file of something else")
             events = tuple(_event(each) for each in json.loads(about[b"srs_twin.events"]))
             metadata = json.loads(about[b"srs_twin.metadata"])
             units = {f.name: (f.metadata or {}).get(b"unit", b"1").decode() for f in table.schema}
@@ -173,14 +171,25 @@ class Trajectory(Shown):
         return cls(columns, units, events, metadata)
 
 
+def _check_schema(schema: Any) -> None:
+    """Refuse a file of something else before its data are read.
+
+    Raises:
+        TypeError: it holds something else than numbers, or is none of ours.
+    """
+    if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
+        raise TypeError("a Parquet file of something else")
+    for each in schema:
+        if str(each.type) != "double":
+            raise TypeError(f"column {each.name} holds {each.type}, not float64")
+
+
 def _numbers(name: str, column: Any) -> np.ndarray:
     """Return a Parquet column as an array.
 
     Raises:
-        TypeError: it holds something else than numbers, or gaps.
+        TypeError: it has gaps.
     """
-    if str(column.type) != "double":
-        raise TypeError(f"column {name} holds {column.type}, not float64")
     if column.null_count:
         raise TypeError(f"column {name} has {column.null_count} gaps")
     return np.asarray(column.to_numpy())

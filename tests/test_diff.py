@@ -57,6 +57,12 @@ def test_a_run_is_the_same_as_itself(runs, capsys):
     assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
 
 
+def test_files_of_a_killed_run_are_no_results(runs, capsys, tmp_path):
+    shutil.copytree(runs / "a", tmp_path / "a")
+    shutil.copytree(runs / "c/walk", tmp_path / "a/walk/.part-killed/.earlier")
+    assert call(capsys, "diff", str(runs / "a"), str(tmp_path / "a"))[0] == 0
+
+
 def test_another_offset_moves_the_yaw_rate(runs, capsys, tmp_path):
     a, c = str(runs / "a/walk"), str(runs / "c/walk/metrics.json")
     report = tmp_path / "moved.xml"

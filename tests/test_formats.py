@@ -21,7 +21,7 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
 from srs_twin.identification import read_motion
-from srs_twin.recordings import formats
+from srs_twin.recordings import formats, mcap_messages
 from srs_twin.recordings.csv_table import read_file
 from srs_twin.recordings.formats import FORMATS, identify, read_mcap
 from srs_twin.recordings.motion_files import read_markers
@@ -441,7 +441,7 @@ def test_a_header_allocates_nothing(tmp_path):
     """A chunk and a frame count that claim far more than the file has."""
     content = mcap_file()
     at = content.index(b"zstd") - 4 - 4 - 8
-    with pytest.raises(InputError, match="larger when they are unpacked; at most 1024 MB are read"):
+    with pytest.raises(InputError, match="unpack to 4398046511104 MB; .* at most 16 MB are read"):
         read_markers(written(tmp_path, content[:at] + (2**62).to_bytes(8, "little") + content[at + 8 :]))
     bomb = bytearray(c3d_file())
     bomb[8:10] = b"\xff\xff"  # last frame
@@ -449,6 +449,34 @@ def test_a_header_allocates_nothing(tmp_path):
     found = read_markers(written(tmp_path, bytes(bomb)))
     assert FRAMES <= len(found.time) < FRAMES + 8 and found.header_frames == 65535
     assert time.perf_counter() - began < 5
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+@pytest.mark.parametrize("kind", ["one large message", "many small messages"])
+def test_an_archive_of_repeated_bytes_is_refused_before_it_is_unpacked(
+    tmp_path, monkeypatch, compression, kind
+):
+    """A few hundred kB at most, which would unpack to more than a recording of that size can hold."""
+    size, count = {"one large message": (1 << 22, 50), "many small messages": (1000, 50_000)}[kind]
+    stream = io.BytesIO()
+    writer = McapWriter(stream, compression=compression, chunk_size=8 << 20)
+    writer.start()
+    channel = writer.register_channel("/t", "json", writer.register_schema("x", "jsonschema", b"{}"))
+    for _ in range(count):
+        writer.add_message(channel, log_time=ORIGIN, data=b"[" + b" " * size + b"]", publish_time=ORIGIN)
+    writer.finish()
+    path = written(tmp_path, stream.getvalue())
+    monkeypatch.setattr(mcap_messages, "_unpacked", None)  # not one chunk is
+    with pytest.raises(
+        InputError, match=r"its chunks unpack to \d+ MB; of a file of \d+ kB at most \d+ MB are"
+    ):
+        read_markers(path)
+
+
+def test_signals_are_not_read_where_only_positions_are_wanted(tmp_path):
+    path = written(tmp_path, mcap_file())
+    assert read_mcap(path, signals=False).signals == {} != read_mcap(path).signals
+    assert read_mcap(path, signals=False).markers.labels == read_mcap(path).markers.labels
 
 
 def damaged(content, seed):
@@ -569,7 +597,7 @@ def test_places_that_hold_no_file(tmp_path):
         identify(tmp_path)
 
 
-@pytest.mark.parametrize(("kind", "package"), [("C3D", "c3d"), ("MCAP", "mcap.exceptions")])
+@pytest.mark.parametrize(("kind", "package"), [("C3D", "c3d"), ("MCAP", "mcap.records")])
 def test_without_the_library_the_message_says_how_to_get_it(tmp_path, monkeypatch, kind, package):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(

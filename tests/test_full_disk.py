@@ -15,7 +15,8 @@ import pytest
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
 from srs_twin.experiment import PRODUCTS, prepare
-from srs_twin.io.files import open_folder, replaced
+from srs_twin.io.file_sets import replaced
+from srs_twin.io.files import open_folder
 
 SCENARIO = """\
 title: Brief

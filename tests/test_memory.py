@@ -211,6 +211,13 @@ def test_a_valve_that_sticks_comes_back_with_the_state():
     assert whole.pneumatics.stuck == stuck.pneumatics.stuck
 
 
+def test_a_state_that_unpacks_to_far_more_is_refused(tmp_path):
+    np.savez_compressed(tmp_path / "state.npz", state="{}", zeros=np.zeros(1 << 26))
+    assert (tmp_path / "state.npz").stat().st_size < 1 << 20
+    with pytest.raises(InputError, match=r"holds no state: ValueError: 536871\d+ bytes, unpacked; at most"):
+        SavedState.read(tmp_path / "state.npz")
+
+
 @pytest.mark.parametrize("damage", ["empty", "text", "half", "no state", "code", "object"])
 def test_a_damaged_file_says_so(damage, tmp_path):
     path = tmp_path / "state.npz"

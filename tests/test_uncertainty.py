@@ -19,7 +19,7 @@ from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario import load_scenario
-from srs_twin.sweep.execution import local
+from srs_twin.sweep.execution import OpenSweep, local
 from srs_twin.uncertainty import Priors, Study
 from srs_twin.uncertainty.surrogates import Chaos, corrected
 
@@ -280,6 +280,23 @@ def test_a_second_start_runs_nothing_and_says_the_same(short, tmp_path):
     second = study.run(tmp_path / "out", local(1), lambda part, count: seen.append((part, count))).document()  # type: ignore[arg-type,func-returns-value]
     assert seen == []
     assert first == second
+
+
+def test_a_result_is_unmarked_before_the_rows_below_it_change(short, tmp_path, monkeypatch):
+    """Who is killed in between leaves no intervals.json next to tables of other samples."""
+    found = load_scenario(short())
+    priors = Priors.of(RobotFile.model_validate(found.document["robot"]))
+    folder, marked, finish = tmp_path / "out", [], OpenSweep.finish
+
+    def watched(opened):
+        marked.append((folder / "intervals.json").exists())
+        return finish(opened)
+
+    monkeypatch.setattr(OpenSweep, "finish", watched)
+    for samples, changed in ((17, False), (17, False), (16, True)):
+        Study(found, priors, ("analytical",), samples=samples).run(folder, local(1), changed=changed)
+        (folder / "intervals.json").write_text("{}")
+    assert marked == [False, True, False]
 
 
 def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):

@@ -185,7 +185,7 @@ class FitDestination:
     def finish(
         self, estimate: Estimate, method: Method, title: str, fitted: Iterable[Data], held: Iterable[Data]
     ) -> None:
-        """Write report and fit file, the fit last, and show what was found.
+        """Write report and fit file, both or neither, and show what was found.
 
         Args:
             estimate: what was found.
@@ -195,7 +195,8 @@ class FitDestination:
             held: what it was validated with.
         """
         from srs_twin.identification.fit_file import data_sets, fit_file, write_fit
-        from srs_twin.io.files import shown, write_text
+        from srs_twin.io.file_sets import replaced
+        from srs_twin.io.files import shown
         from srs_twin.provenance import versions
         from srs_twin.viewing.html.fit_report import fit_report
 
@@ -211,8 +212,9 @@ class FitDestination:
         )
         report = self.path.with_suffix(".html")
         text = fit_report(fit, estimate)
-        write_text(report, text)
-        write_fit(fit, self.path)
+        with replaced(self.path.parent, (self.path.name, report.name)) as fresh:
+            (fresh / report.name).write_text(text, "utf-8")
+            write_fit(fit, fresh / self.path.name)
         if self.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
         elif not self.quiet:

@@ -47,6 +47,7 @@ def plan(
     """
     from srs_twin.cli.table import WORDS
     from srs_twin.comparison.following import plan_metrics
+    from srs_twin.io.file_sets import replaced
     from srs_twin.io.files import open_folder
     from srs_twin.scenario import load_scenario
     from srs_twin.scenario.expectation import verdict
@@ -62,9 +63,10 @@ def plan(
         found = loaded.planner.plan_anew(keep=True) if search else loaded.planner.plan()
     metrics = plan_metrics(found.found, found.segments, found.expanded)
     checked = _checked(loaded, metrics)
-    _write(folder, loaded, loaded.planner.problem, found, metrics)
-    if search:
-        _write_search(folder, loaded.title, found)
+    with replaced(folder, (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
+        _write(fresh, loaded, loaded.planner.problem, found, metrics)
+        if search:
+            _write_search(fresh, loaded.title, found)
     if as_json:
         print((folder / PLAN).read_text("utf-8"), end="")
     elif not quiet:
@@ -118,7 +120,6 @@ def _quality(found: Plan) -> dict[str, float]:
 
 def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
     """Write the plan as data and as a picture."""
-    from srs_twin.io.files import replaced
     from srs_twin.viewing.plots.plan_view import plan_plot
 
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
@@ -134,14 +135,12 @@ def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metr
         "changes": list(scenario.changes),
     }
     figure = plan_plot(about, found.segments, problem.footprint, f"{scenario.title}: {found.outcome.value}")
-    with replaced(folder, (PLAN, PICTURE)) as fresh:
-        (fresh / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
-        figure.savefig(fresh / PICTURE, format="png", dpi=150)
+    (folder / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
+    figure.savefig(folder / PICTURE, format="png", dpi=150)
 
 
 def _write_search(folder: Path, title: str, found: Plan) -> None:
     """Write what the search has seen as a picture and as a recording."""
-    from srs_twin.io.files import replaced
     from srs_twin.planning.explored import explored
     from srs_twin.viewing.plots.plan_view import search_plot
     from srs_twin.viewing.rerun.recording import write_search
@@ -150,6 +149,5 @@ def _write_search(folder: Path, title: str, found: Plan) -> None:
     problem, seen = found.problem, explored(found.trees, found.problem)
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
     figure = search_plot(about, found.segments, problem.footprint, seen)
-    with replaced(folder, (SEARCH, RECORDING)) as fresh:
-        figure.savefig(fresh / SEARCH, format="png", dpi=150)
-        write_search(fresh / RECORDING, found, seen, title)
+    figure.savefig(folder / SEARCH, format="png", dpi=150)
+    write_search(folder / RECORDING, found, seen, title)

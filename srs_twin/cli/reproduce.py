@@ -139,6 +139,7 @@ def _figures(
 
 def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_baseline: bool) -> list[str]:
     """Write the files; return what has changed from the baseline."""
+    from srs_twin.io.file_sets import replaced
     from srs_twin.reproduction import load_baseline
     from srs_twin.reproduction.report import write_html, write_json
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT
@@ -147,9 +148,10 @@ def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_bas
     if write_baseline:
         write(rows)
     changes = load_baseline().changes(rows)
-    write_report(out / JUNIT, "srs-twin reproduce", _suites(rows))
-    write_html(out / HTML, rows, figures, changes)
-    write_json(out / JSON, rows, changes)
+    with replaced(out, (JSON, HTML, JUNIT)) as fresh:
+        write_report(fresh / JUNIT, "srs-twin reproduce", _suites(rows))
+        write_html(fresh / HTML, rows, figures, changes)
+        write_json(fresh / JSON, rows, changes)
     return changes
 
 

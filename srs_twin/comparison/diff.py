@@ -20,6 +20,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import existing, shown
+from srs_twin.io.parquet import read_table
 from srs_twin.io.validation import Strict, load_model
 
 REL, ABS = 1e-6, 1e-9
@@ -178,7 +179,8 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     given = Path(path)
     if not given.is_dir():
         return _read(existing(given, suffix=".json"), "")
-    files = sorted(each for name in _FILES for each in given.rglob(name) if each.is_file())
+    there = (each for name in _FILES for each in given.rglob(name) if each.is_file())
+    files = sorted(each for each in there if not _hidden(each, given))
     if not files:
         raise InputError(f"{shown(given)}: holds no results ({', '.join(_FILES)})")
     values: dict[Place, Leaf] = {}
@@ -189,6 +191,11 @@ def read_results(path: str | os.PathLike[str]) -> Results:
         values |= found.values
         versions |= found.versions
     return Results(values, versions)
+
+
+def _hidden(path: Path, folder: Path) -> bool:
+    """Return whether a path leads through a hidden folder, where a killed process may have left files."""
+    return any(name.startswith(".") for name in path.relative_to(folder).parts)
 
 
 def _read(path: Path, folder: str) -> Results:
@@ -240,14 +247,15 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
 
 
 def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    def check(schema: Any) -> None:
+        if b"srs_twin.sweep" not in (schema.metadata or {}):
+            raise ValueError("a Parquet file of something else")
 
     try:
-        table = pq.read_table(path)
-        about = json.loads((table.schema.metadata or {})[b"srs_twin.sweep"])
-    except pa.ArrowException as error:
-        raise ValueError("no Parquet") from error
+        table = read_table(path, "the results of a sweep", check)
+    except InputError as error:
+        raise ValueError("no results of a sweep") from error
+    about = json.loads(table.schema.metadata[b"srs_twin.sweep"])
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]

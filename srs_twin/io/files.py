@@ -1,15 +1,13 @@
-"""Files: where the shipped data lie, how a name or path becomes text, how results are written whole.
+"""Files: where the shipped data lie, how a name or path becomes text, how one file is written whole.
 
-Folders of results: can they be written, and how a set of files takes the place of an earlier one.
+Folders of results: whether they can be written. `file_sets` replaces several files together.
 """
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import secrets
-import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -251,9 +249,6 @@ def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iter
     raise InputError(f"{shown(path)}: no such file{hint}")
 
 
-_FRESH = ".part-"
-
-
 def open_folder(folder: Path, products: Sequence[str] = ()) -> None:
     """See that files can be written to a folder, which need not exist; leave nothing behind.
 
@@ -280,67 +275,15 @@ def open_folder(folder: Path, products: Sequence[str] = ()) -> None:
         raise InputError(
             f"{shown(folder)}: cannot write there ({reason}); give another folder with --out"
         ) from error
-    _refuse_folders(folder, products)
+    refuse_folders(folder, products)
 
 
-def _refuse_folders(folder: Path, products: Sequence[str]) -> None:
-    """Refuse a folder that stands where a file belongs."""
+def refuse_folders(folder: Path, products: Sequence[str]) -> None:
+    """Refuse a folder that has the name of a product.
+
+    Raises:
+        InputError: there is one; names it.
+    """
     for product in products:
         if (folder / product).is_dir():
             raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
-
-
-@contextmanager
-def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
-    """Give an empty folder for a run's files; they take the places of an earlier run's at the block's end.
-
-    After an error nothing of the block is left, and what the earlier run wrote is as it was. The folder never
-    holds files of two runs beside the first product: that goes first and comes last.
-
-    Args:
-        folder: where the files belong; made where it is missing.
-        products: names of all files that a run may leave there.
-
-    Raises:
-        InputError: the files cannot be written, for want of space or of permission.
-    """
-    try:
-        with made_folder(folder), _fresh(folder) as fresh:
-            yield fresh
-            _refuse_folders(folder, products)
-            for product in products:
-                (folder / product).unlink(missing_ok=True)
-            for product in reversed(products):
-                if (fresh / product).exists():
-                    (fresh / product).replace(folder / product)
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise InputError(
-            f"{shown(folder)}: the run's files cannot be written there ({reason}); "
-            "an earlier run's are as they were"
-        ) from error
-
-
-@contextmanager
-def _fresh(folder: Path) -> Iterator[Path]:
-    """Give a folder of this run's own; remove those of runs that were killed: nobody locks them any more."""
-    for left in folder.glob(f"{_FRESH}*"):
-        with suppress(OSError), _locked(left):
-            shutil.rmtree(left)
-    fresh = Path(tempfile.mkdtemp(prefix=_FRESH, dir=folder))
-    try:
-        with _locked(fresh):
-            yield fresh
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's lock, which ends with the process; raise BlockingIOError where another one holds it."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)

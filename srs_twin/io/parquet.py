@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,12 +33,15 @@ MAX_FOOTER_BYTES = 96 << 20
 """It holds the metadata twice, the second time in base64."""
 
 
-def read_table(path: Any, what: str) -> pyarrow.Table:
+def read_table(
+    path: Any, what: str, check: Callable[[pyarrow.Schema], None] = lambda schema: None
+) -> pyarrow.Table:
     """Read a whole Parquet file within bounds.
 
     Args:
         path: a path, or a file-like object.
         what: what the file should be, for the message: "a trajectory written by srs-twin".
+        check: raises TypeError or ValueError where the schema is of something else, before any data are read.
 
     Raises:
         InputError: missing, no regular file, no Parquet, damaged, or beyond a bound; names the column where
@@ -59,6 +63,7 @@ def read_table(path: Any, what: str) -> pyarrow.Table:
             thrift_container_size_limit=MAX_CHUNKS,
         ) as file:
             _check_bounds(file)
+            check(file.schema_arrow)
             return _read(file)
     # MemoryError: Arrow's word for a page that says it is larger than it can be.
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, MemoryError) as error:

@@ -16,6 +16,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import shown
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import POSES, STATUS, Message, decode, encode, topic
+from srs_twin.recordings.mcap_messages import ChunkError, RawMessage, records
 
 
 class Journal:
@@ -88,8 +89,6 @@ def journal_messages(path: Path, robot: str, segments: int) -> Iterator[Message]
     try:
         from mcap.exceptions import McapError
         from mcap.records import Channel
-        from mcap.records import Message as Record
-        from mcap.stream_reader import StreamReader
     except ImportError as error:
         raise InputError("journals need mcap: pip install 'srs-twin[live]'") from error
     try:
@@ -97,19 +96,20 @@ def journal_messages(path: Path, robot: str, segments: int) -> Iterator[Message]
     except OSError as error:
         raise InputError(f"{shown(path)}: cannot be read: {error.strerror}") from error
     channels: dict[int, str] = {}
-    with file, contextlib.suppress(McapError, EOFError, struct.error):
-        for record in StreamReader(file).records:
+    with file, contextlib.suppress(McapError, EOFError, struct.error, ChunkError):
+        for record in records(file):
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
-            elif isinstance(record, Record):
+            elif isinstance(record, RawMessage):
                 _, source, kind = channels[record.channel_id].split("/", 2)
+                data = bytes(record.data)
                 arrived = record.log_time / 1e9
                 if kind == POSES:
-                    said = json.loads(record.data)
+                    said = json.loads(data)
                     poses = np.array(said["poses"], dtype=float).reshape(-1, 4)
                     yield Message(kind, source, said["t"], arrived, poses, tuple(said["names"]))
                 elif source == robot:
-                    yield decode(kind, record.data, source=source, arrived=arrived, segments=segments)
+                    yield decode(kind, data, source=source, arrived=arrived, segments=segments)
 
 
 class McapLink(Link):

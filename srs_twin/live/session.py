@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import shown, write_text
+from srs_twin.io.file_sets import replaced
+from srs_twin.io.files import shown
 from srs_twin.live.helm import Helm
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
@@ -30,7 +31,7 @@ from srs_twin.trajectory import Trajectory
 TICK_S = 0.02
 PREDICTS_S = 0.5
 FLUSHES_S, SAVES_S = 1.0, 5.0
-STATE = "state.npz"
+STATE, SUMMARY, ESTIMATE = "state.npz", "shadow.json", "estimate.parquet"
 _KEPT = 1_000_000
 
 View = Callable[[Estimate, Prediction | None], None]
@@ -176,9 +177,10 @@ class Session:
                 self._journal.write(message)
             self._journal.close()
         if self._out is not None:
-            if self._rows:
-                self._trajectory().to_parquet(self._out / "estimate.parquet")
-            write_text(self._out / "shadow.json", json.dumps(found, indent=1) + "\n")
+            with replaced(self._out, (SUMMARY, ESTIMATE)) as fresh:
+                if self._rows:
+                    self._trajectory().to_parquet(fresh / ESTIMATE)
+                (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
         return found
 
     def _trajectory(self) -> Trajectory:

@@ -12,7 +12,7 @@ from xml.dom import minidom
 
 import mujoco
 
-from srs_twin.io.files import write_text
+from srs_twin.io.file_sets import replaced
 from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.mjcf.numerics import Numerics
 from srs_twin.robot.spec import RobotSpec
@@ -30,11 +30,11 @@ def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
     Raises:
         InputError: the folder cannot be written.
     """
-    paths = []
-    for name, text in robot_files(spec).items():
-        write_text(folder / name, text)
-        paths.append(folder / name)
-    return paths
+    files = robot_files(spec)
+    with replaced(folder, tuple(reversed(files))) as fresh:
+        for name, text in files.items():
+            (fresh / name).write_text(text, "utf-8")
+    return [folder / name for name in files]
 
 
 def stale_files(spec: RobotSpec, folder: Path) -> list[str]:

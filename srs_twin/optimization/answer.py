@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import write_text
+from srs_twin.io.file_sets import replaced
 from srs_twin.optimization.loading import Study
 from srs_twin.optimization.runs import Runs, metric_of
 from srs_twin.optimization.search import Optimum, excesses
@@ -25,6 +25,8 @@ from srs_twin.sweep.task import Row
 from srs_twin.uncertainty.priors import Priors
 
 RESULT, EVALUATIONS, REPORT = "study.json", "evaluations.parquet", "report.html"
+PICTURES = ("convergence.png", "front.png", "parallel.png")
+PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 _SURVIVES = 0.01
 """A result that changes by more than this share as steps and hinges are refined is not one of the robot's."""
 _FEWEST = 4  # runs whose order tells anything
@@ -189,8 +191,12 @@ class Answer:
         """Write document, evaluations, best designs, pictures and report into a folder; return their names.
 
         Raises:
-            InputError: a file cannot be written.
+            InputError: a file cannot be written; those of an earlier search are as they were.
         """
+        with replaced(folder, PRODUCTS) as fresh:
+            return self._write(fresh)
+
+    def _write(self, folder: Path) -> tuple[str, ...]:
         import pyarrow as pa
 
         # matplotlib takes longer to import than a result without pictures has to wait.
@@ -205,11 +211,11 @@ class Answer:
             whole = self.study.experiments["twin"].document(self.study.space.changes(run.shares))
             whole |= {"plants": scenario["plants"], "title": f"{self.study.title}: best {k}"[:200]}
             (folder / "best").mkdir(parents=True, exist_ok=True)
-            write_text(folder / f"best/{k}.yaml", dump_yaml(whole))
-            write_text(folder / f"best/{k}.robot.yaml", dump_yaml(whole["robot"]))
+            (folder / f"best/{k}.yaml").write_text(dump_yaml(whole), "utf-8")
+            (folder / f"best/{k}.robot.yaml").write_text(dump_yaml(whole["robot"]), "utf-8")
             written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
         written += write_report(folder, self)
-        write_text(folder / RESULT, json.dumps(self.document(), indent=2) + "\n")
+        (folder / RESULT).write_text(json.dumps(self.document(), indent=2) + "\n", "utf-8")
         return (*written, RESULT)
 
     def _drawn(self, which: int, name: str) -> np.ndarray:

@@ -11,7 +11,6 @@ import json
 import os
 import re
 import warnings
-import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -29,13 +28,13 @@ from srs_twin.errors import InputError, did_you_mean
 from srs_twin.io.files import existing, printable, shown
 from srs_twin.recordings.csv_table import (
     LENGTHS,
-    MAX_BYTES,
     MAX_COLUMNS,
     MAX_HEADER_BYTES,
     MAX_VALUES,
     RecordedFile,
     read_bytes,
 )
+from srs_twin.recordings.mcap_messages import RawMessage, messages
 from srs_twin.recordings.tracking import MarkerTable, plausible
 
 MOTIVE, VICON, QUALISYS = "Motive CSV", "Vicon CSV", "Qualisys TSV"
@@ -46,8 +45,6 @@ LEAST_LIKELIHOOD = 0.6
 """Samples that DeepLabCut deems less likely are not seen; its own default (`pcutoff`)."""
 
 _PEEK = 1 << 16  # bytes that tell a format
-_MOST_UNPACKED = 4 * MAX_BYTES  # of all chunks together
-_MOST_MESSAGES = 1 << 23  # of an MCAP file: an hour of twenty topics at 100 Hz
 _MOST_FRAMES = 1 << 22  # of a C3D file: an hour at 1 kHz
 _APART = 1.0  # s from the log's clock: stamps farther away may be another clock's
 _MAGIC = b"\x89MCAP0\r\n"
@@ -422,21 +419,25 @@ class McapTopics:
     notes: tuple[str, ...]
 
 
-def read_mcap(path: str | os.PathLike[str]) -> McapTopics:
+def read_mcap(path: str | os.PathLike[str], *, signals: bool = True) -> McapTopics:
     """Read poses, points and signals of ROS 2 (CDR) and JSON topics.
 
     Times are header stamps where messages have them, else log times. Frames are the messages of the marker
     topic that has most; of other topics the nearest message within half a frame counts.
 
+    Args:
+        path: of the file.
+        signals: whether to read the topics without positions.
+
     Raises:
         InputError: damaged, too large, or the libraries are not installed.
     """
     file = read_bytes(path)
-    topics = _Topics(file)
+    topics = _Topics(file, signals)
     cut = not file.data.endswith(_MAGIC) or len(file.data) < 2 * len(_MAGIC)
     with _decoding(file, MCAP):
         try:
-            for schema, channel, message in _messages(file):
+            for schema, channel, message in messages(file):
                 topics.add(schema, channel, message)
         except (InputError, ModuleNotFoundError):
             raise
@@ -447,69 +448,6 @@ def read_mcap(path: str | os.PathLike[str]) -> McapTopics:
         return topics.result()
 
 
-def _messages(file: RecordedFile) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield (schema or None, channel, message) in the order of the file."""
-    from mcap.exceptions import EndOfFile
-    from mcap.records import Channel, Chunk, Message, Schema
-    from mcap.stream_reader import StreamReader
-
-    schemas: dict[int, Any] = {}
-    channels: dict[int, Any] = {}
-
-    def records(stream: Any) -> Iterator[Any]:
-        left = _MOST_UNPACKED
-        for record in stream.records:
-            if not isinstance(record, Chunk):
-                yield record
-                continue
-            left -= record.uncompressed_size
-            if left < 0 or record.uncompressed_size > MAX_BYTES:
-                most = f"at most {_MOST_UNPACKED >> 20} MB are read (record fewer topics, or a shorter take)"
-                raise file.error(f"its chunks are larger when they are unpacked; {most}")
-            data = _unpacked(record)
-            try:
-                yield from StreamReader(BytesIO(data), skip_magic=True).records
-            except EndOfFile:
-                pass  # a chunk has no footer
-
-    whole = StreamReader(
-        BytesIO(file.data), emit_chunks=True, validate_crcs=True, record_size_limit=MAX_BYTES
-    )
-    for record in records(whole):
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            channel = channels[record.channel_id]
-            yield schemas.get(channel.schema_id), channel, record
-
-
-def _unpacked(chunk: Any) -> bytes:
-    """Return the records of a chunk, of no more bytes than it says.
-
-    Raises:
-        ValueError: there are fewer, or they are damaged.
-    """
-    data: bytes = chunk.data
-    if chunk.compression == "zstd":
-        import zstandard
-
-        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-            data = stream.read(chunk.uncompressed_size)
-    elif chunk.compression == "lz4":
-        import lz4.frame
-
-        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=chunk.uncompressed_size)
-    elif chunk.compression:
-        raise ValueError(f"compression '{chunk.compression}' is not known")
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError("a chunk is shorter than it says")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("the checksum of a chunk is wrong")
-    return data
-
-
 _Series = tuple["array[int]", "array[float]"]  # ns; one or seven numbers a sample
 
 
@@ -518,28 +456,35 @@ class _Topics:
     """What has been read of an MCAP file up to now."""
 
     file: RecordedFile
+    with_signals: bool = True
     origin: int = 0
     signals: dict[str, _Series] = field(default_factory=dict)
     bodies: dict[str, dict[str, _Series]] = field(default_factory=dict)  # topic → label → poses
-    skipped: Counter[str] = field(default_factory=Counter)
-    decoders: dict[int, Callable[[bytes], Any] | None] = field(default_factory=dict)
+    skipped: Counter[int] = field(default_factory=Counter)  # channel → messages
+    topics: dict[int, tuple[str, str, Callable[[bytes], Any] | None]] = field(default_factory=dict)
     messages: int = 0
     numbers: int = 0
     apart: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def add(self, schema: Any, channel: Any, message: Any) -> None:
+    def add(self, schema: Any, channel: Any, message: RawMessage) -> None:
         """Take in one message."""
         self.messages += 1
-        if self.messages > _MOST_MESSAGES:
-            raise self.file.error(f"over {_MOST_MESSAGES} messages; record fewer topics, or a shorter take")
         self.origin = message.log_time if self.messages == 1 else min(self.origin, message.log_time)
-        kind = schema.name.replace("/msg/", "/") if schema else channel.message_encoding
-        topic, decode = printable(channel.topic[:200]), self._decoder(kind, schema, channel)
+        if channel.id not in self.topics:
+            kind = schema.name.replace("/msg/", "/") if schema else channel.message_encoding
+            self.topics[channel.id] = (
+                kind,
+                printable(channel.topic[:200]),
+                self._decoder(kind, schema, channel),
+            )
+        kind, topic, decode = self.topics[channel.id]
         if decode is None:
-            self.skipped[f"{topic} ({printable(kind[:80])})"] += 1
+            self.skipped[channel.id] += 1
             return
-        said = decode(message.data)
+        if kind not in _BODIES and not self.with_signals:
+            return
+        said = decode(bytes(message.data))
         stamp = getattr(getattr(said, "header", None), "stamp", None)
         time, whole, part = message.log_time, getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
         if isinstance(whole, int) and isinstance(part, int) and (whole or part):
@@ -553,18 +498,16 @@ class _Topics:
             for name, value in _numbers(kind, said):
                 self._append(self.signals, f"{topic}{printable(name)}", time, (float(value),))
 
-    def _decoder(self, kind: str, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
-        if channel.id not in self.decoders:
-            found: Callable[[bytes], Any] | None = None
-            if channel.message_encoding == "json":
-                found = _json
-            elif kind in _BODIES or kind in _SIGNALS or _STD.fullmatch(kind):
-                from mcap_ros2.decoder import DecoderFactory
+    @staticmethod
+    def _decoder(kind: str, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
+        if channel.message_encoding == "json":
+            return _json
+        if kind in _BODIES or kind in _SIGNALS or _STD.fullmatch(kind):
+            from mcap_ros2.decoder import DecoderFactory
 
-                with redirect_stderr(StringIO()):  # prints lines of schemas that it cannot read
-                    found = DecoderFactory().decoder_for(channel.message_encoding, schema)
-            self.decoders[channel.id] = found
-        return self.decoders[channel.id]
+            with redirect_stderr(StringIO()):  # prints lines of schemas that it cannot read
+                return DecoderFactory().decoder_for(channel.message_encoding, schema)
+        return None
 
     def _append(self, series: dict[str, _Series], name: str, time: int, values: tuple[float, ...]) -> None:
         times, numbers = series.setdefault(name, (array("q"), array("d")))
@@ -576,7 +519,11 @@ class _Topics:
 
     def result(self) -> McapTopics:
         """Return all topics on one clock."""
-        self.notes += [f"topic {topic} skipped: {count} messages" for topic, count in self.skipped.items()]
+        skipped: Counter[str] = Counter()
+        for channel, count in self.skipped.items():
+            kind, topic, _ = self.topics[channel]
+            skipped[f"{topic} ({printable(kind[:80])})"] += count
+        self.notes += [f"topic {topic} skipped: {count} messages" for topic, count in skipped.items()]
         self.notes += [
             f"stamps of {topic} lie {apart:.3g} s from the log's clock"
             for topic, apart in self.apart.items()

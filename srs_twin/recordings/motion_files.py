@@ -70,7 +70,7 @@ def read_markers(
     if kind == formats.C3D:
         return formats.read_c3d(path)
     if kind == formats.MCAP:
-        topics = formats.read_mcap(path)
+        topics = formats.read_mcap(path, signals=False)
         if topics.markers is None:
             wanted = "geometry_msgs/PoseStamped, PoseArray or PointStamped are wanted"
             there = "".join(f"; {note}" for note in topics.notes[:3])

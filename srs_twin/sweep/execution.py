@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import open_folder, shown, write_text
+from srs_twin.io.file_sets import replaced
+from srs_twin.io.files import open_folder, shown
 from srs_twin.parallel import Done, each, start_server
 from srs_twin.provenance import POINTS, file_digests, source_digests
 from srs_twin.sweep.points import Experiment, Point, Sweep
@@ -127,6 +128,8 @@ ENGINES = ("local", "ray", "warp")
 
 SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
 PLOTS = "plots"
+# The summary marks a complete set.
+_PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,7 @@ def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> Iterator
     Raises:
         InputError: the folder cannot be written, is locked, or belongs to another version of the sweep.
     """
-    open_folder(folder, (RESULTS, SWEEP, SCENARIO, REPORT, SUMMARY))
+    open_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
         yield OpenSweep(sweep, folder, store, changed=changed)
 
@@ -216,15 +219,19 @@ class OpenSweep:
         """Write the table, the pictures and the report of the rows there are, sweep.json last.
 
         Raises:
-            InputError: a file cannot be written.
+            InputError: a file cannot be written; those of an earlier start are as they were.
         """
+        with replaced(self.folder, _PRODUCTS) as fresh:
+            return self._write(fresh)
+
+    def _write(self, fresh: Path) -> Summary:
         rows = list(self._store.rows())
         found = table(self.sweep, rows)
-        write(self.folder / RESULTS, found)
-        titles = self._draw(found)
+        write(fresh / RESULTS, found)
+        titles = self._draw(fresh, found)
         read, beside = SweepTable.of(shown_columns(self.sweep, found)), self.sweep.beside
         for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
-            write_text(self.folder / name, dump_yaml(document))
+            (fresh / name).write_text(dump_yaml(document), "utf-8")
         failed = [row for row in rows if row.status == FAILED]
         summary = Summary(
             folder=self.folder,
@@ -237,13 +244,13 @@ class OpenSweep:
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
             published=None if beside is None else published_table(beside, read),
         )
-        pictures = {title: (self.folder / name).read_bytes() for name, title in titles.items()}
-        write_report(self.folder / REPORT, self.sweep, summary, read, shown_metrics(self.sweep), pictures)
-        write_text(self.folder / SUMMARY, json.dumps(self._about(summary), indent=2) + "\n")
+        pictures = {title: (fresh / name).read_bytes() for name, title in titles.items()}
+        write_report(fresh / REPORT, self.sweep, summary, read, shown_metrics(self.sweep), pictures)
+        (fresh / SUMMARY).write_text(json.dumps(self._about(summary), indent=2) + "\n", "utf-8")
         return summary
 
-    def _draw(self, found: pa.Table) -> dict[str, str]:
-        """Write the pictures; return their names and titles."""
+    def _draw(self, fresh: Path, found: pa.Table) -> dict[str, str]:
+        """Write the pictures into a folder; return their names and titles."""
         if not self.sweep.plots:
             return {}
         # matplotlib takes longer to import than a sweep without pictures has to wait.
@@ -253,7 +260,7 @@ class OpenSweep:
         for number, plot in enumerate(self.sweep.plots, start=1):
             name = f"{PLOTS}/{number}_{plot.kind}_{plot.metric}.png"
             figure = draw(plot, found, self.sweep.beside)
-            save(figure, self.folder / name)
+            save(figure, fresh / name)
             title, _, _ = figure.get_suptitle().partition("\n")
             titles[name] = f"{name}: {title}"
         return titles

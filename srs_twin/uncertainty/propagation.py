@@ -23,6 +23,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.experiment import INTERVALS
+from srs_twin.io.file_sets import replaced, unmark
 from srs_twin.io.files import write_text
 from srs_twin.mjcf.numerics import LAW_OF
 from srs_twin.provenance import judged_digest, versions
@@ -166,6 +167,8 @@ class Study:
                 missing = opened.missing()
                 with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
                     opened.run(engine, missing, finished)
+                if missing or changed:  # an earlier result is not that of these rows
+                    unmark(folder / RESULT)
                 opened.finish()
             found[part] = _columns(folder / part / "results.parquet", sweep)
         return Propagation(self, found)
@@ -453,13 +456,13 @@ class Propagation:
         columns |= {
             f"{plant}.{name}": s.samples for plant, each in self.plants.items() for name, s in each.items()
         }
-        write(
-            folder / SAMPLES,
-            pa.table({name: pa.array(each, from_pandas=True) for name, each in columns.items()}),
-        )
+        samples = pa.table({name: pa.array(each, from_pandas=True) for name, each in columns.items()})
         document = self.document()
-        save(draw_intervals(self.study.scenario.title, document, self.swings()), folder / PICTURE)
-        write_text(folder / RESULT, json.dumps(document, indent=2) + "\n")
+        picture = draw_intervals(self.study.scenario.title, document, self.swings())
+        with replaced(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
+            write(fresh / SAMPLES, samples)
+            save(picture, fresh / PICTURE)
+            (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
         return RESULT, SAMPLES, PICTURE
 
     def keep(self) -> Path:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
+from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small import SMALL, execute, write
 
 from srs_twin.errors import InputError
+from srs_twin.io.documents import load_yaml
+from srs_twin.sweep import load_sweep
 from srs_twin.sweep.store import FILE, RowStore, SweepIdentity
 from srs_twin.sweep.task import DONE, FAILED, Row
 
@@ -220,3 +227,63 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"file: cannot be made \(File exists\)"):
         RowStore(tmp_path / "file")
+
+
+def killed_at_rename(number, call):
+    """Make a call in a forked process, which is killed at its n-th rename; return whether it was."""
+    pid = os.fork()
+    if not pid:
+        left = [number]
+
+        def counted(rename):
+            def move(path, target):
+                left[0] -= 1
+                if left[0] == 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return rename(path, target)
+
+            return move
+
+        Path.rename, Path.replace = counted(Path.rename), counted(Path.replace)
+        try:
+            call()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    status = os.waitpid(pid, 0)[1]
+    assert status in (0, signal.SIGKILL)
+    return status != 0
+
+
+def test_a_changed_sweep_that_is_killed_leaves_files_of_one_sweep(tmp_path):
+    """Where sweep.json marks a complete set, all of its files are of the same sweep."""
+    sweeps = [
+        load_sweep(write(tmp_path, SMALL.replace("[2, 2.5]", field).replace("count: 4", "count: 2")))
+        for field in ("[2, 2.5]", "[2]")
+    ]
+    execute(sweeps[0], tmp_path / "whole")
+
+    def change(folder):
+        execute(sweeps[1], folder, changed=True, points=0)
+
+    kinds = set()
+    for number in range(1, 40):
+        folder = shutil.copytree(tmp_path / "whole", tmp_path / str(number))
+        if not killed_at_rename(number, lambda folder=folder: change(folder)):
+            break
+        if (folder / "sweep.json").exists():
+            about = json.loads((folder / "sweep.json").read_text())
+            rows = pq.read_table(folder / "results.parquet").num_rows
+            counts = {rows, about["done"], about["points"], 2 * len(frequencies(folder))}
+            assert len(counts) == 1, number
+            kinds.add(rows)
+        change(folder)  # goes on
+        left = {path.name for path in folder.iterdir()}
+        assert left == {path.name for path in (tmp_path / "whole").iterdir()}
+        assert json.loads((folder / "sweep.json").read_text())["points"] == 2
+        assert pq.read_table(folder / "results.parquet").num_rows == len(frequencies(folder)) * 2 == 2
+    assert 8 < number < 39 and kinds == {4, 2}
+
+
+def frequencies(folder):
+    return load_yaml(folder / "sweep.yaml").data["vary"]["controller.frequency_hz"]

@@ -1,0 +1,243 @@
+"""Sets of files: an earlier set is replaced whole or not at all, whatever ends the process and when."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import signal
+import sys
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from srs_twin.errors import InputError
+from srs_twin.io import file_sets
+from srs_twin.io.file_sets import replaced
+
+pytestmark = pytest.mark.fast
+
+MARK = "mark.json"
+PRODUCTS = (MARK, "page.html", "old.csv", "new.csv", "best/*.yaml")
+OLD = {name: "old" for name in (MARK, "page.html", "old.csv", "best/1.yaml", "best/2.yaml")}
+NEW = {name: "new" for name in (MARK, "page.html", "new.csv", "best/1.yaml")}
+NOTES = {"notes.txt": "a person's", "best/notes.txt": "a person's"}
+
+
+def without_mark(files):
+    return {name: text for name, text in files.items() if name != MARK}
+
+
+PAIRS = {
+    "both complete": (OLD, NEW),
+    "the new one ended early": (OLD, without_mark(NEW)),
+    "the old one ended early": (without_mark(OLD), NEW),
+    "neither is complete": (without_mark(OLD), without_mark(NEW)),
+    "the first": ({}, NEW),
+}
+LOOKS = ("_names", "_locked", "_unfinished")
+"""Functions that change nothing."""
+
+
+def put(folder, files):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def contents(folder):
+    """Return name → text of all files, those in hidden folders as well."""
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+def finish(folder, files):
+    with replaced(folder, PRODUCTS) as fresh:
+        put(fresh, files)
+
+
+@pytest.fixture
+def room(tmp_path):
+    """Make a folder with a set of files and a person's notes."""
+
+    def make(name, old):
+        put(tmp_path / str(name), old | NOTES)
+        return tmp_path / str(name)
+
+    return make
+
+
+def traced(number, action, call):
+    """Make a call; act before the n-th line of `file_sets` that may change something."""
+    left = [number]
+
+    def trace(frame, event, argument):
+        if frame.f_code.co_filename != file_sets.__file__ or frame.f_code.co_name in LOOKS:
+            return None
+        if event == "line":
+            left[0] -= 1
+            if left[0] == 0:
+                action()
+        return trace
+
+    sys.settrace(trace)
+    call()
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def kill():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.parametrize("end", [interrupt, kill])
+@pytest.mark.parametrize(
+    "pair",
+    [name if name == "both complete" else pytest.param(name, marks=pytest.mark.slow) for name in PAIRS],
+)
+def test_a_process_that_ends_at_any_line_leaves_one_whole_set_or_no_mark(room, pair, end):
+    """The next run, which fails, restores the earlier set where the new one had not arrived."""
+    old, new = PAIRS[pair]
+    for line in range(1, 200):
+        folder = room(line, old)
+        code = in_a_fork(lambda line=line, folder=folder: traced(line, end, lambda: finish(folder, new)))
+        if code == 0:
+            break
+        visible = {name: text for name, text in contents(folder).items() if not name.startswith(".part-")}
+        if MARK in visible:
+            assert visible in (old | NOTES, new | NOTES), line
+        with pytest.raises(ZeroDivisionError), replaced(folder, PRODUCTS):
+            raise ZeroDivisionError
+        assert contents(folder) in (old | NOTES, new | NOTES), line
+        assert not list(folder.glob(".part-*"))
+    assert 40 < line < 199
+    assert contents(folder) == new | NOTES
+
+
+def in_a_fork(call):
+    """Run a call in a forked process; return its exit status."""
+    pid = os.fork()
+    if not pid:
+        try:
+            call()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    return os.waitpid(pid, 0)[1]
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_file_that_cannot_be_moved_leaves_the_earlier_set(room, monkeypatch, pair):
+    """As an immutable file, a mount point or a full disk does, at each move of a swap."""
+    old, new = PAIRS[pair]
+    moved, rename = [], Path.rename
+
+    def refuse(path, target):
+        moved.append(path)
+        if len(moved) == number:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM), os.fspath(path))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    number = 0
+    finish(room("unhindered", old), new)
+    *moves, _ = moved  # after the last, the swap has ended
+    assert len(moves) == len(old) + 1 + len(new)
+    for number in range(1, len(moves) + 1):
+        moved.clear()
+        folder = room(number, old)
+        said = (
+            r"the run's files cannot be written there \((\S+: )?Operation not permitted\); an earlier run's"
+        )
+        with pytest.raises(InputError, match=said):
+            finish(folder, new)
+        assert contents(folder) == old | NOTES
+
+
+def test_an_immutable_file_leaves_the_earlier_set_and_is_named(room):
+    folder = room("here", OLD)
+    if os.system(f"chattr +i {folder}/page.html 2>/dev/null"):
+        pytest.skip("no file can be made immutable here")
+    try:
+        with pytest.raises(
+            InputError, match=r"cannot be written there \(page.html: Operation not permitted\)"
+        ):
+            finish(folder, NEW)
+    finally:
+        os.system(f"chattr -i {folder}/page.html")
+    assert contents(folder) == OLD | NOTES
+
+
+def test_files_that_cannot_be_moved_back_are_restored_by_the_next_run(room, monkeypatch):
+    folder, rename = room("here", OLD), Path.rename
+
+    def refuse(path, target):
+        if path.name == "page.html":
+            monkeypatch.setattr(Path, "rename", refuse_all)
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), os.fspath(path))
+        return rename(path, target)
+
+    def refuse_all(path, target):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), os.fspath(path))
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(
+        InputError, match=r"earlier files are in .*\.part-\w+, and the next run restores them"
+    ):
+        finish(folder, NEW)
+    assert MARK not in contents(folder)
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(ZeroDivisionError), replaced(folder, PRODUCTS):
+        raise ZeroDivisionError
+    assert contents(folder) == OLD | NOTES
+
+
+def finishes(folder, who, count, gate):
+    for number in range(count):
+        gate.wait()
+        finish(folder, dict.fromkeys(NEW, f"{who} {number}"))
+
+
+def test_processes_that_finish_at_once_never_leave_a_mixed_set(tmp_path):
+    fork, count = get_context("fork"), 40
+    gate = fork.Barrier(3)
+    workers = [fork.Process(target=finishes, args=(tmp_path, who, count, gate)) for who in range(2)]
+    for each in workers:
+        each.start()
+    for _ in range(count):
+        gate.wait(60)
+    for each in workers:
+        each.join()
+        assert each.exitcode == 0
+    left = contents(tmp_path)
+    assert left.keys() == NEW.keys() and len(set(left.values())) == 1
+
+
+def test_a_lock_that_is_held_for_long_is_an_error_of_one_line(room, monkeypatch):
+    folder = room("here", OLD)
+    monkeypatch.setattr(file_sets._locked.__wrapped__, "__defaults__", (0.0,))
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with pytest.raises(
+            InputError, match=r"\(another process holds the folder's lock\); an earlier run's"
+        ):
+            finish(folder, NEW)
+    finally:
+        os.close(handle)
+    assert contents(folder) == OLD | NOTES
+
+
+def test_a_drive_without_locks_will_do(room, monkeypatch):
+    """A hidden folder may then belong to another run: it stays."""
+    folder = room("here", OLD)
+
+    def refuse(handle, operation):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    put(folder, {".part-other/page.html": "of another"})
+    finish(folder, NEW)
+    assert contents(folder) == NEW | NOTES | {".part-other/page.html": "of another"}
