@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from srs_twin import load_robot
 from srs_twin.recordings.shape import Marks, fit_shape

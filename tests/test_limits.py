@@ -1,18 +1,21 @@
 """Limits and defaults of the keys of files: files that were accepted stay accepted, and mean the same.
 
-`limits.csv` holds those of every numeric key, and the bounds within which fits search. After an intended
-change: `python tests/test_limits.py`.
+`limits.csv` holds those of every numeric key, the bounds within which fits search, and the spreads with which
+a live ensemble begins, on which the figures of docs/live.md rest. After an intended change:
+`python tests/test_limits.py`.
 """
 
 from __future__ import annotations
 
 import csv
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from srs_twin import load_robot
 from srs_twin.identification.unknowns import names_of_fields, unknowns
+from srs_twin.live.ensemble import Spreads
 from srs_twin.optimization.file import study_json_schema
 from srs_twin.scenario import scenario_json_schema
 from srs_twin.sweep.file import sweep_json_schema
@@ -28,6 +31,7 @@ def limits():
     spec = load_robot("gen2")
     bounds = {name: unknowns(spec, [name.replace("_N", "_1")])[0] for name in names_of_fields()}
     found = {f"fit {name}": ["", f"{each.low:g}", "", f"{each.high:g}", ""] for name, each in bounds.items()}
+    found |= {f"ensemble {each.name}": ["", "", "", "", str(each.default)] for each in fields(Spreads)}
     for kind in (scenario_json_schema, sweep_json_schema, study_json_schema):
         schema = kind()
         parts = {"": schema} | schema["$defs"]
