@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -13,8 +15,6 @@ from pathlib import Path
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("srs_twin", "tests", "benchmarks", "docs", "models", "calibration", "scenarios")
-FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "Containerfile", "LICENSE")
 
 
 def main() -> None:
@@ -25,11 +25,7 @@ def main() -> None:
     listed = YAML(typ="safe").load(ROOT / "benchmarks/faults.yaml")
     faults = [fault for fault in listed if only in fault["name"]]
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder)
-        for name in FOLDERS:
-            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in FILES:
-            shutil.copy(ROOT / name, copy)
+        copy = copied_to(Path(folder) / "copy")
         unnoticed = [fault["name"] for fault in faults if not noticed(copy, **fault)]
     print(f"{len(unnoticed)} of {len(faults)} faults unnoticed: {', '.join(unnoticed) or 'none'}")
     sys.exit(bool(unnoticed))
@@ -43,15 +39,47 @@ def noticed(copy: Path, name: str, file: str, old: str, new: str, tests: str) ->
         print(f"{name}: {file} holds its line {text.count(old)} times", flush=True)
         return False
     source.write_text(text.replace(old, new), "utf-8")
-    pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", ""]
-    environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / "machine-code")}
-    done = subprocess.run(
-        [*pytest, *tests.split()], cwd=copy, env=environment, capture_output=True, text=True, timeout=1800
-    )
+    failed = first_failure(copy, ["-n", "0", "-m", "", *tests.split()])
     source.write_text(text, "utf-8")
-    failed = next((line for line in done.stdout.splitlines() if line.startswith("FAILED")), "")
-    print(f"{name}: {failed.partition(' - ')[0] or f'pytest ended with {done.returncode}'}", flush=True)
-    return done.returncode == 1 and bool(failed)
+    print(f"{name}: {failed or 'no test fails'}", flush=True)
+    return failed is not None
+
+
+def copied_to(folder: Path) -> Path:
+    """Copy the files of the checkout, as they are now, into a folder; return the folder."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-zco", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for name in filter(None, listed.stdout.split("\0")):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    return folder
+
+
+def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None:
+    """Run pytest in a copy up to the first failure; return its test, None where all pass.
+
+    Args:
+        copy: folder of the copy, which also keeps the machine code of its kernels.
+        words: test files and options.
+        cpu_s: processor time of one process after which it is ended, s.
+
+    Returns:
+        The test, or a sentence where pytest itself ended otherwise.
+    """
+    pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *words]
+    environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / "machine-code")}
+    limit = functools.partial(resource.setrlimit, resource.RLIMIT_CPU, (cpu_s, cpu_s))
+    done = subprocess.run(pytest, cwd=copy, env=environment, capture_output=True, text=True, preexec_fn=limit)
+    if done.returncode == 0:
+        return None
+    lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return lines[0].split(" ", 1)[1].partition(" - ")[0] if lines else f"pytest ended with {done.returncode}"
 
 
 if __name__ == "__main__":

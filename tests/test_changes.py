@@ -250,6 +250,15 @@ def test_every_run_has_a_sentence_of_its_plants():
     )
 
 
+@pytest.mark.parametrize(
+    ("rate", "said"),
+    [(0.0499, "straight on"), (0.05, "turning by 0.05 rad/s"), (-0.05, "turning by -0.05 rad/s")],
+)
+def test_a_run_turns_from_0_05_rad_per_s(rate, said):
+    metrics = {"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": rate}}}
+    assert headline(metrics) == f"The twin crawls at 0.1 m/s, {said}."
+
+
 def test_a_scenario_is_compared_by_its_name():
     found = srs.compare("gen2_straight", set=SHORT)
     assert set(found.trajectories) == {"analytical", "twin"}

@@ -18,7 +18,7 @@ import pytest
 from srs_twin.cli import main
 from srs_twin.cli.app import command
 from srs_twin.cli.progress import ScenarioProgress
-from srs_twin.cli.table import asks_why
+from srs_twin.cli.table import asks_why, rows
 from srs_twin.cli.view import find_recording
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.experiment import RunResult
@@ -470,3 +470,12 @@ def test_a_closed_pipe_ends_printing_and_no_work(tmp_path, last, code, closed):
     ran = {path.parent.name for path in tmp_path.glob("runs/*/metrics.json")}
     assert ran == ({"a", "b"} if code == 2 else {"a", "b", "c"})
     assert len(ElementTree.parse(tmp_path / "r.xml").findall(".//testsuite")) == 3
+
+
+@pytest.mark.parametrize(
+    ("comparison", "shown"),
+    [(None, False), ({}, False), ({"gap_factor": 1.0}, False), ({"gap_factor": 0.9}, True)],
+)
+def test_the_gap_factor_has_a_row_only_where_it_acts(comparison, shown):
+    metrics = {"plants": {"twin": {"com_speed_m_s": 0.1}}, "comparison": comparison, "expectations": []}
+    assert any("gap factor" in heading for heading, *_ in rows(metrics)) == shown

@@ -155,6 +155,15 @@ def test_what_runs_into_an_obstacle_is_held_as_on_the_processor():
     assert force[0] > 0.5 and force[1] == pytest.approx(force[0], rel=0.01)
 
 
+def test_a_reset_empties_the_chambers_of_the_chosen_worlds():
+    batch = TwinBatch([GEN2] * 2, **ON)
+    batch.arrays()["pressure"].fill_(48e3)
+    batch.reset(worlds=[1])
+    assert batch.arrays()["pressure"].numpy().reshape(2, -1).max(axis=1).tolist() == [pytest.approx(48e3), 0]
+    batch.reset()
+    assert not batch.arrays()["pressure"].numpy().any() and not batch.openings().any()
+
+
 @pytest.mark.slow
 def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contact):
     batch = TwinBatch([GEN2] * 3, contact=contact, deterministic=True, **ON)

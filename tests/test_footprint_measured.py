@@ -364,3 +364,20 @@ def test_the_number_of_runs_is_known():
     drive = Drive(GEN2, 2.0, GEN2.supply.nominal)
     assert study(drive, phases=3).runs == 3 * (9 + 10)
     assert study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=1).runs == 3
+
+
+def test_steady_runs_begin_at_equally_spaced_phases(monkeypatch):
+    class Enough(Exception):
+        pass
+
+    begun = []
+
+    def none(jobs, **_):
+        begun.extend(job.controller().phase for job in jobs)
+        raise Enough
+
+    monkeypatch.setattr("srs_twin.identification.footprint.run_many", none)
+    drive = Drive(GEN2, 2.0, GEN2.supply.nominal)
+    with pytest.raises(Enough):
+        study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=4).measure()
+    assert begun == pytest.approx([0, math.pi / 2, math.pi, 3 * math.pi / 2] * 3)

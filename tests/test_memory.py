@@ -164,6 +164,15 @@ def test_in_another_process(case, tmp_path):
     assert done.stdout.strip() == here
 
 
+def test_three_differences_are_named_and_further_ones_counted():
+    of = dict.fromkeys("abcd", 1)
+    named = "plant: the state belongs to something else: a 1 instead of 2, b 1 instead of 2, c 1 instead of 2"
+    for changed, further in (("abc", ""), ("abcd", ", and 1 more")):
+        with pytest.raises(InputError) as error:
+            SavedState(of, {}).check("plant", of | dict.fromkeys(changed, 2))
+        assert str(error.value) == named + further
+
+
 def test_of_another_plant_or_robot_it_is_refused():
     gen2 = load_robot("gen2")
     state = AnalyticalSnake(gen2).save()

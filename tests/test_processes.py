@@ -57,6 +57,11 @@ def end_the_server_at_first(folder, x):
     time.sleep(600)
 
 
+def count_and_die(folder, _):
+    (folder / str(os.getpid())).touch()
+    kill_self()
+
+
 def loaded(module, _):
     return module in sys.modules
 
@@ -142,6 +147,13 @@ def test_a_task_that_kills_every_worker_fails_alone(how, words):
     assert f"killed by {words}, 2 times in a row" in str(done[7].error)
     del done[7]
     assert all(d.result == n * n and d.error is None for n, d in done.items())
+
+
+@pytest.mark.parametrize("attempts", [1, 2])
+def test_a_task_that_kills_its_workers_is_tried_as_often_as_allowed(attempts, tmp_path):
+    (done,) = each(partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts)
+    assert isinstance(done.error, WorkerDiedError)
+    assert len(list(tmp_path.iterdir())) == attempts
 
 
 def test_a_task_that_leaves_the_interpreter_counts_as_a_death():

@@ -97,6 +97,16 @@ def test_a_time_outside_of_the_record_is_refused(tmp_path):
         scenario({"from": str(tmp_path), "time_s": 3.0})
 
 
+def test_a_run_starts_from_the_first_and_the_last_sample_of_a_record(tmp_path):
+    records = {plant: run(scenario({}), plant) for plant in PLANTS}
+    for plant, record in records.items():
+        record.to_parquet(tmp_path / f"{plant}.parquet")
+    for row in (0, -1):
+        time = float(records["analytical"].time[row])
+        way = run(scenario({"from": str(tmp_path), "time_s": time}, duration_s=0.02), "analytical")
+        assert way.com[0] == pytest.approx(records["analytical"].com[row], abs=1e-9)
+
+
 def test_a_run_from_a_run_by_the_command(srs_twin, tmp_path):
     asked = scenario(MOVING)
     (tmp_path / "first.yaml").write_text(json.dumps(dict(asked.document)), "utf-8")

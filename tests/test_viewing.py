@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_c
 from srs_twin.viewing.rerun import viewer
 from srs_twin.viewing.rerun.blueprint import Layout, scene_view
 from srs_twin.viewing.rerun.recording import thinned, write_recording, write_side_by_side
+from srs_twin.viewing.rerun.scene import line_height
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 from srs_twin.world import Circle, Polygon, World
 
@@ -560,3 +562,9 @@ def test_recordings_leave_no_threads_behind(tmp_path):
     for _ in range(4):
         write_recording(tmp_path / "r.rrd", spec=robot(), trajectories=runs)
     assert threads() <= before
+
+
+def test_a_wide_body_is_drawn_on_the_floor_and_a_narrow_one_at_its_centre_of_mass(spec):
+    low = replace(spec.geometry, width=0.2, com_height=0.03)
+    assert line_height(low) == pytest.approx(0.1)  # half its width: it must not sink in
+    assert line_height(replace(low, width=0.04)) == 0.03

@@ -49,6 +49,19 @@ def test_a_gate_leads_straight_through_the_middle_of_a_gap(world):
         assert Checker(world, BODY).free_path(path_of(Pose(x, y, heading), [(0.0, through)], BODY))
 
 
+def test_ways_begin_early_enough_for_the_body_to_settle_and_for_round_things():
+    """A millimetre before the head is in the gap; by the longest transient earlier; by 0.3 widths more."""
+    body = load_footprint("gen2_gait")
+    straight = body.at(0.0)
+    width = straight.left + straight.right
+    settled = max(each.length for each in body.transients)
+    early = settled + 0.3 * width
+    gates = gates_of(World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body)
+    run_ups = np.unique(np.round(gates[:, 3] - body.behind, 9))
+    assert run_ups == pytest.approx(body.ahead + 1e-3 + np.array([0, settled, early]))
+    assert np.abs(gates[:, 0]) == pytest.approx(gates[:, 3] - body.behind)
+
+
 def test_gaps_that_are_too_narrow_wide_or_filled_have_no_gate():
     def pair(gap: float, *more: Circle) -> World:
         return World((Circle(0.0, gap / 2 + 0.3, 0.3), Circle(0.0, -gap / 2 - 0.3, 0.3), *more))

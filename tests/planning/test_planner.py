@@ -66,6 +66,13 @@ def test_the_sampling_checker_sees_what_is_in_the_way():
     assert deepest(answer, replace(problem, world=World(polygons=(corner,)))) == 1.0
 
 
+def test_the_table_of_a_plan_sets_its_numbers_to_the_right():
+    answer = plan(fig54(0, 0))
+    page = answer._repr_html_()
+    for unit, number in (("m", f"{answer.length:.4g}"), ("1", str(len(answer.segments)))):
+        assert f'<td>{unit}</td><td class="number">{number}</td>' in page
+
+
 def test_fig_53():
     arcs = Primitives(5, math.pi / 3, 0.5)
     body = Footprint.box(0.05, 0.01, speed=1.0, curvature=math.pi / 3 / 0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree
@@ -12,8 +13,9 @@ from conftest import ROOT
 from reproduction import between, markdown, remembered, table
 
 from srs_twin.cli import main
+from srs_twin.cli.reproduce import _narrow
 from srs_twin.reproduction import load_baseline, load_claims
-from srs_twin.reproduction.verdicts import MET
+from srs_twin.reproduction.verdicts import MET, Outcome
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
 OUT = "out/reproduce"
@@ -59,6 +61,11 @@ def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
     again = srs_twin("reproduce", *FEW, "--out", OUT, cwd=tmp_path)
     assert again.stdout == done.stdout
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")} == kept
+
+
+@pytest.mark.parametrize(("values", "shown"), [((0.25, 0.12), "0.25 > 0.12"), ((0.25, 0.123), "0.25…0.12")])
+def test_an_ordering_is_shortened_only_where_it_is_wider_than_its_column(values, shown):
+    assert _narrow(Outcome(MET, values, math.nan, math.nan)) == shown
 
 
 @pytest.mark.parametrize(

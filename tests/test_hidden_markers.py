@@ -1,0 +1,49 @@
+"""Markers that were not seen for some frames: whose they are after it, and the body that the others give."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from srs_twin import load_robot
+from srs_twin.recordings.shape import Marks, fit_shape
+from srs_twin.recordings.tracking import follow
+
+GEOMETRY = load_robot("gen2").geometry
+
+
+def test_markers_that_pass_each_other_unseen_keep_their_identity():
+    """Where each reappears, the other one vanished: only their velocities tell them apart."""
+    frames = np.arange(60)
+    ways = np.stack([0.01 * (frames - 30.0), -0.01 * (frames - 30.0)], axis=1)
+    points = np.stack([ways, np.broadcast_to([0.0, 0.012], ways.shape)], axis=-1)
+    points[29:32] = np.nan
+    after = frames > 31
+    points[after] = points[after][:, ::-1]  # the file names them the other way round afterwards
+    columns = np.where(after[:, None], [1, 0], [0, 1])
+    columns[29:32] = -1
+    tracks, origin, dropped = follow(points, columns, longest=10, reach=0.1)
+    assert dropped == 0 and tracks.shape == (60, 2, 2)
+    seen = ~np.isnan(tracks[..., 0])
+    for k in range(2):
+        step = np.diff(tracks[seen[:, k], k, 0])
+        assert (np.sign(step) == np.sign(step[0])).all()
+        assert len(set(origin[seen[:, k], k])) == 1
+
+
+def test_a_hidden_marker_leaves_the_body_that_the_others_explain():
+    count, time = GEOMETRY.connectors - 1, np.arange(200) / 100
+    marks = Marks(np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY)
+    phase = 2 * np.pi * time[:, None] + np.arange(count)
+    state = np.column_stack(
+        [0.1 * time, 0.02 * np.sin(time), 0.3 * np.sin(5 * time), 0.5 * np.sin(phase)]
+        + [np.full_like(time, GEOMETRY.segment_length)] * count
+    )
+    mark, _, node, theta = marks.places(state)
+    points = np.stack([mark.real, mark.imag], axis=-1)
+    points += np.random.default_rng(1).normal(scale=1e-4, size=points.shape)
+    missing = np.zeros(mark.shape, dtype=bool)
+    missing[80:100, 4] = True
+    points[missing] += 0.02  # what was interpolated is wrong
+    shape = fit_shape(time, points, missing, marks, "free")
+    assert np.abs(shape.node - node).max() < 2e-3
+    assert np.abs(shape.theta - theta).max() < 0.05
