@@ -212,9 +212,11 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=100.0, help="simulated time of a run, s")
     parser.add_argument("--longest", type=float, default=0.5, help="longest time to the next kill, s")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--commands", type=int, help="kill all commands, so many times in all")
+    parser.add_argument("--commands", type=int, help="total number of kills of all commands")
     parser.add_argument("--only", choices=kills_of_commands.CASES, help="kill this command only")
-    parser.add_argument("--finishes", type=int, help="let so many sets of files be finished in one folder")
+    parser.add_argument(
+        "--finishes", type=int, help="number of sets that processes finish in one folder at once"
+    )
     arguments = parser.parse_args()
     if arguments.commands or arguments.finishes:
         sys.exit(_of_commands(arguments))

@@ -68,7 +68,7 @@ class Case:
     Attributes:
         earlier: words of the command that makes the earlier result.
         words: of the command that is killed.
-        again: words that go on in a folder of the earlier result.
+        again: options that continue in a folder with the earlier result.
         mark: the file that says that a set is complete.
         products: the files of a set, as patterns.
     """
@@ -201,7 +201,7 @@ def _finish(room: Path, words: str) -> None:
             return
         if "another sweep works" not in said:
             raise RuntimeError(f"{words}: exit code {process.returncode}: {said}")
-        time.sleep(0.1)  # a killed process takes a moment to let go
+        time.sleep(0.1)  # a killed process holds the lock for a moment
 
 
 def _kill(room: Path, words: str, out: Path, took: float, rng: random.Random) -> bool:
@@ -226,7 +226,7 @@ def _hidden(out: Path) -> list[Path]:
 
 
 def finishes(folder: Path, count: int, workers: int = 4) -> Counter[str]:
-    """Let processes finish sets in one folder at once; return "whole" or "mixed" → times."""
+    """Finish sets in one folder by several processes at once; return "whole" or "mixed" → times."""
     fork, found = get_context("fork"), Counter[str]()
     rounds = -(-count // workers)
     gate = fork.Barrier(workers + 1)
