@@ -214,9 +214,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--commands", type=int, help="total number of kills of all commands")
     parser.add_argument("--only", choices=kills_of_commands.CASES, help="kill this command only")
-    parser.add_argument(
-        "--finishes", type=int, help="number of sets that processes finish in one folder at once"
-    )
+    parser.add_argument("--finishes", type=int, help="number of sets finished in one folder at once")
     arguments = parser.parse_args()
     if arguments.commands or arguments.finishes:
         sys.exit(_of_commands(arguments))
