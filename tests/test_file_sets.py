@@ -1,4 +1,4 @@
-"""Sets of files: an earlier set is replaced whole or not at all, whatever ends the process and when."""
+"""Sets of files: an earlier set is replaced whole or not at all, at whichever point the process ends."""
 
 from __future__ import annotations
 

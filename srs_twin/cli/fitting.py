@@ -185,7 +185,7 @@ class FitDestination:
     def finish(
         self, estimate: Estimate, method: Method, title: str, fitted: Iterable[Data], held: Iterable[Data]
     ) -> None:
-        """Write report and fit file, both or neither, and show what was found.
+        """Write report and fit file, both or neither, and show the result.
 
         Args:
             estimate: what was found.

@@ -44,7 +44,7 @@ def messages(file: RecordedFile) -> Iterator[tuple[Schema | None, Channel, RawMe
 
     Raises:
         InputError: it holds, or unpacks to, more than is read.
-        Exception: whatever a damaged file leads to.
+        Exception: any error of the library on a damaged file.
     """
     from mcap.records import Schema
 
@@ -89,7 +89,7 @@ def records(stream: IO[bytes]) -> Iterator[Schema | Channel | RawMessage]:
 
     Raises:
         ChunkError: a chunk is larger than `MAX_BYTES`, or damaged.
-        Exception: whatever else a damaged stream leads to.
+        Exception: any other error of the library on a damaged stream.
     """
     from mcap.records import Channel, Chunk, Message, Schema
     from mcap.stream_reader import StreamReader

@@ -1,4 +1,4 @@
-"""Keys of rows: every file that a sweep reads is in them, whatever names it."""
+"""Keys of rows: every file that a sweep reads is in them."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def earlier_run(height):
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    """Lay out every kind of input file, and return what loads a sweep of a case there."""
+    """Write every kind of input file, and return a loader of sweeps by the name of a case."""
     monkeypatch.chdir(tmp_path)
     shipped = ROOT / "calibration"
     (tmp_path / "mine.yaml").write_bytes((shipped / "robots/gen2.yaml").read_bytes())
