@@ -1,4 +1,4 @@
-"""Markers that were not seen for some frames: whose they are after it, and the body that the others give."""
+"""Markers hidden for some frames: identities after the gap, and the body fitted to the visible markers."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ GEOMETRY = load_robot("gen2").geometry
 
 
 def test_markers_that_pass_each_other_unseen_keep_their_identity():
-    """Where each reappears, the other one vanished: only their velocities tell them apart."""
+    """Each reappears where the other vanished, so that only the velocities distinguish them."""
     frames = np.arange(60)
     ways = np.stack([0.01 * (frames - 30.0), -0.01 * (frames - 30.0)], axis=1)
     points = np.stack([ways, np.broadcast_to([0.0, 0.012], ways.shape)], axis=-1)
     points[29:32] = np.nan
     after = frames > 31
-    points[after] = points[after][:, ::-1]  # the file names them the other way round afterwards
+    points[after] = points[after][:, ::-1]  # the file exchanges their columns
     columns = np.where(after[:, None], [1, 0], [0, 1])
     columns[29:32] = -1
     tracks, origin, dropped = follow(points, columns, longest=10, reach=0.1)
@@ -30,7 +30,7 @@ def test_markers_that_pass_each_other_unseen_keep_their_identity():
         assert len(set(origin[seen[:, k], k])) == 1
 
 
-def test_a_hidden_marker_leaves_the_body_that_the_others_explain():
+def test_body_is_recovered_while_a_marker_is_hidden():
     count, time = GEOMETRY.connectors - 1, np.arange(200) / 100
     marks = Marks(np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY)
     phase = 2 * np.pi * time[:, None] + np.arange(count)

@@ -355,6 +355,16 @@ def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
     assert measured["bend_amplitude_rad"] == pytest.approx(true["bend_amplitude_rad"], rel=0.05)
 
 
+def test_velocities_of_a_recording_are_slopes_of_its_places(tmp_path):
+    """Averaged over gait periods, within which the moving line damps them."""
+    found = recorded(tmp_path, Take(layout="pair"), gait_frequency_hz=2.0).trajectory
+    period = round(RATE / 2.0)
+    for rate, place in (("com_velocity_x", "com_x"), ("com_velocity_y", "com_y"), ("yaw_rate", "heading")):
+        for start in (50, 150, 250):
+            moved = found[place][start + period] - found[place][start]
+            assert found[rate][start : start + period].mean() * 0.5 == pytest.approx(moved, abs=0.002)
+
+
 def test_summary_counts_every_sample(tmp_path):
     """What was seen is kept, or rejected, or of another marker, or outside the frames that are kept."""
     found = recorded(tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)).summary
