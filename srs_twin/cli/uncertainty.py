@@ -12,7 +12,6 @@ from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
     JsonOption,
-    OneOutOption,
     QuietOption,
     ScenarioArgument,
     at_once,
@@ -25,7 +24,7 @@ from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.sweep.task import Row
-    from srs_twin.uncertainty import Propagation
+    from srs_twin.uncertainty import Propagation, Spread
 
 STUDIES = Path("runs/uncertainty")
 _NEXT = 3
@@ -34,7 +33,7 @@ _NOTHING = 5e-4
 
 def uncertainty(
     scenario: ScenarioArgument,
-    out: OneOutOption = None,
+    out: Annotated[str | None, option("--out DIR")] = None,
     plants: Annotated[str | None, option("--plants LIST")] = None,
     samples: Annotated[int, option("--samples N", min=16, max=65536)] = 2048,
     twin: Annotated[int, option("--twin N", min=16, max=65536)] = 64,
@@ -54,11 +53,12 @@ def uncertainty(
     What an earlier start left in the folder is kept, and it goes on from there.
 
     Options:
+        out: Output folder. [default: runs/uncertainty/SCENARIO]
         plants: analytical, twin or both. [default: the scenario's]
-        samples: Robots that are drawn from what is uncertain.
-        twin: Samples that the twin itself runs, where the model compliant can run all of them.
-        without: A number that is taken as it stands, as friction.drag_n; repeatable.
-        engine: Who runs the samples: local, ray, or warp (twins on an accelerator).
+        samples: Number of robots drawn from the distributions.
+        twin: Number of samples that the twin runs where the model compliant runs all of them.
+        without: Number that keeps its value, as friction.drag_n; repeatable.
+        engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
         changed: Go on in a folder of an earlier version; keep what still belongs.
         form: Values of a field that are equally likely, as pneumatics.kind=lag,orifice; repeatable.
         write: Keep the intervals in calibration/intervals, where expectations find them.
@@ -99,6 +99,7 @@ def uncertainty(
         print_json(result.document())
     elif not quiet:
         _show(result)
+    _warn(result, quiet=quiet)
     if write:
         say(f"kept in {result.keep()}", quiet=quiet)
     say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
@@ -118,31 +119,63 @@ def _short(value: float) -> str:
     return "0" if abs(value) < _NOTHING else f"{value:.3g}"
 
 
+def _rough(error: float) -> str:
+    """Return a standard error with two digits."""
+    return "0" if abs(error) < _NOTHING / 10 else f"{error:.2g}"
+
+
+def _counted(spread: Spread) -> str:
+    """Return the number of samples, and of runs where a surrogate predicted the rest."""
+    return f"{spread.count} samples" + (f", {spread.runs} runs" if spread.runs < spread.count else "")
+
+
 def _show(result: Propagation) -> None:
-    """Print the intervals of what people ask about first, and what to measure."""
+    """Print the intervals of the usual metrics, their limits, and what to measure."""
     from srs_twin.cli.fitting import print_table
     from srs_twin.comparison.metrics import METRIC_UNITS
+    from srs_twin.uncertainty.remarks import outside_marks
     from srs_twin.viewing.plots.labels import metric_label
 
-    study = result.study
+    study, marks = result.study, ""
     for plant, spreads in result.plants.items():
-        lines = []
+        lines, usual = [], _counted(spreads[result.target[1]]) if result.target[1] in spreads else ""
         for metric, spread in spreads.items():
             if metric in METRIC_UNITS:
-                ends = (spread.interval(name) for name in ("interval_50", "interval_95"))
+                ends = [spread.interval(name) for name in ("interval_50", "interval_95")]
                 cells = (f"{_short(low)}–{_short(high)}" for low, high in ends)
+                value = _short(spread.value)
+                mark = "" if value in map(_short, ends[0]) else outside_marks(spread)
+                marks = max(marks, mark)
+                count = _counted(spread)
+                label = metric_label(metric) + ("" if count == usual else f", {count}")
+                errors = ", ".join(map(_rough, spread.errors[2:]))
                 stated = "" if spread.published is None else _short(spread.published)
-                lines.append((metric_label(metric), _short(spread.value), *cells, stated))
-        print_table((plant, "value", "50 %", "95 %", "published"), lines, left=(0,))
-    plant, metric = result.target
+                lines.append((label, value + mark, *cells, errors, stated))
+        print_table(
+            (f"{plant}, {usual}", "value", "50 %", "95 %", "± at 95 %", "published"), lines, left=(0,)
+        )
+    print("± at 95 %: standard errors of the two ends of the 95 % interval")
+    if marks:
+        print("* outside its 50 % interval, ** outside its 95 % interval")
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())
     print(f"{len(study.priors.each)} uncertain numbers of {study.scenario.robot.name}; {runs}")
     lost = {part: count for part, count in result.failed.items() if count}
     if lost:
         print("without a result: " + ", ".join(f"{count} of {part}" for part, count in lost.items()))
-    name = metric_label(metric)
+    for text in result.limits["remarks"]:
+        print(text)
+    plant, metric = result.target
     for each in result.measure_next()[:_NEXT]:
         print(
-            f"measuring {each['parameter']} to ±10 % would narrow the {plant}'s {name} "
+            f"measuring {each['parameter']} to ±10 % would narrow the {plant}'s {metric_label(metric)} "
             f"from {each['width_now']:.3g} to {each['width']:.3g}"
         )
+
+
+def _warn(result: Propagation, *, quiet: bool) -> None:
+    """Say on stderr which errors are too large, and what to do."""
+    limits = result.limits
+    say(*(f"warning: {text}" for text in limits["warnings"]), quiet=quiet)
+    if limits["remedy"]:
+        options = " ".join(f"--{name} {count}" for name, count in limits["remedy"].items())
+        say(f"`{options}` should be enough", quiet=quiet)

@@ -21,7 +21,7 @@ from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, changed_fields, marked
 from srs_twin.sweep import Experiment
 from srs_twin.sweep.points import leaves
-from srs_twin.uncertainty.propagation import compliant_partner
+from srs_twin.uncertainty.study import compliant_partner
 
 
 @dataclass(frozen=True)

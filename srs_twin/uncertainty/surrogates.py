@@ -49,6 +49,11 @@ def _terms(variables: int, degree: int) -> np.ndarray:
     return np.array(rows)
 
 
+def quadratic_samples(variables: int) -> int:
+    """Return the least number of samples for an expansion of the second degree."""
+    return _PER_TERM * len(_terms(variables, 2))
+
+
 @dataclass(frozen=True)
 class Chaos:
     """A polynomial chaos expansion of some results.

@@ -1,61 +1,111 @@
-"""Pictures of what is known of predictions: intervals beside published values, and a tornado."""
+"""Picture of a prediction's uncertainty: intervals with published values, and a tornado of the causes."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, style_of
 
-Bar = tuple[str, float, float, float]
 _SHOWN = 10
+_COLUMNS = 150  # characters of a line below the panels
+_LINE = 0.15  # height of such a line, inches
+_WARNING = "#b03030"
+_ERROR: dict[str, Any] = {"ecolor": "#333333", "elinewidth": 0.9, "capsize": 3, "fmt": "none"}
 
 
-def draw_intervals(title: str, document: Mapping[str, Any], swings: Sequence[Bar]) -> Figure:
-    """Draw the target's intervals on each plant, and what of them each number makes.
+def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
+    """Draw the target's intervals on each plant with their errors, and the effect of each uncertain number.
 
     Args:
         title: of the scenario.
         document: as `Propagation.document` returns it.
-        swings: as `Propagation.swings` returns them.
     """
     plant, metric = document["target"]["plant"], document["target"]["metric"]
-    swings = swings[:_SHOWN]
+    rows = {name: metrics[metric] for name, metrics in document["plants"].items() if metric in metrics}
+    swings = document["swings"][:_SHOWN]
+    lines = [(line, "#333333") for text in document["remarks"] for line in textwrap.wrap(text, _COLUMNS)]
+    lines += [(line, _WARNING) for text in _warnings(document) for line in textwrap.wrap(text, _COLUMNS)]
+    below = 0.55 + _LINE * (len(lines) + 1)
     figure, axes = side_by_side(
-        1.6 + 0.32 * max(len(swings), 3), 2, left=1.15, top=0.75, space=0.75, width_ratios=[1.0, 1.1]
-    )
+        2.05 + 0.32 * max(len(swings), 3) + _LINE * len(lines),
+        2, left=1.4, top=0.95, bottom=below, space=0.75, width_ratios=[1.0, 1.1],
+    )  # fmt: skip
     left, right = axes[0]
-    shown = [name for name in document["plants"] if metric in document["plants"][name]]
-    for place, name in enumerate(shown):
-        row, style = document["plants"][name][metric], style_of(name)
-        left.plot(row["interval_95"], [place, place], color=style.color, linewidth=1.5)
-        left.plot(row["interval_50"], [place, place], color=style.color, linewidth=7, solid_capstyle="butt")
-        left.plot([row["value"]], [place], "|", color="white", markersize=9, markeredgewidth=2)
-        if row["published"] is not None:
-            left.plot(
-                [row["published"]] * 2, [place - 0.35, place + 0.35], color=PUBLISHED_COLOR, linewidth=2
-            )
-    left.set_yticks(range(len(shown)), [style_of(name).label for name in shown])
-    left.set_ylim(-0.7, len(shown) - 0.3)
-    finish(left, "", metric_label(metric), title="50 and 95 %; white: as it stands; black: published")
-    style = style_of(plant)
-    middle = document["plants"][plant][metric]["value"]
-    for place, (_, low, high, total) in enumerate(reversed(swings)):
-        right.barh(
-            place, high - low, left=low, height=0.65, color=style.color, alpha=0.35 + 0.6 * min(total, 1.0)
-        )
-        right.text(max(low, high), place, f" {100 * total:.0f} %", va="center", fontsize=7)
-    right.axvline(middle, color="#888888", linewidth=0.8)
-    right.set_yticks(range(len(swings)), [field_label(f"robot.{row[0]}") for row in reversed(swings)])
-    reached = [end for row in swings for end in row[1:3]] or [middle]
-    room = 0.12 * max(max(reached) - min(reached), 1e-9)
-    right.set_xlim(min(reached) - room, max(reached) + 1.5 * room)
-    finish(right, "", metric_label(metric), title=f"{style.label}: 95 % of each number, total index")
+    _draw_ranges(left, rows, metric)
+    _draw_swings(right, swings, plant, rows[plant], metric)
     for panel in (left, right):
         panel.tick_params(labelsize=8)
         panel.title.set_fontsize(9)
-    figure.suptitle(title, fontsize=11, wrap=True)
+    counts = ", ".join(f"{style_of(name).label}: {_counted(row)}" for name, row in rows.items())
+    figure.suptitle(f"{title}\n{counts}", fontsize=11, wrap=True)
+    for place, (line, color) in enumerate(reversed(lines)):
+        height = (0.08 + _LINE * place) / figure.get_figheight()
+        figure.text(0.01, height, line, fontsize=7, color=color, va="bottom")
     return figure
+
+
+def _draw_ranges(axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: str) -> None:
+    """Draw intervals of 50 and 95 %, the ends of the latter with two standard errors."""
+    for place, (name, row) in enumerate(rows.items()):
+        color, wide = style_of(name).color, row["interval_95"]
+        axes.plot(wide, [place, place], color=color, linewidth=1.5)
+        axes.plot(row["interval_50"], [place, place], color=color, linewidth=7, solid_capstyle="butt")
+        errors = [2 * error for error in row["interval_95_error"]]
+        axes.errorbar(wide, [place, place], xerr=errors, **_ERROR)
+        axes.plot([row["value"]], [place], "|", color="white", markersize=9, markeredgewidth=3.5)
+        axes.plot([row["value"]], [place], "|", color="black", markersize=9, markeredgewidth=1)
+        if row["published"] is not None:
+            axes.plot(
+                [row["published"]] * 2, [place - 0.35, place + 0.35], color=PUBLISHED_COLOR, linewidth=2
+            )
+    axes.set_yticks(
+        range(len(rows)), [f"{style_of(name).label}\n{_counted(row)}" for name, row in rows.items()]
+    )
+    axes.set_ylim(-0.7, len(rows) - 0.3)
+    finish(axes, "", metric_label(metric), title="50 and 95 %; tick: value; line: published")
+
+
+def _draw_swings(
+    axes: Axes, swings: Sequence[Mapping[str, Any]], plant: str, row: Mapping[str, Any], metric: str
+) -> None:
+    """Draw what each number does alone; hatched where its place among the causes is not resolved."""
+    style, count = style_of(plant), len(swings)
+    for place, swing in enumerate(reversed(swings)):
+        index = row["sensitivity"][swing["parameter"]]
+        low, high = sorted((swing["low"], swing["high"]))
+        best, worst = index["rank"]
+        tied = best < worst
+        axes.barh(
+            place, high - low, left=low, height=0.65, facecolor=style.color if not tied else "white",
+            edgecolor=style.color, hatch="////" if tied else None, alpha=0.6,
+        )  # fmt: skip
+        axes.errorbar([low, high], [place, place], xerr=swing["error"], **_ERROR)
+        rank = f"{best} to {worst}" if tied else f"{best}"
+        error = min(100 * index["total_error"], 100.0)
+        text = f" {100 * index['total']:.0f} ± {error:.0f} %, place {rank}"
+        axes.text(high + swing["error"], place, text, va="center", fontsize=7)
+    axes.axvline(row["value"], color="#888888", linewidth=0.8)
+    axes.set_yticks(range(count), [field_label(f"robot.{each['parameter']}") for each in reversed(swings)])
+    ends = [
+        each[end] + sign * each["error"] for each in swings for end in ("low", "high") for sign in (-1, 1)
+    ]
+    ends = ends or [row["value"]]
+    room = max(max(ends) - min(ends), 1e-9)
+    axes.set_xlim(min(ends) - 0.05 * room, max(ends) + 0.7 * room)
+    finish(axes, "", metric_label(metric), title=f"{style.label}: 95 % of each number; total index")
+
+
+def _counted(row: Mapping[str, Any]) -> str:
+    """Return the number of samples, and of runs where a surrogate predicted the rest."""
+    samples, runs = row["samples"], row["runs"]
+    return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
+
+
+def _warnings(document: Mapping[str, Any]) -> list[str]:
+    return [f"Warning: {text}" for text in document["warnings"]]

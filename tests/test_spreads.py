@@ -1,0 +1,219 @@
+"""Intervals, their errors and limits, for known functions of known distributions; nothing is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from srs_twin.robot.sourced import Uncertain
+from srs_twin.scenario import load_scenario
+from srs_twin.uncertainty import Prior, Priors, Propagation, Spread, Study
+from srs_twin.uncertainty.spreads import BOUNDING, predicted, sampling_errors
+from srs_twin.viewing.plots.intervals import draw_intervals
+
+SPEED = "com_speed_m_s"
+Law = Callable[[np.ndarray], np.ndarray]
+
+
+def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0) -> Study:
+    """Return a study with numbers that are uniform from 0 to 1; the robot file has each at `value`."""
+    uniform = Uncertain.model_validate({"kind": "uniform", "low": 0.0, "high": 1.0})
+    each = tuple(
+        Prior(f"friction.number_{i}", value, "1", uniform, (0.0, 1.0), "this test") for i in range(dimensions)
+    )
+    scenario = replace(load_scenario("gen2_straight"))
+    return Study(scenario, Priors(each, np.eye(dimensions)), ("analytical",), samples=samples, seed=seed)
+
+
+def result_of(study: Study, law: Law) -> Propagation:
+    """Return the result of a study whose speed is a known function of the shares; the step has no error."""
+    own = np.full((3, len(study.names)), 0.5)
+    own[1:] = study.priors.each[0].value
+    return Propagation(study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}})
+
+
+def spread_of(study: Study, law: Law) -> Spread:
+    return result_of(study, law).plants["analytical"][SPEED]
+
+
+def weighted(weights: np.ndarray) -> Law:
+    """Return a sum of the shares; its total indices are the squares of the weights over their sum."""
+    return lambda shares: shares @ weights
+
+
+@pytest.mark.parametrize("name", ["interval_50", "interval_95"])
+def test_an_interval_leaves_the_same_stated_share_out_at_both_ends(name):
+    spread = spread_of(study_of(1, 1024), lambda u: np.exp(3 * u[:, 0]))
+    below, above = np.log(spread.interval(name)) / 3  # shares, by the inverse of the law
+    outside = (1 - float(name[-2:]) / 100) / 2
+    assert (below, 1 - above) == pytest.approx((outside, outside), abs=2 / 1024)
+
+
+@pytest.mark.parametrize("power", [1, 2, -1])
+def test_errors_of_both_ends_follow_the_law_of_order_statistics(power):
+    """Standard error √(p (1 − p) / n) over the density, which u^k has in closed form.
+
+    The bootstrap's own relative error is m^(−1/4) with the m = 102 samples beyond an end (Hall and Martin
+    1988): 31 %, 11 % in the mean of eight, of which three are allowed.
+    """
+    rng, ends = np.random.default_rng(0), np.array([0.25, 0.75, 0.025, 0.975])
+    found = [sampling_errors((0.1 + rng.random(4096)) ** power) for _ in range(8)]
+    slope = np.abs(power * (0.1 + (ends if power > 0 else 1 - ends)) ** (power - 1.0))
+    expected = np.sqrt(ends * (1 - ends) / 4096) * slope
+    assert np.mean(found, axis=0) == pytest.approx(expected, rel=0.33)
+
+
+def test_the_error_of_the_time_step_is_the_distance_from_the_limit():
+    """Euler's method for y' = −y at t = 1, whose limit is known."""
+    coarse, fine = (1 - 1 / 200) ** 200, (1 - 1 / 400) ** 400
+    spread = replace(spread_of(study_of(1, 16), weighted(np.ones(1))), value=coarse, halved=fine)
+    assert spread.numerical == pytest.approx(abs(coarse - np.exp(-1)), rel=0.01)
+
+
+def test_stated_errors_cover_the_ends_of_independent_samples():
+    rng, truth = np.random.default_rng(0), np.log([0.025, 0.975]) / -1.0
+    held = []
+    for _ in range(100):
+        samples = rng.exponential(size=256)
+        off = np.quantile(samples, [0.025, 0.975]) - truth[::-1]
+        held.append(np.abs(off) < 2 * sampling_errors(samples)[2:])
+    assert np.mean(held, axis=0).min() > 0.88  # 95 % less three standard deviations of 100 trials
+
+
+def test_stated_errors_cover_the_ends_that_a_surrogate_predicts():
+    def cheap(u: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(u[:, 0]) + u[:, 1] * u[:, 2] + 0.2 * u[:, 3])
+
+    def costly(u: np.ndarray) -> np.ndarray:
+        return np.asarray(0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.5 * (u[:, 4] - 0.5) * u[:, 0] ** 2)
+
+    held, widths = [], []
+    truth = np.quantile(costly(np.random.default_rng(9).random((200_000, 5))), [0.025, 0.975])
+    for seed in range(12):
+        shares = study_of(5, 512, seed=seed).shares
+        samples, surrogate = predicted(shares, cheap(shares), costly(shares[:32]))
+        errors = np.hypot(sampling_errors(samples), surrogate)[2:]
+        held.append(np.abs(np.quantile(samples, [0.025, 0.975]) - truth) < 2 * errors)
+        widths.append(errors / np.ptp(truth))
+    assert np.mean(held) > 0.8
+    assert np.max(widths) < 0.2
+
+
+def test_a_surrogate_that_predicts_nothing_adds_no_error():
+    shares = study_of(2, 64).shares
+    noise = np.random.default_rng(0).normal(size=64)
+    samples, surrogate = predicted(shares, shares[:, 0], noise[:32])
+    assert np.isfinite(samples).sum() == 32
+    assert not surrogate.any()
+
+
+WEIGHTS = 0.7 ** np.arange(4)
+LAWS: dict[str, Law] = {
+    "sum": weighted(WEIGHTS),
+    "product": lambda u: np.prod(1 + WEIGHTS * (u - 0.5), axis=1),
+    "skewed": lambda u: np.exp(u @ WEIGHTS),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("samples", [16, 100])
+def test_the_proposed_number_of_samples_is_enough(law, samples):
+    few = result_of(study_of(4, samples), LAWS[law]).limits
+    assert bool(few["warnings"]) == bool(few["remedy"])
+    assert few["warnings"] or samples > BOUNDING
+    enough = result_of(study_of(4, few["remedy"].get("samples", samples)), LAWS[law]).limits
+    assert enough["warnings"] == []
+
+
+def test_few_samples_warn_with_their_number_and_the_reason_of_each_limit():
+    study = study_of(4, 16)
+    limits = result_of(study, LAWS["skewed"]).limits
+    words = " ".join(limits["warnings"])
+    assert "16 samples do not bound the 95 % interval; with a probability of 67 %" in words
+    assert "above 5 % the width is uncertain by more than 14 %" in words
+    assert "above ±10 % causes that differ by less than 14 % cannot be told apart" in words
+
+
+def test_as_many_samples_as_bound_an_interval_leave_none_beyond_an_end_once_in_forty():
+    missed = [(1 - 0.025) ** count for count in (BOUNDING - 1, BOUNDING)]
+    assert missed[0] > 0.025 >= missed[1]
+
+
+def test_the_true_place_of_a_cause_is_among_its_stated_places():
+    """Few samples state wide ranges of places, more samples narrower ones; both hold the truth."""
+    wide = []
+    for samples in (16, 256):
+        held, widths = [], []
+        for seed in range(8):
+            noise = np.random.default_rng(seed).normal(scale=0.1, size=samples + 3)
+            spread = spread_of(study_of(4, samples, seed=seed), lambda u, noise=noise: u @ WEIGHTS + noise)
+            ranks = spread.ranks()
+            held += [best <= place <= worst for place, (best, worst) in enumerate(ranks, start=1)]
+            widths += [worst - best for best, worst in ranks]
+        assert np.mean(held) > 0.95
+        wide.append(np.mean(widths))
+    assert wide[0] > 1 > wide[1]
+
+
+def test_enough_samples_resolve_the_order_and_few_say_that_they_do_not():
+    weights = np.array([4.0, 2.0, 1.0])
+    assert spread_of(study_of(3, 512), weighted(weights)).ranks() == [(1, 1), (2, 2), (3, 3)]
+    (order,) = result_of(study_of(3, 512), weighted(weights)).limits["remarks"]
+    assert "friction.number_0 matters most (total index 76 ± 0 %)" in order
+    noise = np.random.default_rng(0).normal(size=40)
+    few = result_of(study_of(3, 16), lambda u: u @ weights + 2 * noise[: len(u)]).limits["remarks"][0]
+    assert "16 samples do not resolve the largest cause; it is friction.number_0" in few
+
+
+def test_equal_causes_are_tied_at_any_number_of_samples():
+    ranks = spread_of(study_of(4, 512), weighted(np.array([3.0, 1.0, 1.0, 1.0]))).ranks()
+    assert ranks == [(1, 1), (2, 4), (2, 4), (2, 4)]
+
+
+def test_a_value_outside_for_its_numbers_is_explained_by_them():
+    study = study_of(2, 256, value=0.0)
+    (words,) = (
+        each for each in result_of(study, weighted(np.array([3.0, 1.0]))).limits["remarks"] if "lies" in each
+    )
+    assert "the value 0 lies below its 95 % interval" in words
+    assert "medians of their distributions change it by -2 (friction.number_0 0 instead of 0.5" in words
+    spread = spread_of(study, weighted(np.array([3.0, 1.0])))
+    assert spread.at_medians == pytest.approx(spread.median, abs=0.02)
+
+
+def test_a_value_outside_for_its_law_is_explained_by_nonlinearity():
+    def peak(u: np.ndarray) -> np.ndarray:
+        return np.asarray(1 - ((u - 0.5) ** 2).sum(axis=1))
+
+    (words,) = (each for each in result_of(study_of(2, 256), peak).limits["remarks"] if "lies" in each)
+    assert "the value 1 lies above its 95 % interval" in words
+    assert (
+        "instead of the medians of their distributions change it by +0; nonlinearity changes it by +0.1"
+        in words
+    )
+
+
+def test_a_value_inside_needs_no_words():
+    assert not any(
+        "lies" in each for each in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
+    )
+
+
+@pytest.mark.parametrize("samples", [16, 512])
+def test_the_picture_states_the_samples_and_hatches_what_is_not_resolved(samples):
+    result = result_of(study_of(3, samples), weighted(np.array([4.0, 2.0, 1.9])))
+    document = result.document()
+    figure = draw_intervals("Title", document)
+    assert figure.get_suptitle() == f"Title\nanalytical: {samples} samples"
+    hatched = [bar.get_hatch() is not None for bar in figure.axes[1].patches][::-1]
+    sensitivity = document["plants"]["analytical"][SPEED]["sensitivity"]
+    ranks = [sensitivity[each["parameter"]]["rank"] for each in document["swings"]]
+    assert hatched == [best < worst for best, worst in ranks]
+    shown = " ".join(text.get_text() for text in figure.texts)
+    assert ("Warning: analytical, CoM speed (m/s): 16 samples" in shown) == (samples == 16)
+    assert " ".join(document["remarks"][0].split()) in " ".join(shown.split())
+    drawn = [line.get_xdata() for line in figure.axes[0].lines]
+    assert any(list(each) == document["plants"]["analytical"][SPEED]["interval_95"] for each in drawn)
