@@ -17,7 +17,9 @@ import numpy as np
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep.execution import local
-from srs_twin.uncertainty import Priors, Propagation, Study
+from srs_twin.uncertainty import Priors, Study
+from srs_twin.uncertainty.propagation import OWN_ROWS
+from srs_twin.uncertainty.spreads import predicted, sampling_errors
 
 FEW, SETS = 64, 10
 ENDS = [0.025, 0.975]
@@ -38,16 +40,15 @@ def main() -> None:
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")
     print("|---|---|---|---|---|")
     for metric, plain in rows["twin"].items():
-        cheap, costly = rows["compliant"][metric][:-2], plain[:-2]
+        cheap, costly = rows["compliant"][metric][:-OWN_ROWS], plain[:-OWN_ROWS]
         if not np.isfinite(costly).all() or np.std(costly) < 1e-9 * abs(np.mean(costly)):
             continue
         full = np.quantile(costly, ENDS)
         width, worst, held = np.ptp(full), [], []
         for first in range(0, given.samples - FEW + 1, max(FEW, given.samples // SETS // FEW * FEW))[:SETS]:
             order = np.r_[first : first + FEW, 0:first, first + FEW : given.samples]
-            part = Study(scenario, priors, ("twin",), given.samples, FEW)
-            part.__dict__["shares"] = study.shares[order]
-            samples, errors = Propagation(part, {})._predicted(costly[order][:FEW], cheap[order])
+            samples, surrogate = predicted(study.shares[order], cheap[order], costly[order][:FEW])
+            errors = np.hypot(sampling_errors(samples), surrogate)
             off = np.nanquantile(samples, ENDS) - full
             worst.append(np.abs(off).max() / width)
             held += list(np.abs(off) < 2 * errors[2:])

@@ -23,6 +23,7 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.sweep.execution import local
 from srs_twin.uncertainty import Priors, Propagation, Study
+from srs_twin.uncertainty.propagation import OWN_ROWS
 from srs_twin.uncertainty.surrogates import Chaos
 
 FINER: dict[str, Any] = {"contact": "loaded", "hinges_per_segment": 4, "timestep_s": 0.0005}
@@ -110,7 +111,7 @@ def main() -> None:
         found = made(changes, samples, 1)
         alone = Alone(found.scenario, found.priors, ("twin",), samples, samples, 1)
         rows = alone.run(given.out / name.replace(" ", "_"), local()).rows["twin"]
-        return {metric: np.asarray(of(rows))[:-2] for metric, of in METRICS.items()}
+        return {metric: np.asarray(of(rows))[:-OWN_ROWS] for metric, of in METRICS.items()}
 
     same = ran("same_chambers", {"plants.twin": FINER}, given.robots)
     truth = ran("truth", {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}}, given.robots)

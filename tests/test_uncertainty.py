@@ -326,3 +326,40 @@ def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
         widths.append(np.ptp(spread.interval("interval_95")))
     assert np.mean(widths) == pytest.approx(best["width"], rel=0.2)
     assert best["width"] < 0.9 * best["width_now"]
+
+
+def test_the_command_states_samples_errors_and_the_remedy(srs_twin, short, tmp_path):
+    words = ("uncertainty", str(short()), "--samples", "16", "--workers", "1")
+    shown = srs_twin(*words, cwd=tmp_path)
+    assert shown.returncode == 0
+    assert "analytical, 16 samples" in shown.stdout
+    assert "± at 95 %: standard errors of the two ends" in shown.stdout
+    assert "warning: analytical, CoM speed (m/s): 16 samples do not bound the 95 % interval" in shown.stderr
+    document = json.loads(srs_twin(*words, "--json", cwd=tmp_path).stdout)
+    remedy = " ".join(f"--{name} {count}" for name, count in document["remedy"].items())
+    assert f"`{remedy}` should be enough" in shown.stderr
+    for text in document["warnings"]:
+        assert f"warning: {text}\n" in shown.stderr
+    speed = document["plants"]["analytical"]["com_speed_m_s"]
+    assert (speed["samples"], speed["runs"]) == (16, 16)
+    assert len(speed["interval_50_error"]) == len(speed["interval_95_error"]) == 2
+    assert all(1 <= best <= worst <= 2 for best, worst in (s["rank"] for s in speed["sensitivity"].values()))
+    quiet = srs_twin(*words, "--quiet", cwd=tmp_path)
+    assert (quiet.stdout, quiet.stderr) == ("", "")
+
+
+def test_the_value_at_the_medians_is_a_run_with_the_numbers_there(short, tmp_path):
+    from srs_twin.comparison.metrics import plant_metrics
+    from srs_twin.rollout import rollout
+
+    found = load_scenario(short())
+    priors = Priors.of(RobotFile.model_validate(found.document["robot"]))
+    study = Study(found, priors, ("analytical",), samples=16)
+    spread = study.run(tmp_path / "out", local(1)).plants["analytical"]["com_speed_m_s"]
+    medians = {f"robot.{prior.path}": float(prior.at(np.array([0.5]))[0]) for prior in study.priors.each}
+    assert medians["robot.friction.mu_t"] == pytest.approx(0.045)  # of the uniform 0.03 to 0.06
+    other = load_scenario(short(), set=medians)
+    run = rollout(
+        other.build_plant("analytical"), other.build_controller(), other.duration, record_hz=other.record_hz
+    )
+    assert spread.at_medians == pytest.approx(plant_metrics(run)["com_speed_m_s"], rel=1e-9)

@@ -13,8 +13,9 @@ from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, style_of
 
 _SHOWN = 10
-_COLUMNS = 150  # characters of a line below the panels
+_COLUMNS = 175  # characters of a line below the panels
 _LINE = 0.15  # height of such a line, inches
+_KEY = "Whiskers: two standard errors. Hatched bars: causes whose order is not resolved."
 _WARNING = "#b03030"
 _ERROR: dict[str, Any] = {"ecolor": "#333333", "elinewidth": 0.9, "capsize": 3, "fmt": "none"}
 
@@ -29,8 +30,7 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     plant, metric = document["target"]["plant"], document["target"]["metric"]
     rows = {name: metrics[metric] for name, metrics in document["plants"].items() if metric in metrics}
     swings = document["swings"][:_SHOWN]
-    lines = [(line, "#333333") for text in document["remarks"] for line in textwrap.wrap(text, _COLUMNS)]
-    lines += [(line, _WARNING) for text in _warnings(document) for line in textwrap.wrap(text, _COLUMNS)]
+    lines = _lines(document)
     below = 0.55 + _LINE * (len(lines) + 1)
     figure, axes = side_by_side(
         2.05 + 0.32 * max(len(swings), 3) + _LINE * len(lines),
@@ -97,7 +97,7 @@ def _draw_swings(
     ]
     ends = ends or [row["value"]]
     room = max(max(ends) - min(ends), 1e-9)
-    axes.set_xlim(min(ends) - 0.05 * room, max(ends) + 0.7 * room)
+    axes.set_xlim(min(ends) - 0.05 * room, max(ends) + 0.95 * room)
     finish(axes, "", metric_label(metric), title=f"{style.label}: 95 % of each number; total index")
 
 
@@ -107,5 +107,16 @@ def _counted(row: Mapping[str, Any]) -> str:
     return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
 
 
-def _warnings(document: Mapping[str, Any]) -> list[str]:
-    return [f"Warning: {text}" for text in document["warnings"]]
+def _lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the lines below the panels and their colours."""
+    warnings = [f"Warning: {text}" for text in document["warnings"]]
+    if document["remedy"]:
+        options = " ".join(f"--{name} {count}" for name, count in document["remedy"].items())
+        warnings.append(f"{options} should be enough.")
+    notes = [_KEY, *document["remarks"]]
+    return [
+        (line, color)
+        for texts, color in ((notes, "#333333"), (warnings, _WARNING))
+        for text in texts
+        for line in textwrap.wrap(text, _COLUMNS)
+    ]

@@ -1,0 +1,148 @@
+"""Defaults that the help states, compared with what the commands do without the option.
+
+Typer prints the defaults of signatures itself. Others are written as `[default: …]` by hand; each is checked
+here, or is a phrase that names no value.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from srs_twin.cli.app import command
+from srs_twin.errors import InputError
+
+EXAMPLES = Path(__file__).parents[1] / "calibration/examples/my_snake"
+# Command → a way to start it, and the words that take the place of the capitals in the stated folder or file.
+PLACES = {
+    "run": ("run gen2_straight", {"SCENARIO": "gen2_straight"}),
+    "compare": ("compare gen2_straight", {"SCENARIO": "gen2_straight"}),
+    "plan": ("plan follow_fig57", {"SCENARIO": "follow_fig57"}),
+    "replay": (f"replay {EXAMPLES}/walk_left.csv --robot gen2", {"MOTION": "walk_left"}),
+    "sweep": ("sweep fig31_coarse --workers 1", {"SWEEP": "fig31_coarse"}),
+    "optimize": ("optimize gen2_speed --workers 1", {"STUDY": "gen2_speed"}),
+    "uncertainty": ("uncertainty gen2_straight --samples 16 --workers 1", {"SCENARIO": "gen2_straight"}),
+    "calibrate friction": (f"calibrate friction {EXAMPLES}/pulls.csv -r gen2", {"NAME": "gen2_friction"}),
+    "calibrate actuator": (f"calibrate actuator {EXAMPLES}/steps.csv -r gen2", {"NAME": "gen2_actuator"}),
+    "calibrate locomotion": (
+        f"calibrate locomotion {EXAMPLES}/walk_left.csv -r gen2", {"NAME": "gen2_locomotion"},
+    ),
+    "calibrate robot": ("calibrate robot fit.yaml --name mine", {"NAME": "mine"}),
+}  # fmt: skip
+PHRASES = {
+    "all but studies", "one a processor", "those of the scenario", "the scenario's", "the sweep's",
+    "NAME.valves.csv beside it", "the robot's", "the valves'", "estimated", "where it crawls to", "free",
+    "none", "no motion capture", "Ctrl-C does", "this machine's", "the run's folder", "ROBOT_WHAT",
+    "ROBOT_CONTROLLER", "3; 1 where the twin's shapes lead",
+}  # fmt: skip
+
+
+def stated() -> Iterator[tuple[str, str, str]]:
+    """Yield command, parameter and text of each default that the help states by hand."""
+
+    def below(one: Any, words: tuple[str, ...]) -> Iterator[tuple[str, str, str]]:
+        for name, other in getattr(one, "commands", {}).items():
+            yield from below(other, (*words, name))
+        for parameter in one.params:
+            for text in re.findall(r"\[default: (.*?)\]", getattr(parameter, "help", None) or ""):
+                yield " ".join(words), parameter.name, text
+
+    return below(command(), ())
+
+
+def values() -> dict[tuple[str, str], str]:
+    """Return command and parameter → default that the command takes, in the help's words."""
+    from srs_twin.cli.calibrate import _FREQUENCY_HZ, _plant_settings
+    from srs_twin.cli.replay import _plants
+    from srs_twin.comparison.diff import Tolerances
+    from srs_twin.identification.footprint import Drive
+    from srs_twin.identification.takes import RecordingReader
+    from srs_twin.robot.spec import load_robot
+
+    spec = load_robot("gen2")
+    most = {name: max(Drive(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")}
+    gap, fitted = f"{RecordingReader().longest_gap_s:g}", _plant_settings("analytical", None, None)
+    return {
+        ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
+        ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),
+        ("replay", "law"): _plants("analytical", "complete", None, False)["analytical"]["friction"],
+        ("calibrate locomotion", "law"): fitted["friction"],
+        ("calibrate locomotion", "model"): fitted["model"],
+        ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(**_FREQUENCY_HZ),
+        ("calibrate footprint", "offsets"): "to +-{gait:g}; ilc: to +-{ilc:g}".format(**most),
+        **{
+            (name, "longest_gap"): gap
+            for name in ("replay", "calibrate friction", "calibrate actuator", "calibrate locomotion")
+        },
+    }
+
+
+LIVE = {
+    ("shadow", "mqtt"): "127.0.0.1:1883, or none with --mcap",
+    ("shadow", "name"): "ROBOT",
+    ("shadow", "body"): "connector_1=1 …",
+    ("emulate", "name"): "ROBOT",
+}
+
+
+def test_every_stated_default_is_checked_or_names_no_value():
+    checked = {*values(), *LIVE}
+    rest = {
+        each for each in stated()
+        if each[:2] not in checked and each[2] not in PHRASES and not (each[1] == "out" and each[0] in PLACES)
+    }  # fmt: skip
+    assert rest == set()
+
+
+def test_stated_values_are_those_that_the_commands_take():
+    texts = {each[:2]: each[2] for each in stated()}
+    assert {key: texts[key] for key in values()} == values()
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_without_out_a_command_writes_where_its_help_says(name, srs_twin, tmp_path):
+    """A file in the way: the command must find it there, and say so before it runs anything."""
+    (template,) = (text for of, parameter, text in stated() if (of, parameter) == (name, "out"))
+    words, meant = PLACES[name]
+    place = Path(re.sub("[A-Z]{2,}", lambda found: meant[found[0]], template))
+    (tmp_path / place).parent.mkdir(parents=True)
+    (tmp_path / place).write_text("in the way", "utf-8")
+    done = srs_twin(*words.split(), cwd=tmp_path)
+    assert done.returncode == 2
+    assert str(place) in done.stderr
+    assert [each for each in tmp_path.rglob("*") if each.is_file()] == [tmp_path / place]
+
+
+@pytest.mark.parametrize(("words", "address"), [("shadow gen2", "127.0.0.1:1883"), ("emulate gen2", None)])
+def test_a_live_command_takes_name_and_broker_that_its_help_says(
+    words, address, srs_twin, tmp_path, monkeypatch
+):
+    from srs_twin.live import session
+
+    asked: list[tuple[Any, ...]] = []
+
+    def refuse(*given: Any, **_: Any) -> None:
+        asked.append(given)
+        raise InputError("refused")
+
+    name = words.split()[0]
+    monkeypatch.setattr(f"srs_twin.cli.{name}.broker_link", refuse)
+    monkeypatch.setattr(session, "warm_up", lambda spec: None)
+    assert srs_twin(*words.split(), cwd=tmp_path).returncode == 2
+    (robot, _, broker, *_) = asked[0]
+    texts = {each[:2]: each[2] for each in stated()}
+    assert robot == texts[name, "name"].replace("ROBOT", "gen2")
+    if address is not None:
+        assert broker == address == texts[name, "mqtt"].partition(",")[0]
+
+
+def test_bodies_are_connectors_unless_others_are_named():
+    from srs_twin.live.shadow import Shadow
+    from srs_twin.robot.spec import load_robot
+
+    first, number = {each[:2]: each[2] for each in stated()}["shadow", "body"].split()[0].split("=")
+    assert Shadow(load_robot("gen2"), members=2)._frames[first] == int(number)
