@@ -169,7 +169,7 @@ def _cause(exit_code: int) -> str:
 def _round_part(period_s: float, step_s: float) -> float:
     """Return the longest whole part of a period, up to a step, that a person can write out."""
     fewest = max(1, math.ceil(period_s / step_s))
-    parts = (period_s / n for n in range(fewest, 20 * fewest))
+    parts = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
     return next((part for part in parts if math.isclose(float(f"{part:.4g}"), part, rel_tol=1e-12)), period_s)
 
 
