@@ -31,6 +31,9 @@ TICK_S = 0.02
 PREDICTS_S = 0.5
 FLUSHES_S, SAVES_S = 1.0, 5.0
 STATE = "state.npz"
+RESULT, ESTIMATE = "shadow.json", "estimate.parquet"
+KEPT = (RESULT, ESTIMATE, STATE)
+"""Files that a session leaves in its folder, with a journal and a recording of its own."""
 _KEPT = 1_000_000
 
 View = Callable[[Estimate, Prediction | None], None]
@@ -177,8 +180,8 @@ class Session:
             self._journal.close()
         if self._out is not None:
             if self._rows:
-                self._trajectory().to_parquet(self._out / "estimate.parquet")
-            write_text(self._out / "shadow.json", json.dumps(found, indent=1) + "\n")
+                self._trajectory().to_parquet(self._out / ESTIMATE)
+            write_text(self._out / RESULT, json.dumps(found, indent=1, allow_nan=False) + "\n")
         return found
 
     def _trajectory(self) -> Trajectory:
