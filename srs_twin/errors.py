@@ -286,7 +286,7 @@ class Clock(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: time of which intervals between samples within a tick are whole multiples, s; None: any.
+        step: unit of the intervals between samples within a tick, s; None: any interval is allowed.
     """
 
     tick: float

@@ -185,7 +185,7 @@ def sampling(tick: float, record_hz: float, step: float | None = None) -> tuple[
 
     Args:
         tick: of the plant, s.
-        record_hz: samples a second.
+        record_hz: recording rate, Hz.
         step: `Plant.sample_step`, s.
 
     Raises:

@@ -1,7 +1,7 @@
-"""JSON from outside: strict and within bounds, whatever Python's reader would accept besides.
+"""Strict and bounded reader of JSON from outside.
 
-Python reads ``NaN`` and ``Infinity``, which are not JSON, takes ``1e999`` for infinity, keeps the last of two
-equal keys and exhausts its stack on deep nesting.
+Python's own reader accepts ``NaN`` and ``Infinity``, which are not JSON, takes ``1e999`` for infinity, keeps
+the last of two equal keys and exhausts its stack on deep nesting.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _number(text: str) -> float:
 
 
 def _integer(text: str) -> int | float:
-    # Python refuses integers of thousands of digits, and others are too large for a float.
+    # Python refuses integers of thousands of digits; shorter ones may still be too large for a float.
     return int(text) if len(text) < 19 else _number(text)
 
 

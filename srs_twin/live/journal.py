@@ -100,7 +100,7 @@ def journal_messages(
     except ImportError as error:
         raise InputError("journals need mcap: pip install 'srs-twin[live]'") from error
     channels: dict[int, str] = {}
-    # Exception: where a file is damaged, its reader raises whatever the first wrong byte leads to.
+    # Exception: the library raises errors of many kinds where a file is damaged.
     with opened_journal(path) as file, contextlib.suppress(Exception):
         for record in StreamReader(file).records:
             if isinstance(record, Channel):

@@ -33,7 +33,7 @@ FLUSHES_S, SAVES_S = 1.0, 5.0
 STATE = "state.npz"
 RESULT, ESTIMATE = "shadow.json", "estimate.parquet"
 KEPT = (RESULT, ESTIMATE, STATE)
-"""Files that a session leaves in its folder, with a journal and a recording of its own."""
+"""Files in the session's folder that the next session replaces; journals and recordings are numbered."""
 _KEPT = 1_000_000
 
 View = Callable[[Estimate, Prediction | None], None]

@@ -117,7 +117,7 @@ class Plant(Remembers, ABC):
 
     @property
     def sample_step(self) -> float | None:
-        """Time of which intervals between samples within a tick are whole multiples, s; None: any."""
+        """Unit of the intervals between samples within a tick, s; None: any interval is allowed."""
         return self.tick if type(self).advance is Plant.advance else None
 
     @abstractmethod
