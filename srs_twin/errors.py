@@ -11,9 +11,10 @@ import math
 import re
 import signal
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 FEW = 12
 """Most names that a message lists."""
@@ -65,14 +66,20 @@ class UnknownNameError(InputError):
 
 
 class TimeStepError(InputError):
-    """A period that is no whole multiple of a shorter one; prints both."""
+    """A period that is no whole multiple of a shorter one; prints both.
+
+    Attributes:
+        fault: the message without the times that would do.
+    """
 
     def __init__(self, name: str, period_s: float, step_name: str, step_s: float) -> None:
-        whole = max(1, round(period_s / step_s))
-        super().__init__(
-            f"{name} {period_s:g} s is no multiple of {step_name} {step_s:g} s; "
-            f"{whole * step_s:g} s or {step_name} {_round_part(period_s, step_s):g} s would be"
-        )
+        # With enough digits to see it: 0.13999994 s, which is 0.14 s to six digits, is no multiple of 0.02 s.
+        given = decimal(period_s, lambda time: not _is_whole(time / step_s))
+        self.fault = f"{name} {given} s is no multiple of {step_name} {exact(step_s)} s"
+        multiple, part = max(1, round(period_s / step_s)) * step_s, _round_part(period_s, step_s)
+        longer = decimal(multiple, lambda time: _is_whole(time / step_s))
+        shorter = decimal(part, lambda time: _is_whole(period_s / time))
+        super().__init__(f"{self.fault}; {longer} s or {step_name} {shorter} s would be")
 
 
 class InputFileError(InputError):
@@ -162,7 +169,7 @@ def _cause(exit_code: int) -> str:
 def _round_part(period_s: float, step_s: float) -> float:
     """Return the longest whole part of a period, up to a step, that a person can write out."""
     fewest = max(1, math.ceil(period_s / step_s))
-    parts = (period_s / n for n in range(fewest, 20 * fewest))
+    parts = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
     return next((part for part in parts if math.isclose(float(f"{part:.4g}"), part, rel_tol=1e-12)), period_s)
 
 
@@ -252,7 +259,92 @@ def whole_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{what} {value!r} s is not allowed; it must be finite and above 0")
     ratio = period_s / step_s
-    steps = round(ratio)
-    if steps < 1 or abs(ratio - steps) > 1e-9 * max(1.0, ratio):
+    if not math.isfinite(ratio):
+        raise InputError(f"{name} {exact(period_s)} s is too long for {step_name} {exact(step_s)} s")
+    if not _is_whole(ratio):
         raise TimeStepError(name, period_s, step_name, step_s)
-    return steps
+    return round(ratio)
+
+
+def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
+    """Say whether a number is a whole number above 0, within a relative tolerance."""
+    return 0.5 < ratio < math.inf and abs(ratio - round(ratio)) <= tolerance * max(1.0, ratio)
+
+
+def decimal(value: float, fits: Callable[[float], bool]) -> str:
+    """Return the shortest decimal text of a number, from six digits up, that still fits."""
+    return next((text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))), repr(value))
+
+
+def exact(value: float) -> str:
+    """Return the shortest text that reads back as the same number."""
+    return decimal(value, lambda read: read == value)
+
+
+class Clock(NamedTuple):
+    """Times at which a plant can be sampled.
+
+    Attributes:
+        tick: control tick, s.
+        step: unit of the intervals between samples within a tick, s; None: any interval is allowed.
+    """
+
+    tick: float
+    step: float | None = None
+
+    def fits(self, rate: float, tolerance: float = 1e-9) -> bool:
+        """Say whether samples at a rate (Hz) coincide with ticks, or divide them into allowed parts."""
+        per_tick = self.tick * rate
+        if not 0 < per_tick < math.inf:
+            return False
+        if per_tick < 1:
+            return _is_whole(1 / per_tick, tolerance)
+        allowed = self.step is None or _is_whole(1 / (rate * self.step), tolerance)
+        return allowed and _is_whole(per_tick, tolerance)
+
+    def near(self, rate: float) -> Iterator[float]:
+        """Yield rates (Hz) near a rate that fit this plant."""
+        ticks, parts = 1 / (self.tick * rate), self.tick * rate
+        yield from (1 / (k * self.tick) for k in _near(ticks))
+        if self.step is None:
+            yield from (n / self.tick for n in _near(parts))
+        else:
+            steps = round(self.tick / self.step)
+            yield from (n / self.tick for n in range(1, steps + 1) if steps % n == 0)
+
+
+_NEIGHBOURS = 20
+
+
+def _near(number: float) -> range:
+    """Return whole numbers above 0 about a number."""
+    middle = round(min(number, 1e15))
+    return range(max(1, middle - _NEIGHBOURS), max(1, middle) + _NEIGHBOURS)
+
+
+def nearest_rate(
+    rate: float, clocks: Sequence[Clock], low: float = 0.0, high: float = math.inf
+) -> str | None:
+    """Return the sampling rate nearest to one asked for that fits all plants, as text to type, Hz.
+
+    Args:
+        rate: that was asked for, above 0.
+        clocks: of the plants.
+        low: least rate that is allowed.
+        high: greatest rate that is allowed.
+
+    Returns:
+        None where no rate fits.
+    """
+    # Ticks that are no multiples of each other meet at multiples of their least common multiple.
+    ticks = [Fraction(clock.tick).limit_denominator(1_000_000) for clock in clocks]
+    scale = math.lcm(*(each.denominator for each in ticks))
+    common = math.lcm(*(max(1, int(each * scale)) for each in ticks)) / scale
+    candidates = [*Clock(common).near(rate), *(each for clock in clocks for each in clock.near(rate))]
+
+    def fits(rate: float) -> bool:
+        # Tighter than the checks, which divide once more.
+        return low <= rate <= high and all(clock.fits(rate, 1e-10) for clock in clocks)
+
+    fitting = sorted(filter(fits, candidates), key=lambda each: abs(math.log(each / rate)))
+    return decimal(fitting[0], fits) if fitting else None

@@ -7,6 +7,7 @@ is over is read back from its folder, for what is looked at later.
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -244,7 +245,7 @@ def kept_intervals(scenario: Scenario) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text("utf-8"))
         kept, plants = found["digest"], found["plants"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return {"stale": f"{shown(path)} cannot be read ({error}); {renew} writes it again"}
     if kept != judged_digest(scenario.document):
         return {"stale": f"the interval in {shown(path)} is for another robot or scenario; {renew} renews it"}
@@ -440,7 +441,7 @@ def find_run(run: str | Path) -> Path:
     """
     looked = [Path(run), Path("runs") / run]
     for folder in looked:
-        if (folder / RESOLVED).is_file():
+        if os.path.isfile(folder / RESOLVED):
             return folder
     tried = " and ".join(shown(path / RESOLVED) for path in looked)
     raise InputError(f"{run}: no run there (looked for {tried}); `srs-twin run SCENARIO` makes one")

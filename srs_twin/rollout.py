@@ -15,6 +15,7 @@ many there are.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.control.base import Controller
-from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.errors import Clock, DivergedError, InputError, decimal, exact, nearest_rate, whole_steps
 from srs_twin.memory import SavedState
 from srs_twin.parallel import Stopped, Workers
 from srs_twin.plants.base import Plant, PlantState, Pose, SnakeState, check_commands, check_plausible
@@ -179,16 +180,28 @@ def _described(controller: Controller) -> str:
     return f"controller '{controller.kind}'"
 
 
-def sampling(tick: float, record_hz: float) -> tuple[int, int]:
-    """Return samples a tick and ticks a recorded tick; one of them is 1."""
-    per_tick = tick * record_hz
-    samples, stride = max(1, round(per_tick)), max(1, round(1 / per_tick))
-    if abs(samples / stride - per_tick) > 1e-9 * per_tick:
+def sampling(tick: float, record_hz: float, step: float | None = None) -> tuple[int, int]:
+    """Return samples per tick and ticks per recorded tick; one of them is 1.
+
+    Args:
+        tick: of the plant, s.
+        record_hz: recording rate, Hz.
+        step: `Plant.sample_step`, s.
+
+    Raises:
+        InputError: the rate does not fit; the message names the nearest one that does.
+    """
+    if not 0 < record_hz < math.inf:
+        raise InputError(f"record_hz {record_hz:g} is not allowed; it must be finite and above 0")
+    clock = Clock(tick, step)
+    if not clock.fits(record_hz):
+        whole = decimal(1 / tick, lambda rate: clock.fits(rate, 1e-10))
+        whole += " Hz" if step is None else f" Hz with an interval that is a multiple of {exact(step)} s"
         raise InputError(
-            f"record_hz {record_hz:g} does not fit the tick {tick:g} s; "
-            f"{samples / stride / tick:g} Hz or any whole multiple or fraction of {1 / tick:g} Hz would"
+            f"record_hz {exact(record_hz)} does not fit the tick {exact(tick)} s; "
+            f"{nearest_rate(record_hz, [clock])} Hz or any whole multiple or fraction of {whole} would"
         )
-    return samples, stride
+    return max(1, round(tick * record_hz)), max(1, round(1 / (tick * record_hz)))
 
 
 class Recorder:
@@ -205,7 +218,7 @@ class Recorder:
 
     def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
         self.plant, self.controller = plant, controller
-        self.samples, self.stride = sampling(plant.tick, record_hz)
+        self.samples, self.stride = sampling(plant.tick, record_hz, plant.sample_step)
         self._about = {"record_hz": record_hz, "duration_s": duration}
         self._parts: list[SnakeState] = []
         self._signals: list[tuple[int, dict[str, float]]] = []
@@ -380,7 +393,7 @@ def run_batch(
         InputError: times that do not fit together, or valves that are not possible.
     """
     ticks = whole_steps("duration", duration, "tick", batch.tick)
-    samples, stride = sampling(batch.tick, record_hz)
+    samples, stride = sampling(batch.tick, record_hz, batch.twins[0].sample_step)
     recorders = [Recorder(twin, _PolicyController(), record_hz, duration) for twin in batch.twins]
     resting = batch.reset(poses=poses, seed=seed)
     for k, recorder in enumerate(recorders):
@@ -437,7 +450,7 @@ def run_scripts(
         InputError: a controller that senses, not one a twin, or as in `run_batch`.
     """
     ticks = whole_steps("duration", duration, "tick", batch.tick)
-    samples, stride = sampling(batch.tick, record_hz)
+    samples, stride = sampling(batch.tick, record_hz, batch.twins[0].sample_step)
     if len(controllers) != len(batch.twins):
         raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
     scripts = []

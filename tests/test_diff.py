@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -148,7 +149,7 @@ def test_names_of_foreign_results_cannot_paint_the_terminal(capsys, tmp_path, op
         (("nowhere", "a"), "nowhere: no such file"),
         (("empty", "a"), "empty: holds no results (metrics.json, results.parquet, reproduce.json)"),
         (("a/walk/analytical.parquet", "a"), "analytical.parquet: not the results of a run"),
-        (("junk.json", "a"), "junk.json: not the results of a run"),
+        (("junk.json", "a"), "junk.json:1:13: not JSON"),
         (("list.json", "a"), "list.json: not the results of a run"),
         (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
@@ -224,3 +225,56 @@ def test_documented_tolerances_load(tmp_path):
 def test_results_that_are_none_of_ours(tmp_path):
     with pytest.raises(InputError, match="holds no results"):
         read_results(tmp_path)
+
+
+def sweep_of(path, value: float):
+    """Write results of a sweep with one row and one metric."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    row = {"key": ["k"], "seed": [1], "status": ["done"], "exit_code": [0], "twin.com_speed_m_s": [value]}
+    pq.write_table(pa.table(row).replace_schema_metadata({"srs_twin.sweep": '{"versions": {}}'}), path)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")]
+)
+def test_numbers_that_json_does_not_have_are_printed_as_text(capsys, tmp_path, value, text):
+    a, b = sweep_of(tmp_path / "a.parquet", 0.1), sweep_of(tmp_path / "b.parquet", value)
+    code, out, _ = call(capsys, "diff", a, b, "--json")
+    (moved,) = json.loads(out, parse_constant=pytest.fail)["moved"]
+    assert (code, moved["b"], moved["rel"]) == (1, text, None)
+    code, out, _ = call(capsys, "diff", b, b, "--json")
+    assert (code, json.loads(out)) == (0, {"moved": [], "same": 2})
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["[]", "null", "3", "{}", '{"versions": 3}', '{"versions": {}, "rows": {"a": 1}}',
+     '{"versions": {}, "rows": [1]}',
+     '{"versions": {}, "scenario": "s", "plants": [], "comparison": {}, "expectations": [1]}'],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["metrics.json", "plan.json", "sweep.json", "reproduce.json"])
+def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
+    (tmp_path / name).write_text(content)
+    code, out, err = call(capsys, "diff", str(tmp_path / name), str(tmp_path / name), "--json")
+    assert (code, out) == (2, "") and "not the results of a run, a sweep or a reproduction" in err
+
+
+def test_results_are_looked_for_however_deep(capsys, tmp_path, monkeypatch):
+    levels = sys.getrecursionlimit() + 50
+    monkeypatch.chdir(tmp_path)
+    for _ in range(levels):
+        os.mkdir("a")
+        os.chdir("a")
+    try:
+        code, _, err = call(capsys, "diff", str(tmp_path / "a"), str(tmp_path / "a"))
+    finally:
+        os.chdir(tmp_path)
+        for _ in range(levels):
+            os.chdir("a")
+        for _ in range(levels):  # pytest's own removal recurses
+            os.chdir("..")
+            os.rmdir("a")
+    assert code == 2 and "a: holds no results" in err

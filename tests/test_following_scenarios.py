@@ -13,6 +13,7 @@ from srs_twin.comparison.following import FOLLOWING_UNITS, PLAN_UNITS
 from srs_twin.control.following import Follower
 from srs_twin.errors import InputFileError
 from srs_twin.experiment import prepare
+from srs_twin.io.documents import dump_yaml
 from srs_twin.planning.fields import fig54_world
 from srs_twin.scenario import parse_scenario
 from srs_twin.scenario.controllers import FollowFile
@@ -288,3 +289,27 @@ def test_metrics_of_following_are_columns_of_a_sweep():
         assert row.status == "done", row.reason
         assert row.values["analytical.goal_reached"] == 1 and row.values["analytical.plan_found"] == 1
     assert rows[0].values["analytical.cross_track_rms_m"] != rows[1].values["analytical.cross_track_rms_m"]
+
+
+@pytest.mark.parametrize(
+    ("heading", "segments"), [(0.0, "0 segments"), (3.0, "3 segments"), (None, "0 segments")]
+)
+def test_a_goal_at_the_start_has_no_ratio_to_the_least_length(srs_twin, tmp_path, heading, segments):
+    goal = {"x_m": 0.0, "y_m": 0.0, "radius_m": 0.05} | ({} if heading is None else {"heading_rad": heading})
+    about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world={"goal": goal})
+    (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
+    done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0 and segments in done.stdout
+    assert "least length 0: the start is within the goal's radius, " in done.stdout
+    assert "times" not in done.stdout and "1 node," in done.stdout
+    found = json.loads((tmp_path / "out/plan.json").read_text("utf-8"))
+    assert found["quality"]["length_over_least"] is None
+
+
+@pytest.mark.parametrize(("bound", "room"), [(5.0, "at least 1000 mm of room"), (0.5, "mm of room")])
+def test_room_beyond_what_is_looked_for_is_said_to_be_at_least_that(srs_twin, tmp_path, bound, room):
+    world = {"goal": {"x_m": 1.0, "y_m": 0.0}, "bounds": {"x_m": [-5, 5], "y_m": [-bound, bound]}}
+    about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world=world)
+    (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
+    done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
+    assert room in done.stdout and ("at least" in done.stdout) == (bound == 5.0)

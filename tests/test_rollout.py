@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from srs_twin import (
     TwinSnake,
     rollout,
 )
+from srs_twin.errors import whole_steps
+from srs_twin.rollout import sampling
 
 SPEC = robot()
 
@@ -108,12 +111,44 @@ def test_what_does_not_fit_is_refused_with_what_would():
         rollout(Clock(), Teller(), 1.0, record_hz=70)
     with pytest.raises(InputError, match=r"record_hz 30 does not fit the tick 0.02 s; 25 Hz or any"):
         rollout(Clock(), Teller(), 1.0, record_hz=30)
-    with pytest.raises(InputError, match=r"sample interval 0.0004 s is no multiple of time step 0.001 s"):
+    with pytest.raises(InputError, match=r"record_hz 2500 does not fit the tick 0.02 s; 1000 Hz or any"):
         rollout(TwinSnake(SPEC), Gait(2.0), 0.1, record_hz=2500)
     with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):
         TwinSnake(SPEC, timestep=0.0015)
     with pytest.raises(InputError, match=r"time step nan s is not allowed; it must be finite and above 0"):
         AnalyticalSnake(SPEC, timestep=np.nan)
+
+
+@pytest.mark.parametrize("record_hz", [7.14286, 2.94118, 3.33333, 50 / 7.0001, 333.3, 1.00003e-3, 123456.7])
+@pytest.mark.parametrize(
+    ("tick", "step"), [(0.02, None), (0.02, 0.001), (0.02, 0.02), (0.03, None), (1 / 3, None)]
+)
+def test_proposed_record_hz_is_accepted(record_hz, tick, step):
+    with pytest.raises(InputError, match="does not fit") as refused:
+        sampling(tick, record_hz, step)
+    nearest, whole = re.findall(r"([0-9.e+-]+) Hz", str(refused.value))
+    for text in (nearest, whole):
+        samples, stride = sampling(tick, float(text), step)
+        assert samples / stride == pytest.approx(tick * float(text), rel=1e-9)
+
+
+@pytest.mark.parametrize("record_hz", [0, -50, np.nan, np.inf])
+def test_record_hz_without_an_interval_is_refused(record_hz):
+    with pytest.raises(InputError, match="is not allowed; it must be finite and above 0"):
+        rollout(Clock(), Teller(), 1.0, record_hz=record_hz)
+
+
+@pytest.mark.parametrize(("period", "step"), [(0.13999994, 0.02), (1234.567891, 0.00123), (7.0, 0.3333)])
+def test_times_proposed_for_a_period_are_accepted(period, step):
+    with pytest.raises(InputError) as refused:
+        whole_steps("duration", period, "tick", step)
+    given, longer, shorter = re.fullmatch(
+        r"duration (\S+) s is no multiple of tick \S+ s; (\S+) s or tick (\S+) s would be", str(refused.value)
+    ).groups()
+    with pytest.raises(InputError):  # the text shows the fault
+        whole_steps("duration", float(given), "tick", step)
+    assert whole_steps("duration", float(longer), "tick", step) >= 1
+    assert whole_steps("duration", period, "tick", float(shorter)) >= 1
 
 
 @pytest.mark.parametrize("timestep", [0.003, 0.0007, 0.05])

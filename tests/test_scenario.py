@@ -6,6 +6,7 @@ import copy
 import inspect
 import json
 import math
+import re
 from pathlib import Path
 from typing import get_args
 
@@ -343,6 +344,23 @@ def test_the_limit_follows_an_override():
 )
 def test_times_that_do_not_fit(changes, words):
     assert words in refusal(**changes)[0]
+
+
+@pytest.mark.parametrize("record_hz", [7.14286, 3.33333, 0.100001, 333.3, 9999.0])
+@pytest.mark.parametrize("ticks", [(0.02, 0.02, 0.001), (0.02, 0.03, 0.0005), (0.001, 0.02, 0.0005)])
+def test_proposed_recording_rate_fits_both_plants(record_hz, ticks):
+    analytical, twin, step = ticks
+    both = {"analytical": {"tick_s": analytical}, "twin": {"tick_s": twin, "timestep_s": step}}
+    lines = refusal(plants=both, record_hz=record_hz, duration_s=6)
+    proposed = {found[1] for line in lines if (found := re.search(r"record_hz: (\S+) would fit", line))}
+    (rate,) = proposed
+    assert scenario(plants=both, record_hz=float(rate), duration_s=6).record_hz == float(rate)
+
+
+def test_no_recording_rate_is_proposed_where_the_ticks_meet_too_rarely():
+    both = {"analytical": {"tick_s": 0.9999}, "twin": {"tick_s": 0.02}}
+    (line,) = refusal(plants=both, duration_s=199.98)
+    assert "no rate fits the plants' ticks; change tick_s" in line
 
 
 @pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -24,6 +25,21 @@ DEBUG = "SRS_TWIN_DEBUG"
 INTERRUPTED = 130
 _PYTHONS_WORDS = warnings.formatwarning
 
+# Refusals of a path that no check of ours can foresee everywhere: a name too long, a full or read-only disk,
+# missing permission, a broken medium. A file that is missing or of another kind stays an internal error.
+_OF_THE_MACHINE = frozenset(
+    {
+        errno.ENAMETOOLONG,
+        errno.EROFS,
+        errno.ENOSPC,
+        errno.EDQUOT,
+        errno.EACCES,
+        errno.EPERM,
+        errno.ELOOP,
+        errno.EIO,
+    }
+)
+
 
 def main(argv: list[str] | None = None) -> None:
     """Run `srs-twin` and leave the process with its exit code.
@@ -40,6 +56,7 @@ def main(argv: list[str] | None = None) -> None:
     try:
         for word in sys.argv[1:] if argv is None else argv:
             refuse_unprintable(word)
+        _refuse_removed_folder()
         from srs_twin.cli.app import command
 
         try:
@@ -57,8 +74,25 @@ def main(argv: list[str] | None = None) -> None:
         if _interrupted(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
+        if isinstance(error, OSError) and error.filename and error.errno in _OF_THE_MACHINE:
+            say(f"{os.fsdecode(error.filename)}: cannot be used ({error.strerror})")
+            sys.exit(InputError.exit_code)
         say(f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the traceback")
         sys.exit(SrsError.exit_code)
+
+
+def _refuse_removed_folder() -> None:
+    """Refuse a current folder that was removed: relative paths mean nothing there.
+
+    Raises:
+        InputError: the current folder cannot be found.
+    """
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise InputError(
+            f"the current folder cannot be used ({error.strerror}): was it removed? Change to another one"
+        ) from error
 
 
 class _StandardStream(io.FileIO):

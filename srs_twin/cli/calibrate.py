@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -301,9 +302,11 @@ def robot(
         weak: Take what is only weakly identified as well.
     """
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
+    from srs_twin.io.files import open_folder
 
     path = Path(out) if out else Path("robots") / f"{name}.yaml"
-    if path.exists() and not overwrite:
+    open_folder(path.parent, (path.name,))
+    if os.path.lexists(path) and not overwrite:
         raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
     found = fitted_robot(fits, name, weak=weak)
     write_robot(found, path)
@@ -466,14 +469,14 @@ def margin(
     chosen = plants_of(plants) or list(found.plants)
     assert found.file.planner is not None, "a margin of it was set"
     place = find("footprint", found.file.planner.footprint)
+    path = Path(out) / f"{load_footprint_file(place).name}.yaml"
+    open_folder(path.parent, (path.name,))
     with interruptible(NOTHING_WRITTEN), Counting(found.name, runs * len(chosen), quiet=quiet) as counting:
         measured = [
             excursions(found, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
             for plant in chosen
         ]
     file = load_footprint_file(place)
-    path = Path(out) / f"{file.name}.yaml"
-    open_folder(path.parent, (path.name,))
     fresh = [each.conditions for each in measured]
     kept = [each for each in file.excursions or () if each.conditions not in fresh]
     comments = [line[2:] for line in read_text(place).splitlines() if line.startswith("# ")]

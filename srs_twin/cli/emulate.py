@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
 
 
+_LONGEST_NAME = 200
+
+
 def broker_link(
     robot: str, segments: int, address: str, user: str | None, ca: Path | None, *, speaks: str | None = None,
     kinds: Iterable[str] | None = None,
@@ -33,8 +36,11 @@ def broker_link(
     from srs_twin.live.links import address as parsed
     from srs_twin.live.messages import KINDS
 
-    if set(robot) & set("/+#"):
-        raise InputError(f"--name {robot!r} cannot be part of a topic: it has /, + or #")
+    if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
+        raise InputError(
+            f"--name {robot[:80]!r} cannot be part of a topic: it has /, + or #, or more than "
+            f"{_LONGEST_NAME} characters"
+        )
     host, port = parsed(address, broker.PORT)
     who = {"user": user, "password": os.environ.get(PASSWORD), "ca": ca, "speaks": speaks}
     return broker.MqttLink(robot, segments, host, port, kinds=kinds or KINDS, **who)  # type: ignore[arg-type]
@@ -80,7 +86,7 @@ def emulate(
         jitter: By how much each of them is late at most.
         duration: Ends it. [default: Ctrl-C does]
         user: At the broker.
-        ca: Certificate of whoever signed that of the broker; with it the connection is encrypted.
+        ca: CA certificate file (PEM); enables TLS.
     """
     from srs_twin.live import natnet as protocol
     from srs_twin.live.emulator import Air, EmulatedRobot

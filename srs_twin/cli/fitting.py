@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -169,7 +170,7 @@ class FitDestination:
         if path.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out: {path} is not allowed; a fit file ends in .yaml")
         command = as_typed(context)
-        if path.exists() and not options.overwrite:
+        if os.path.lexists(path) and not options.overwrite:
             _refuse_other(path, command)
         from srs_twin.io.files import open_folder
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -33,14 +34,17 @@ def inspect(
         picture: The markers from above; of several files NAME goes before it.
         write_map: Where a proposed map goes.
     """
-    from srs_twin.io.files import printable, write_text
+    from srs_twin.io.files import open_folder, printable, write_text
     from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
     from srs_twin.recordings.recording_map import given_map, read_map
     from srs_twin.robot.spec import load_robot
 
     known = read_map(given_map(map, {"units": units, "rate_hz": rate}, ()) or {})
     spec = None if robot is None else load_robot(robot)
-    if write_map is not None and Path(write_map).exists() and not overwrite:
+    for name, target in (("--picture", picture), ("--write-map", write_map)):
+        if target is not None:
+            open_folder(Path(target).parent, (Path(target).name,), option=name)
+    if write_map is not None and os.path.lexists(write_map) and not overwrite:
         raise InputError(f"{write_map}: exists; give --overwrite, or another name")
     found, failed = [], []
     for path in files:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,6 +27,9 @@ from srs_twin.io.files import shown
 if TYPE_CHECKING:
     from srs_twin.planning import Plan, Problem
     from srs_twin.scenario import Scenario
+
+_ROUNDING = 1e-9
+"""Lengths below are 0, m."""
 
 PLAN, PICTURE, SEARCH, RECORDING = "plan.json", "plan.png", "search.png", "search.rrd"
 
@@ -94,26 +98,41 @@ def _checked(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]
 def _show(scenario: Scenario, found: Plan) -> None:
     print(f"{scenario.label}: {found.outcome.value}: {found.reason}")
     if found.found:
-        quality = _quality(found)
         print(
             f"length {found.length:.3f} m, {found.duration:.1f} s at the footprint's speeds, "
-            f"{len(found.segments)} segments, kink {found.kink:.3g} rad"
+            f"{_counted(len(found.segments), 'segment')}, kink {found.kink:.3g} rad"
         )
-        print(
-            f"{quality['length_over_least']:.2f} of the least length round the obstacles, "
-            f"{1000 * quality['clearance_m']:.0f} mm of room beside the swept area, margin included"
-        )
-    print(f"{found.expanded} nodes, {1000 * found.seconds:.1f} ms")
+        print(_quality_words(_quality(found)))
+    print(f"{_counted(found.expanded, 'node')}, {1000 * found.seconds:.1f} ms")
 
 
-def _quality(found: Plan) -> dict[str, float]:
-    """Return how long a path is, as a multiple of the shortest line, and what room it leaves, m."""
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _quality_words(quality: Mapping[str, float | None]) -> str:
+    """Return in words what `_quality` returns."""
+    from srs_twin.planning.collision import FINENESS, MOST_CLEARANCE
+
+    ratio, room = quality["length_over_least"], quality["clearance_m"] or 0.0
+    length = "least length 0: the start is within the goal's radius"
+    if ratio is not None:
+        length = f"{ratio:.2f} times the least length around the obstacles"
+    more = "at least " if room > MOST_CLEARANCE - FINENESS else ""  # wider edges are not tried
+    return f"{length}, {more}{1000 * room:.0f} mm of room beside the swept area, margin included"
+
+
+def _quality(found: Plan) -> dict[str, float | None]:
+    """Return the length of a path as a multiple of the least length, and the room that it leaves, m.
+
+    The multiple is None where the least length is 0: the start is within the goal's radius.
+    """
     from srs_twin.planning.collision import Checker
 
     assert found.problem is not None, "a planner's answer"
     checker = Checker(found.problem.world, found.problem.footprint)
     return {
-        "length_over_least": found.length / max(found.least_length, 1e-9) if found.length else 1.0,
+        "length_over_least": found.length / found.least_length if found.least_length > _ROUNDING else None,
         "clearance_m": checker.clearance(found.segments),
     }
 

@@ -65,18 +65,21 @@ def shadow(
         web: Show it on a page of this machine.
         duration: Ends it. [default: Ctrl-C does]
         user: At the broker.
-        ca: Certificate of whoever signed that of the broker; with it the connection is encrypted.
+        ca: CA certificate file (PEM); enables TLS.
     """
+    from srs_twin.io.files import made_folder, open_folder
     from srs_twin.live import natnet as protocol
     from srs_twin.live.helm import Helm
     from srs_twin.live.journal import McapLink
     from srs_twin.live.links import address
     from srs_twin.live.optitrack import NatNetLink
-    from srs_twin.live.session import TICK_S, Session, warm_up
+    from srs_twin.live.session import KEPT, TICK_S, Session, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.robot.spec import load_robot
     from srs_twin.scenario import load_scenario
 
+    if out is not None:
+        open_folder(out, KEPT)
     if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
         raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
     spec, known = load_robot(robot), name or Path(robot).stem
@@ -96,7 +99,12 @@ def shadow(
         else:
             commands = stack.enter_context(
                 broker_link(
-                    known, spec.segments, mqtt or "127.0.0.1:1883", user, ca, speaks=known if helm else None
+                    known,
+                    spec.segments,
+                    "127.0.0.1:1883" if mqtt is None else mqtt,
+                    user,
+                    ca,
+                    speaks=known if helm else None,
                 )
             )
             links.append(commands)
@@ -105,7 +113,7 @@ def shadow(
             links.append(stack.enter_context(NatNetLink(host, port, local=local, up=up)))
         views, shown = [], ""
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(made_folder(out))
         if window or web or out is not None:
             from srs_twin.viewing.rerun.live import live_view
 

@@ -66,6 +66,8 @@ def uncertainty(
     from srs_twin.cli.sweep import chosen_engine
 
     runner = chosen_engine(engine, workers, None)
+    from srs_twin.experiment import INTERVALS
+    from srs_twin.io.files import open_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.scenario import load_scenario
     from srs_twin.uncertainty import Priors, Study
@@ -86,6 +88,8 @@ def uncertainty(
         forms=_forms(form or ()),
     )
     folder = Path(out) if out else STUDIES / found.name
+    if write:
+        open_folder(INTERVALS, (f"{found.name}.json",), option="")
 
     @contextmanager
     def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import tempfile
@@ -71,7 +72,7 @@ def find_recording(run: str) -> Path:
     """
     looked = [Path(run), Path(run) / "recording.rrd", Path("runs") / run / "recording.rrd"]
     for path in looked:
-        if path.is_file():
+        if os.path.isfile(path):
             if path.suffix != ".rrd":
                 raise InputError(f"{path}: not a recording; give a run folder or a file that ends in .rrd")
             return path

@@ -7,7 +7,6 @@ called. Wall times are left out.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
@@ -20,6 +19,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import existing, shown
+from srs_twin.io.json_files import parse_json, read_json
 from srs_twin.io.parquet import read_table
 from srs_twin.io.validation import Strict, load_model
 
@@ -44,6 +44,8 @@ class Tolerance(Strict):
     def allows(self, a: Leaf, b: Leaf) -> bool:
         """Say whether two values count as the same."""
         if _is_number(a) and _is_number(b):
+            if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
+                return True  # neither has a number
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
@@ -88,10 +90,11 @@ class Moved:
 
     @property
     def rel(self) -> float | None:
-        """(b − a)/|a|; None where one is no number, or a is 0."""
+        """(b − a)/|a|; None where one is no finite number, or a is 0."""
         if not (_is_number(self.a) and _is_number(self.b)) or self.a == 0:
             return None
-        return (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
+        change = (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
+        return change if math.isfinite(change) else None
 
 
 @dataclass(frozen=True)
@@ -124,8 +127,16 @@ class Difference:
     versions: Mapping[str, tuple[str | None, str | None]]
 
     def document(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {"moved": [asdict(each) | {"rel": each.rel} for each in self.moved], "same": self.same}
+        """Return plain data for JSON, where numbers that JSON does not have are "NaN" and "Infinity"."""
+        moved = [asdict(each) | {"rel": each.rel} for each in self.moved]
+        return {"moved": [{key: _plain(value) for key, value in each.items()} for each in moved],
+                "same": self.same}  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    if not isinstance(value, float) or math.isfinite(value):
+        return value
+    return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
 
 
 def diff(a: Results, b: Results, tolerances: Tolerances | None = None) -> Difference:
@@ -177,10 +188,9 @@ def read_results(path: str | os.PathLike[str]) -> Results:
         InputError: there is none, or it is something else.
     """
     given = Path(path)
-    if not given.is_dir():
+    if not os.path.isdir(given):
         return _read(existing(given, suffix=".json"), "")
-    there = (each for name in _FILES for each in given.rglob(name) if each.is_file())
-    files = sorted(each for each in there if not _hidden(each, given))
+    files = sorted(_files(given))
     if not files:
         raise InputError(f"{shown(given)}: holds no results ({', '.join(_FILES)})")
     values: dict[Place, Leaf] = {}
@@ -193,9 +203,25 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     return Results(values, versions)
 
 
-def _hidden(path: Path, folder: Path) -> bool:
-    """Return whether a path leads through a hidden folder, where a killed process may have left files."""
-    return any(name.startswith(".") for name in path.relative_to(folder).parts)
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield the files of results in and below a folder; links to folders are not followed.
+
+    Raises:
+        InputError: the folder itself cannot be listed.
+    """
+    waiting = [os.fspath(folder)]
+    while waiting:  # no recursion: folders may be nested deeper than the stack
+        here = waiting.pop()
+        try:
+            entries = list(os.scandir(here))
+        except OSError as error:
+            if here == os.fspath(folder):
+                raise InputError(f"{shown(folder)}: cannot be read ({error.strerror})") from error
+            continue
+        # A hidden folder may hold files that a killed process left.
+        entries = [each for each in entries if not each.name.startswith(".")]
+        waiting += [each.path for each in entries if each.is_dir(follow_symlinks=False)]
+        yield from (Path(each.path) for each in entries if each.name in _FILES and each.is_file())
 
 
 def _read(path: Path, folder: str) -> Results:
@@ -213,7 +239,7 @@ def _read(path: Path, folder: str) -> Results:
 
 
 def _document(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
-    given = json.loads(path.read_text("utf-8"))
+    given = read_json(path)
     versions = dict(given["versions"])
     if "rows" not in given:
         where, parts = str(given["scenario"]), {**given["plants"], "comparison": given["comparison"]}
@@ -255,7 +281,7 @@ def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
         raise ValueError("no results of a sweep") from error
-    about = json.loads(table.schema.metadata[b"srs_twin.sweep"])
+    about = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), shown(path))
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, is_dataclass, replace
 from functools import partial
@@ -480,7 +481,7 @@ def refuse_other(path: Path, study: Study, robot: str, name: str) -> None:
     Raises:
         InputError: it does, or the place cannot be read.
     """
-    if not path.exists():
+    if not os.path.lexists(path):
         return
     first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
     if first != _identity(study, robot, name):

@@ -6,6 +6,7 @@ The log of ``walk.csv`` is ``walk.valves.csv`` beside it, unless another is name
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -125,8 +126,10 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
 def _log_of(take: Path) -> str:
     """Return the log beside a take, or the take where it may hold its own."""
+    if not take.name:
+        return str(take)  # the current folder, which is no recording
     beside = take.with_name(take.stem + _LOG)
-    return str(take if take.suffix.lower() == ".mcap" and not beside.exists() else beside)
+    return str(take if take.suffix.lower() == ".mcap" and not os.path.lexists(beside) else beside)
 
 
 def repeats(log: ValveLog) -> float | None:

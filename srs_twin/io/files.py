@@ -5,6 +5,7 @@ Folders of results: whether they can be written. `file_sets` replaces several fi
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -118,9 +119,10 @@ def refuse_unprintable(given: str | os.PathLike[str]) -> None:
 
 
 def shown(path: Path) -> str:
-    """Return a path as messages show it: from the current folder where it lies inside it, printable."""
-    if path.is_absolute() and path.is_relative_to(Path.cwd()):
-        path = path.relative_to(Path.cwd())
+    """Return a path as messages show it: relative to the current folder where it is inside it, printable."""
+    with suppress(OSError):  # of a current folder that was removed
+        if path.is_absolute() and path.is_relative_to(here := Path.cwd()):
+            path = path.relative_to(here)
     return printable(str(path))
 
 
@@ -153,9 +155,20 @@ def decoded(raw: bytes, name: str) -> str:
         raise InputError(f"{name}: not UTF-8 text ({byte}); save it as UTF-8") from error
 
 
+MAX_LEVELS = 100
+"""Folders are made one inside the other by recursion, whose stack is limited."""
+
+
 def missing_folders(folder: Path) -> list[Path]:
-    """Return a folder and its parents as far as they do not exist, the innermost first."""
-    return [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    """Return a folder and its parents as far as they do not exist, the innermost first.
+
+    Raises:
+        OSError: there are more than `MAX_LEVELS` of them.
+    """
+    missing = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    if len(missing) > MAX_LEVELS:
+        raise OSError(errno.ENAMETOOLONG, f"{len(missing)} new folders deep; at most {MAX_LEVELS} are made")
+    return missing
 
 
 def remove_empty(folders: Iterable[Path]) -> None:
@@ -249,12 +262,13 @@ def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iter
     raise InputError(f"{shown(path)}: no such file{hint}")
 
 
-def open_folder(folder: Path, products: Sequence[str] = ()) -> None:
+def open_folder(folder: Path, products: Sequence[str] = (), *, option: str = "--out") -> None:
     """See that files can be written to a folder, which need not exist; leave nothing behind.
 
     Args:
         folder: where the files belong.
         products: their names.
+        option: of the command that names the place, for the message; empty: there is none.
 
     Raises:
         InputError: the folder cannot be made or written, or a folder stands where a file belongs.
@@ -271,10 +285,9 @@ def open_folder(folder: Path, products: Sequence[str] = ()) -> None:
             with tempfile.TemporaryFile(dir=trial):
                 pass
     except OSError as error:
+        remedy = f"; give another folder with {option}" if option else ""
         reason = error.strerror or str(error)
-        raise InputError(
-            f"{shown(folder)}: cannot write there ({reason}); give another folder with --out"
-        ) from error
+        raise InputError(f"{shown(folder)}: cannot write there ({reason}){remedy}") from error
     refuse_folders(folder, products)
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import shown
+from srs_twin.io.files import existing, shown
 from srs_twin.live.links import Link, clock
-from srs_twin.live.messages import POSES, STATUS, Message, decode, encode, topic
-from srs_twin.recordings.mcap_messages import ChunkError, RawMessage, records
+from srs_twin.live.messages import POSES, STATUS, BadMessageError, Message, decode, encode, topic
+from srs_twin.recordings.mcap_messages import RawMessage, records
 
 
 class Journal:
@@ -80,36 +80,82 @@ def _poses(message: Message) -> bytes:
     return json.dumps({"t": message.sent, "names": message.names, "poses": rows}).encode()
 
 
-def journal_messages(path: Path, robot: str, segments: int) -> Iterator[Message]:
+def journal_messages(
+    path: Path, robot: str, segments: int, refuse: Callable[[BadMessageError], None] | None = None
+) -> Iterator[Message]:
     """Yield what a journal holds of a robot and of motion capture, as it arrived; what is cut off ends it.
 
+    Args:
+        path: of the journal.
+        robot: whose messages.
+        segments: of the robot.
+        refuse: called with the error of each record that is no message of ours; None: they are skipped.
+
     Raises:
-        InputError: no such file, or mcap is not installed.
+        InputError: no such file, no MCAP, or mcap is not installed.
     """
     try:
-        from mcap.exceptions import McapError
         from mcap.records import Channel
     except ImportError as error:
         raise InputError("journals need mcap: pip install 'srs-twin[live]'") from error
-    try:
-        file = path.open("rb")
-    except OSError as error:
-        raise InputError(f"{shown(path)}: cannot be read: {error.strerror}") from error
     channels: dict[int, str] = {}
-    with file, contextlib.suppress(McapError, EOFError, struct.error, ChunkError):
+    # Exception: the library raises errors of many kinds where a file is damaged.
+    with opened_journal(path) as file, contextlib.suppress(Exception):
         for record in records(file):
             if isinstance(record, Channel):
                 channels[record.id] = record.topic
             elif isinstance(record, RawMessage):
-                _, source, kind = channels[record.channel_id].split("/", 2)
-                data = bytes(record.data)
-                arrived = record.log_time / 1e9
-                if kind == POSES:
-                    said = json.loads(data)
-                    poses = np.array(said["poses"], dtype=float).reshape(-1, 4)
-                    yield Message(kind, source, said["t"], arrived, poses, tuple(said["names"]))
-                elif source == robot:
-                    yield decode(kind, data, source=source, arrived=arrived, segments=segments)
+                try:
+                    message = _message(channels.get(record.channel_id, ""), record, robot, segments)
+                except BadMessageError as error:
+                    if refuse is not None:
+                        refuse(error)
+                    continue
+                if message is not None:
+                    yield message
+
+
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+def opened_journal(path: Path) -> IO[bytes]:
+    """Return a journal, opened for reading.
+
+    Raises:
+        InputError: no such file, or no MCAP.
+    """
+    try:
+        file = existing(path, suffix=".mcap").open("rb")
+        if file.read(len(_MAGIC)) == _MAGIC:
+            file.seek(0)
+            return file
+    except OSError as error:
+        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
+    file.close()
+    raise InputError(f"{shown(path)}: not an MCAP file")
+
+
+def _message(topic: str, record: Any, robot: str, segments: int) -> Message | None:
+    """Return the message of a record; None where it is another robot's.
+
+    Raises:
+        BadMessageError: it is no message of ours.
+    """
+    arrived = record.log_time / 1e9
+    try:
+        _, source, kind = topic.split("/", 2)
+        if kind == POSES:
+            said = json.loads(bytes(record.data))
+            poses, sent = np.array(said["poses"], dtype=float).reshape(-1, 4), float(said["t"])
+            names = tuple(map(str, said["names"]))
+            if len(names) != len(poses) or not math.isfinite(sent):
+                raise ValueError("its numbers do not fit together")
+            return Message(kind, source, sent, arrived, poses, names)
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BadMessageError(f"no message of ours: {type(error).__name__}") from None
+    if source != robot:
+        return None
+    return decode(kind, bytes(record.data), source=source, arrived=arrived, segments=segments)
 
 
 class McapLink(Link):
@@ -129,7 +175,8 @@ class McapLink(Link):
         """
         super().__init__()
         self._speed, self._over = speed, threading.Event()
-        self._messages = journal_messages(path, robot, segments)
+        opened_journal(path).close()  # now, while an error can still be raised: the thread reads it
+        self._messages = journal_messages(path, robot, segments, self._refuse)
         self._first = self._begun = math.nan
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import re
+import socket
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -71,13 +73,42 @@ class Link(ABC):
         self.close()
 
 
+_LONGEST_HOST = 253
+_LABEL = re.compile(r"[^\W_]([\w-]{0,61}[^\W_])?")
+
+
 def address(given: str, port: int) -> tuple[str, int]:
-    """Return host and port of ``HOST`` or ``HOST:PORT``.
+    """Return host and port of ``HOST`` or ``HOST:PORT``; HOST is a name or an IPv4 address.
 
     Raises:
-        InputError: no such thing.
+        InputError: neither.
     """
-    host, _, number = given.partition(":")
-    if not host or (number and not (number.isdigit() and 0 < int(number) < 65536)):
-        raise InputError(f"{given!r} is no address; HOST or HOST:PORT is, such as {LOOPBACK}:{port}")
+    host, colon, number = given.partition(":")
+    if not _is_host(host) or (colon and not (re.fullmatch("[0-9]{1,5}", number) and 0 < int(number) < 65536)):
+        raise InputError(
+            f"{given[:80]!r} is no address; HOST or HOST:PORT is, such as {LOOPBACK}:{port}: a name or an "
+            "IPv4 address, and a port from 1 to 65535"
+        )
     return host, int(number or port)
+
+
+def _is_host(name: str) -> bool:
+    """Say whether a host can have a name: labels of letters, digits and hyphens with dots between them."""
+    try:
+        encoded = name.encode("idna")  # as sockets do
+    except UnicodeError:
+        return False
+    labels = name.removesuffix(".").split(".")
+    return len(encoded) <= _LONGEST_HOST and all(_LABEL.fullmatch(each) for each in labels)
+
+
+def resolved(host: str) -> str:
+    """Return the IPv4 address of a host.
+
+    Raises:
+        InputError: no host has this name.
+    """
+    try:
+        return socket.gethostbyname(host)
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"{host[:80]!r}: no host of this name is known") from error

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.io.files import existing, shown
 from srs_twin.live.links import LOOPBACK, Link, clock
 from srs_twin.live.messages import KINDS, STATUS, BadMessageError, decode, encode, topic
 
@@ -62,12 +63,12 @@ class MqttLink(Link):
         if user is not None:
             client.username_pw_set(user, password)
         if ca is not None:
-            client.tls_set(str(ca))
+            _trust(client, ca)
         if speaks is not None:
             client.will_set(topic(speaks, STATUS), encode(STATUS, 0.0, LOST))
         try:
             client.connect(host, port, keepalive=5)
-        except OSError as error:
+        except (OSError, ValueError) as error:  # ValueError: a name that no host can have
             raise InputError(f"no broker answers at {host}:{port}: {error}") from error
         client.loop_start()
         if not self._answered.wait(wait_s) or not self.connected:
@@ -110,3 +111,19 @@ class MqttLink(Link):
             )
         except BadMessageError as error:
             self._refuse(error)
+
+
+def _trust(client: Any, ca: Path) -> None:
+    """Encrypt a client's connection; trust a broker whose certificate this authority has signed.
+
+    Raises:
+        InputError: the file is no certificate in PEM form.
+    """
+    place = existing(ca, suffix=".pem")  # else a pipe would be waited for
+    try:
+        client.tls_set(str(place))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{shown(ca)}: not a certificate in PEM form; --ca needs that of the authority that signed the "
+            "broker's"
+        ) from error

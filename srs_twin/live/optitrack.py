@@ -14,7 +14,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.live import natnet
-from srs_twin.live.links import LOOPBACK, Link, clock
+from srs_twin.live.links import LOOPBACK, Link, clock, resolved
 from srs_twin.live.messages import POSES, BadMessageError, Message
 
 _ASKS_EVERY_S = 1.0
@@ -90,8 +90,10 @@ class NatNetLink(_UdpLink):
             up: axis that is up in the frames, "y" or "z".
 
         Raises:
-            InputError: we have no such address.
+            InputError: the server's name is unknown, or we have no such address.
         """
+        # Packets name their sender by its number.
+        host, local = resolved(host), resolved(local)
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             own.bind((local, 0))
@@ -125,7 +127,10 @@ class NatNetLink(_UdpLink):
         if kind == natnet.SERVER_INFO:
             self.version, group = natnet.read_server(content)
             if group is not None and len(self._sockets) == 1:
-                self._join(*group)
+                try:
+                    self._join(*group)
+                except OSError as error:
+                    raise BadMessageError(f"group {group[0]} cannot be joined") from error
             self._asked = 0.0
         elif self.version is None:
             raise BadMessageError("a packet before the server said its version")
@@ -182,7 +187,7 @@ class NatNetServer(_UdpLink):
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             own.bind((host, port))
-        except OSError as error:
+        except (OSError, UnicodeError, OverflowError) as error:
             own.close()
             raise InputError(f"{host}:{port} cannot be listened on: {error}") from error
         super().__init__([own])

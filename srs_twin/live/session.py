@@ -31,7 +31,10 @@ from srs_twin.trajectory import Trajectory
 TICK_S = 0.02
 PREDICTS_S = 0.5
 FLUSHES_S, SAVES_S = 1.0, 5.0
-STATE, SUMMARY, ESTIMATE = "state.npz", "shadow.json", "estimate.parquet"
+STATE = "state.npz"
+SUMMARY, ESTIMATE = "shadow.json", "estimate.parquet"
+KEPT = (SUMMARY, ESTIMATE, STATE)
+"""Files in the session's folder that the next session replaces; journals and recordings are numbered."""
 _KEPT = 1_000_000
 
 View = Callable[[Estimate, Prediction | None], None]
@@ -180,7 +183,7 @@ class Session:
             with replaced(self._out, (SUMMARY, ESTIMATE)) as fresh:
                 if self._rows:
                     self._trajectory().to_parquet(fresh / ESTIMATE)
-                (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+                (fresh / SUMMARY).write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
         return found
 
     def _trajectory(self) -> Trajectory:

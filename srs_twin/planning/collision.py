@@ -18,7 +18,8 @@ from srs_twin.world import Bounds, Pose, World
 
 MOST_CLEARANCE = 1.0
 """What is farther away is not looked for, m."""
-_FINENESS = 1e-4
+FINENESS = 1e-4
+"""Error of `Checker.clearance`, m."""
 _MOST_CELLS = 256
 """Along a side of the grid of things."""
 _ANYWHERE = Bounds((-math.inf, math.inf), (-math.inf, math.inf))
@@ -130,7 +131,7 @@ class Checker:
     def clearance(self, segments: Sequence[Segment]) -> float:
         """Return how much wider both edges could be on a free path, m, at most `MOST_CLEARANCE`."""
         free, touching = 0.0, MOST_CLEARANCE
-        while touching - free > _FINENESS:
+        while touching - free > FINENESS:
             middle = (free + touching) / 2
             if Checker(self.world, self.footprint.reduced(margin=middle)).free_path(segments):
                 free = middle

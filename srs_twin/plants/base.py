@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.arrays import LARGEST, implausible, joined, plausible
-from srs_twin.errors import DivergedError, InputError, whole_steps
+from srs_twin.errors import DivergedError, InputError, exact, whole_steps
 from srs_twin.memory import Remembers, SavedState, fingerprint, names
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
@@ -116,6 +116,11 @@ class Plant(Remembers, ABC):
     metered: bool = True
     """Whether it knows what air its chambers draw and how often they open; a trajectory says neither else."""
 
+    @property
+    def sample_step(self) -> float | None:
+        """Unit of the intervals between samples within a tick, s; None: any interval is allowed."""
+        return self.tick if type(self).advance is Plant.advance else None
+
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
         """Lay the snake straight, at rest, chambers empty.
@@ -199,7 +204,7 @@ class Plant(Remembers, ABC):
         if samples != 1:
             raise InputError(
                 f"plant '{self.name}' gives one sample a tick, not {samples}; "
-                f"record_hz {1 / self.tick:g} or less would do"
+                f"record_hz {exact(1 / self.tick)} or a whole fraction of it would do"
             )
         return [self.step(valves)]
 

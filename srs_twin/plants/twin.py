@@ -205,6 +205,11 @@ class TwinSnake(PneumaticPlant):
         self.state = self._observe(np.zeros(1), state, trace, force, obstacles, work).at(0)
         return self.state
 
+    @property
+    def sample_step(self) -> float:
+        """See `Plant.sample_step`."""
+        return self.timestep
+
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
         return super().identity() | {"world": self._world}

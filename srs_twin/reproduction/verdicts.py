@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAd
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root, shown, write_text
+from srs_twin.io.json_files import read_json
 from srs_twin.provenance import versions
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
 from srs_twin.reproduction.runs import Job, Started, Store
@@ -197,10 +198,8 @@ def load_baseline(path: Path | None = None) -> Baseline:
     """
     place = path or baseline_file()
     try:
-        given = json.loads(place.read_text("utf-8"))
+        given = read_json(place)
         return Baseline(_OUTCOMES.validate_python(given["rows"]), dict(given["versions"]))
-    except OSError as error:
-        raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{shown(place)}: not a baseline; --write-baseline writes one") from error
 

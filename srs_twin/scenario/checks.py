@@ -6,7 +6,7 @@ import math
 
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.replay import HoldValves
-from srs_twin.errors import InputError, TimeStepError, whole_steps
+from srs_twin.errors import Clock, InputError, TimeStepError, nearest_rate, whole_steps
 from srs_twin.identification.takes import pressures, starts_at_rest
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics.base import Pneumatics
@@ -14,7 +14,7 @@ from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.recordings.recording import Recording
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.controllers import FollowFile, ReplayFile
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
 _LONGER = 1e-6  # s: rounding
@@ -157,7 +157,18 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
                 if isinstance(plant, TwinFile):
                     whole_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
         except TimeStepError as error:
-            document.report(key, str(error))
+            words = str(error) if key != ("record_hz",) else f"{error.fault}; {_rate_remedy(file)}"
+            document.report(key, words)
+
+
+def _rate_remedy(file: ScenarioFile) -> str:
+    """Return the nearest recording rate that fits all plants, in words."""
+    clocks = [
+        Clock(file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None)
+        for kind, plant in file.plants.running.items()
+    ]
+    rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)
+    return "no rate fits the plants' ticks; change tick_s" if rate is None else f"record_hz: {rate} would fit"
 
 
 def _check_bench(document: Document, file: ScenarioFile) -> None:

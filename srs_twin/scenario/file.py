@@ -23,6 +23,11 @@ from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
 
+LEAST_RECORD_HZ = 0.1
+"""Least recording rate, Hz."""
+MOST_RECORD_HZ = 10_000.0
+"""Greatest recording rate, Hz."""
+
 
 class SensorFile(Section):
     """What controllers are told of the bends."""
@@ -214,7 +219,7 @@ class ScenarioFile(Section):
     """Simulated time."""
     seed: int = quantity(0, 2**32 - 1, 0)
     """Seed of whatever is random."""
-    record_hz: float = quantity(0.1, 10_000.0, 100.0)
+    record_hz: float = quantity(LEAST_RECORD_HZ, MOST_RECORD_HZ, 100.0)
     """Recorded samples a second."""
     supply: SupplyFile = SupplyFile()
     """Compressed air."""

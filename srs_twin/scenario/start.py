@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -154,7 +155,7 @@ class FirstState:
 def _recorded(folder: Path, plant: str, time: float, segments: int) -> _Moving:
     """Return what a plant's record says of a time; what moves by differences of its neighbours."""
     path = folder / f"{plant}.parquet"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{shown(folder)} holds no record of the {plant} plant ({path.name})")
     record = Trajectory.from_parquet(path)
     times = record.time

@@ -93,8 +93,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             InputError: the folder cannot be written, another sweep works in it, or the file is none of ours.
         """
         self._path = folder / FILE
-        self._new, self._missing = not os.path.lexists(self._path), missing_folders(folder)
+        self._new = not os.path.lexists(self._path)
         try:
+            self._missing = missing_folders(folder)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{shown(folder)}: cannot be made ({error.strerror})") from error

@@ -262,7 +262,6 @@ class Propagation:
             InputError: the file cannot be written.
         """
         path = INTERVALS / f"{self.study.scenario.name}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
         document = {"digest": judged_digest(self.study.scenario.document), **self.document()}
         write_text(path, json.dumps(_rounded(document), indent=1) + "\n")
         return path

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import hostile_bench
 import hostile_fits
 import hostile_following
+import hostile_json
 import hostile_learning
 import hostile_logs
 import hostile_mjcf
@@ -21,6 +23,7 @@ from hypothesis import strategies as st
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
+from srs_twin.io.json_files import read_json
 from srs_twin.mjcf.check import check_mjcf
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
@@ -202,6 +205,16 @@ PARSERS: tuple[Parser, ...] = (
         values=hostile_mjcf.VALUES,
         command=("models", "check", "{}"),
         quick=lambda path: warm.refused(path, warm.check(path)),
+    ),
+    Parser(
+        name="JSON",
+        suffix=".json",
+        good=hostile_json.GOOD,
+        parse=read_json,
+        function="srs_twin.io.json_files:read_json",
+        malformed=hostile_json.MALFORMED,
+        values=hostile_json.VALUES,
+        identity=Identity(hostile_json.DATA, lambda data: json.dumps(data).encode()),
     ),
     Parser(
         name="Motive export",

@@ -77,8 +77,39 @@ def test_it_is_played_at_any_speed(tmp_path, speed):
 
 
 def test_no_file_is_said(tmp_path):
-    with pytest.raises(InputError, match="nowhere.mcap: cannot be read"):
+    with pytest.raises(InputError, match="nowhere.mcap: no such file"):
         list(journal_messages(tmp_path / "nowhere.mcap", "r", 2))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         Journal(tmp_path / "file" / "a.mcap")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello" * 100, b"\x89MCAP1\r\n"])
+def test_a_file_that_is_no_journal_is_refused_at_once(tmp_path, content):
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(InputError, match="a.mcap: not an MCAP file"):
+        McapLink(tmp_path / "a.mcap", "r", 2)
+
+
+def test_records_that_are_no_messages_are_counted_and_skipped(tmp_path):
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    records = [
+        ("other", b"{}"), ("srs/r/bends", b"[" * 60_000), ("srs/r/bends", b"\xff"), ("srs/r/unknown", b"{}"),
+        ("srs/cameras/poses", b"[" * 60_000), ("srs/cameras/poses", b"[]"),
+        ("srs/cameras/poses", b'{"t": NaN, "poses": [[1, 2, 3, 4]], "names": ["a"]}'),
+        ("srs/cameras/poses", b'{"t": 1, "poses": [[1, 2, 3, 4]], "names": []}'),
+        ("srs/r/bends", b'{"t": 1, "rad": [0.1, 0.2]}'),
+    ]  # fmt: skip
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = writer_of(file)
+        writer.start(profile="", library="")
+        schema = writer.register_schema(name="x", encoding="jsonschema", data=b"{}")
+        for topic, data in records:
+            channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
+            writer.add_message(channel_id=channel, data=data, log_time=10**9, publish_time=0)
+        writer.finish()
+    with McapLink(tmp_path / "a.mcap", "r", 2, speed=math.inf) as link:
+        wait(lambda: link.counts["over"])
+        (message,) = link.received()
+    assert message.kind == BENDS and message.values.tolist() == [0.1, 0.2]
+    assert sum(count for what, count in link.counts.items() if what.startswith("bad: ")) == len(records) - 1

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,7 +125,46 @@ def test_addresses(given, found):
     assert address(given, 7) == found
 
 
-@pytest.mark.parametrize("given", ["", ":1", "lab:x", "lab:0", "lab:70000"])
+@pytest.mark.parametrize(
+    "given",
+    [
+        "", ":1", "lab:x", "lab:0", "lab:70000", "lab:65536", "lab:-1", "lab:+1", "lab: 1", "lab:1e3", "lab:",
+        "lab:²", "lab:١", "lab:" + "9" * 30, "..", "..:1883", ".", "a..b", "a\u3002\u3002b", " ", "a b",
+        "a/b", "u@h",
+        "☃", "-a", "a-", "xn--", "x" * 64, "x.y." * 80, "[::1]:1883", "::1", "mqtt://lab:1883",
+    ],
+)  # fmt: skip
 def test_what_is_no_address_is_refused(given):
     with pytest.raises(InputError, match="is no address"):
         address(given, 7)
+
+
+@pytest.mark.parametrize("words", [("--mqtt", "..:1883"), ("--mqtt", "lab:0"), ("--name", "n" * 70_000)])
+def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(srs_twin, tmp_path, words):
+    done = srs_twin("emulate", "gen2", "--duration-s", "0.1", *words, cwd=tmp_path)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert "is no address" in done.stderr or "cannot be part of a topic" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "not a certificate"),
+        (b"hello", "not a certificate"),
+        (b"\x30\x82\x01\x00" * 50, "not a certificate"),
+        (b"-----BEGIN PRIVATE KEY-----\nMIIB\n-----END PRIVATE KEY-----\n", "not a certificate"),
+        (b"-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n", "not a certificate"),
+        (b"-----BEGIN CERTIFICATE-----\nMIIB\n", "not a certificate"),
+        (None, "no such file"),
+        (Path.mkdir, "a folder; give one file"),
+        (os.mkfifo, "not a regular file"),
+    ],
+)
+def test_a_file_that_is_no_certificate_is_refused(tmp_path, content, words):
+    file = tmp_path / "ca.pem"
+    if callable(content):
+        content(file)
+    elif content is not None:
+        file.write_bytes(content)
+    with pytest.raises(InputError, match=f"ca.pem: {words}"):
+        MqttLink("r", 1, port=free_port(), ca=file)

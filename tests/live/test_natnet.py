@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import struct
 import time
 
@@ -207,3 +208,21 @@ def test_garbage_on_the_port_is_counted():
                 other.sendto(rng.bytes(size), at)
         wait(lambda: sum(n for what, n in link.counts.items() if what.startswith("bad")) > 100)
         assert all(each.is_alive() for each in link._threads)
+
+
+def test_a_server_given_by_its_name_is_heard():
+    with NatNetServer({1: "one"}) as server, NatNetLink("localhost", server.port) as link:
+        wait(lambda: link.version is not None)
+    assert not any(what.startswith("bad: ") for what in link.counts)
+
+
+@pytest.mark.parametrize("given", [{"host": "nowhere"}, {"local": "nowhere"}, {"local": ".."}])
+def test_a_name_that_no_host_has_is_refused(monkeypatch, given):
+    def unknown(name: str) -> str:
+        if name in given.values():
+            raise socket.gaierror("unknown")
+        return name
+
+    monkeypatch.setattr(socket, "gethostbyname", unknown)
+    with pytest.raises(InputError, match="no host of this name is known"):
+        NatNetLink(**given)
