@@ -57,7 +57,7 @@ def test_errors_of_both_ends_follow_the_law_of_order_statistics(power):
     """Standard error √(p (1 − p) / n) over the density, which u^k has in closed form.
 
     The bootstrap's own relative error is m^(−1/4) with the m = 102 samples beyond an end (Hall and Martin
-    1988): 31 %, 11 % in the mean of eight, of which three are allowed.
+    1988): 31 %, or 11 % in the mean of eight. Three such deviations are allowed.
     """
     rng, ends = np.random.default_rng(0), np.array([0.25, 0.75, 0.025, 0.975])
     found = [sampling_errors((0.1 + rng.random(4096)) ** power) for _ in range(8)]
