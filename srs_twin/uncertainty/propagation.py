@@ -155,7 +155,7 @@ class Propagation:
     def swings(self) -> list[dict[str, Any]]:
         """Return the effect of each number alone on the target, in the order of the total indices.
 
-        A row has the `parameter`, the metric with the parameter at the `low` and the `high` end of its 95 % and
+        A row has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % and
         the rest at their medians, and the `error` of both: two standard deviations of left-out samples.
         """
         plant, metric = self.target
