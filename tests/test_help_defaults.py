@@ -1,7 +1,7 @@
 """Defaults that the help states, compared with what the commands do without the option.
 
-Typer prints the defaults of signatures itself. Others are written as `[default: …]` by hand; each is checked
-here, or is a phrase that names no value.
+Typer prints the defaults of signatures itself. Hand-written ones have the form `[default: …]`; each is
+checked here, or is a phrase that names no value.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def test_stated_values_are_those_that_the_commands_take():
 
 @pytest.mark.parametrize("name", PLACES)
 def test_without_out_a_command_writes_where_its_help_says(name, srs_twin, tmp_path):
-    """A file in the way: the command must find it there, and say so before it runs anything."""
+    """A file blocks the stated folder: the command must report it before it runs anything."""
     (template,) = (text for of, parameter, text in stated() if (of, parameter) == (name, "out"))
     words, meant = PLACES[name]
     place = Path(re.sub("[A-Z]{2,}", lambda found: meant[found[0]], template))

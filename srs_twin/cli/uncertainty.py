@@ -59,7 +59,7 @@ def uncertainty(
         twin: Number of samples that the twin runs where the model compliant runs all of them.
         without: Number that keeps its value, as friction.drag_n; repeatable.
         engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
-        changed: Go on in a folder of an earlier version; keep what still belongs.
+        changed: Resume in the folder of an earlier version; keep the rows that still apply.
         form: Values of a field that are equally likely, as pneumatics.kind=lag,orifice; repeatable.
         write: Keep the intervals in calibration/intervals, where expectations find them.
     """

@@ -154,10 +154,10 @@ class Propagation:
         return sorted(found, key=lambda each: each["width"])
 
     def swings(self) -> list[dict[str, Any]]:
-        """Return what each number does to the target alone, the largest total index first.
+        """Return the effect of each number alone on the target, in the order of the total indices.
 
-        A row has the `parameter`, the metric where it is at the `low` and the `high` end of its 95 % and all
-        others are at their medians, and the `error` of both: two standard deviations of left-out samples.
+        A row has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % and
+        the rest at their medians, and the `error` of both: two standard deviations of left-out samples.
         """
         plant, metric = self.target
         spread, chaos, names = self.plants[plant][metric], self._chaos(plant, metric), self.study.names

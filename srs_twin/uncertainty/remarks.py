@@ -2,7 +2,7 @@ r"""Limits of a result in words: errors that are too large, an order that is not
 
 An end of a 95 % interval is rough where its standard error exceeds 5 % of the interval's width. The width is
 then uncertain by more than 2 √2 · 5 % = 14 %. A total index is rough where half of its 95 % interval exceeds
-0.1, because two causes are then apart only if they differ by more than 0.14. Standard errors fall as one over
+0.1, because causes that differ by less than 0.14 cannot then be told apart. Standard errors fall as one over
 the square root of the number of samples, which gives the number that would do.
 """
 
@@ -139,7 +139,7 @@ class Remarks:
         return Shortfall(words, count, max(_USUAL_RUNS, self.spread.runs) if self.partner else 0)
 
     def order(self) -> str:
-        """Return in words which number matters most, and how far the order of the others is known."""
+        """Return a sentence about the largest cause and the resolved order of the causes."""
         spread, ranks = self.spread, self.spread.ranks()
         if len(ranks) < 2 or spread.total is None or spread.doubt is None:
             return ""
@@ -162,7 +162,7 @@ class Remarks:
         return f"{self.spread.count} samples{runs}"
 
     def outside(self) -> str:
-        """Return in words why the value lies outside its own interval; empty where it does not."""
+        """Return the reason for a value outside its own interval; empty for a value inside."""
         spread = self.spread
         name = next((each for each in reversed(RANGES) if _is_outside(spread, each)), None)
         if name is None:

@@ -45,7 +45,7 @@ class Spread:
         halved: the same with half of the time step.
         at_medians: with every uncertain number at its median.
         samples: predicted at each sample of the priors, shape (samples,); NaN where there is no number.
-        runs: samples that the plant itself ran; a surrogate predicted the others.
+        runs: samples that the plant itself ran; a surrogate predicted the rest.
         sampling: standard errors of the ends of 50 and 95 % from the number of samples, shape (4,).
         surrogate: standard errors of these ends from the surrogate, shape (4,).
         first: Sobol's indices of the first order, shape (d,); None where the numbers are correlated.
@@ -94,7 +94,7 @@ class Spread:
     def ranks(self) -> list[tuple[int, int]]:
         """Return the best and the worst place that each number can take among the causes.
 
-        Two total indices are apart where they differ by more than their errors, added in quadrature.
+        Total indices count as different if they differ by more than their errors, added in quadrature.
         """
         if self.total is None or self.doubt is None:
             return []

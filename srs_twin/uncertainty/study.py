@@ -53,7 +53,7 @@ class Study:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What is uncertain: paths of the robot's numbers, then the forms' fields."""
+        """Uncertain quantities: paths of the robot's numbers, then the forms' fields."""
         return (*self.priors.paths, *self.forms)
 
     def draw(self, count: int, seed: int) -> np.ndarray:
@@ -77,7 +77,7 @@ class Study:
 
     @property
     def parts(self) -> dict[str, int]:
-        """What runs → at how many samples."""
+        """Part → number of samples that it runs."""
         found = {"analytical": self.samples} if "analytical" in self.plants else {}
         if "twin" in self.plants:
             found |= (
@@ -138,7 +138,7 @@ class Study:
     def run(
         self, folder: Path, engine: Engine, progress: Progress | None = None, *, changed: bool = False
     ) -> Propagation:
-        """Run what is missing in a folder and return what came of it.
+        """Run the missing rows of a folder and return the result.
 
         Args:
             folder: of the rows; a folder a part.
