@@ -60,7 +60,7 @@ from srs_twin.robot.spec import RobotSpec
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _SINKS_IN_S = 0.05
 _SHORT = 24  # segments, up to which the engine solves normals alone as fast as begun by `WarmStart`
-_SLOWEST = 1e-9  # of decays, over a step: they are 0 where nothing damps
+_SLOWEST = 1e-9  # of decays, over a step: less is rounding where nothing damps
 
 
 mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
@@ -281,9 +281,11 @@ def _dampers(
     rates = h * model.dof_damping
     rates[model.jnt_dofadr[hinges]] += h**2 * model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
-    decays = np.maximum(decays, _SLOWEST)
     shapes = mass @ modes
-    damping: np.ndarray = (shapes * (decays / -np.expm1(-decays) - 1)) @ shapes.T
+    # Motions of the whole snake are not damped: a rest of rounding would be mass that does not turn with it.
+    damped = decays > _SLOWEST
+    decays[~damped] = 1.0
+    damping: np.ndarray = (shapes * np.where(damped, decays / -np.expm1(-decays) - 1, 0.0)) @ shapes.T
     damping += h**2 / 4 * air
     return damping, np.diag(rates) - damping
 

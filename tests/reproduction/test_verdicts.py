@@ -145,10 +145,10 @@ def test_a_row_that_is_new_has_not_changed():
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"rows": {"a": 1}, "versions": {}}', '{"rows": 3}'])
 def test_no_baseline(text, tmp_path):
     path = tmp_path / "baseline.json"
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         load_baseline(path)
     path.write_text(text)
-    with pytest.raises(InputError, match="not a baseline; --write-baseline writes one"):
+    with pytest.raises(InputError, match="not JSON|not a baseline; --write-baseline writes one"):
         load_baseline(path)
 
 
