@@ -125,7 +125,7 @@ def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
-    # Loads with an error of 1e-7, which depends on the BLAS kernel, give wheels that stop a sideways kick. With
+    # Loads with an error of 1e-7, which BLAS kernels decide, give wheels that stop a sideways kick. With
     # friction by the engine 1e-7 moves gait speeds by 2e-7, and at rest leaves speeds below 1e-5 m/s.
     option.tolerance = 1e-12 if loaded else 1e-7
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
