@@ -60,7 +60,7 @@ def test_the_folder_holds_everything_and_what_was_there(compared):
 def test_metrics_follow_from_the_trajectories(compared):
     room, _ = compared
     metrics = json.loads((room / "out/metrics.json").read_text())
-    keys = ["scenario", "robot", "plants", "comparison", "changes", "events", "cause"]
+    keys = ["scenario", "robot", "plants", "comparison", "events", "changes", "cause"]
     keys += ["expectations", "left_out", "versions"]
     assert list(metrics) == keys
     assert (metrics["scenario"], metrics["robot"]) == ("short", "gen2")
