@@ -74,7 +74,8 @@ def test_every_study_of_the_night_is_bounded():
     studies = re.findall(r"^step \w+ (.*)$", NIGHTLY, re.M)
     assert len(studies) >= 3
     assert all(
-        re.match(r"timeout \d+[mh] (\.ci/targets all |uv run (--extra gpu )?python benchmarks/)", study) for study in studies
+        re.match(r"timeout \d+[mh] (\.ci/targets all |uv run (--extra gpu )?python benchmarks/)", study)
+        for study in studies
     )
 
 

@@ -263,11 +263,15 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
     kept["plants"]["analytical"]["com_speed_m_s"]["value"] += 0.011 * (high - low)
     (tmp_path / "calibration/intervals/short.json").write_text(json.dumps(kept), "utf-8")
     moved = srs_twin("run", str(path), "--check", cwd=tmp_path)
-    stale = srs_twin("run", str(path), "--check", "--set", "controller.offset=0.1", cwd=tmp_path)
+    short(controller={"kind": "gait", "frequency_hz": 2.0, "offset": 0.1})
+    stale = srs_twin("run", str(path), "--check", cwd=tmp_path)
     for each, why in ((moved, "the stored interval is for"), (stale, "for another robot or scenario")):
         assert each.returncode == 0
         assert why in (said := " ".join(each.stdout.split())) and "not judged" in said
         assert "srs-twin uncertainty" in said.replace("srs- twin", "srs-twin")
+    # What was published is not for a scenario with another offset.
+    modified = srs_twin("run", str(path), "--check", "--set", "controller.offset=0.2", cwd=tmp_path)
+    assert modified.returncode == 0 and "expectations: none, 1 left out" in modified.stderr
 
 
 def test_a_second_start_runs_nothing_and_says_the_same(short, tmp_path):
