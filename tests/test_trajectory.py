@@ -164,3 +164,15 @@ def test_a_file_of_something_else_is_refused_before_its_data_are_read(
     monkeypatch.setattr(parquet, "_read", None)
     with pytest.raises(InputError, match=words):
         Trajectory.from_parquet(tmp_path / "a.parquet")
+
+
+@pytest.mark.parametrize("key", [b"srs_twin.events", b"srs_twin.metadata"])
+def test_a_file_whose_two_schemas_differ_is_refused(key, tmp_path):
+    """The footer holds the keys twice, plain and in base64; damage can reach one of them alone."""
+    stream = io.BytesIO()
+    Trajectory({"time": np.arange(3.0)}, {"time": "s"}).to_parquet(stream)
+    whole = stream.getvalue()
+    assert whole.count(key) == 1
+    (tmp_path / "a.parquet").write_bytes(whole.replace(key, key.upper()))
+    with pytest.raises(InputError, match="a Parquet file of something else"):
+        Trajectory.from_parquet(tmp_path / "a.parquet")

@@ -64,7 +64,10 @@ def read_table(
         ) as file:
             _check_bounds(file)
             check(file.schema_arrow)
-            return _read(file)
+            table = _read(file)
+            # In a damaged file the schema of the table, which comes from the footer's other copy, can differ.
+            check(table.schema)
+            return table
     # MemoryError: Arrow's word for a page that says it is larger than it can be.
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, MemoryError) as error:
         said = " ".join(str(error).split()) or type(error).__name__
