@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -14,6 +15,7 @@ from srs_twin.errors import InputError
 
 LARGEST = 1e9
 """Nothing of a snake comes near it in SI units: pressures reach 1e7 Pa, places 1e6 m."""
+_BLAS_THREADS = threading.RLock()
 
 
 def plausible(*quantities: Any) -> bool:
@@ -47,14 +49,16 @@ def check_positive(what: str, value: Any, unit: str = "") -> None:
         raise InputError(f"{what} {shown} is not allowed; it must be finite and above 0")
 
 
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """Return a context in which BLAS computes in one thread.
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let BLAS compute in one thread within a `with` block.
 
     OpenBLAS splits sums between its threads, so the last digits of a product of matrices larger than about
-    100 x 100 depend on their number.
+    100 x 100 depend on their number. The number of threads belongs to the process: blocks in several Python
+    threads run one after another, so that the first to leave does not end the limit of the others.
     """
-    context: AbstractContextManager[Any] = ThreadpoolController().limit(limits=1, user_api="blas")
-    return context
+    with _BLAS_THREADS, ThreadpoolController().limit(limits=1, user_api="blas"):
+        yield
 
 
 def blas_kernels() -> tuple[str, ...]:

@@ -269,7 +269,7 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
         assert each.returncode == 0
         assert why in (said := " ".join(each.stdout.split())) and "not judged" in said
         assert "srs-twin uncertainty" in said.replace("srs- twin", "srs-twin")
-    # What was published is not for a scenario with another offset.
+    # The published value belongs to the scenario with the original offset.
     modified = srs_twin("run", str(path), "--check", "--set", "controller.offset=0.2", cwd=tmp_path)
     assert modified.returncode == 0 and "expectations: none, 1 left out" in modified.stderr
 

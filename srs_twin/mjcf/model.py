@@ -125,8 +125,8 @@ def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
-    # Loads with an error of 1e-7, which BLAS kernels decide, give wheels that stop a sideways kick. With
-    # friction by the engine 1e-7 moves gait speeds by 2e-7, and at rest leaves speeds below 1e-5 m/s.
+    # Loads that are wrong by 1e-7 push stopping wheels sideways; which way depends on the processor. Where
+    # friction comes from the engine, 1e-7 changes gait speeds by 2e-7 and leaves less than 1e-5 m/s at rest.
     option.tolerance = 1e-12 if loaded else 1e-7
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 

@@ -22,8 +22,10 @@ from srs_twin.mjcf.numerics import LOADS, ON_LOADS
 
 _MOMENTARY, _ACROSS_ONLY = LOADS.index("momentary"), LOADS.index("across")
 _WHEEL, _ELLIPSE = ON_LOADS.index("wheel"), ON_LOADS.index("ellipse")
-_MOST_ITERATIONS, _SHORTEST = 30, 1e-3
-_SMALL = 1e-9  # of the first residual's square: friction is then right to some hundred-thousandths
+_MOST_ITERATIONS, _MOST_TRIALS = 30, 12
+_SMALL = 1e-14  # of the square of friction's impulse: friction is then right to 1e-7
+_ROUNDING = 1e-24  # of the largest first residual's square
+_OVERSHOOT = 0.5  # slope at which a line search ends, as a share of its slope at the start
 _LEAST = 0.0  # of a residual's square, (kg·m/s)²
 _ALONG, _ACROSS, _UP, _HUB = range(4)
 _RUBS = surroundings.FRICTION
@@ -417,30 +419,56 @@ def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped
     # The second time on the loads that friction leaves; the first need not be exact.
     for turn in range(2):
         most = 1 if turn == 0 else _MOST_ITERATIONS
+        impulse = float(0.0)
         for w in range(contacts.body.shape[0]):
             feet.load[w] = _load(contacts, work, w)
+            impulse += h * contacts.law[1] * feet.load[w]
         best = _residual(engine, contacts, pattern, feet, work, h, work.residual)
         first = max(first, best)
+        enough = _SMALL * impulse * impulse + _ROUNDING * first + _LEAST
         for _ in range(most):
-            if not best > _SMALL * first + _LEAST:
+            if not best > enough:
                 break
             _assemble(engine, contacts, pattern, feet, work, h)
             _divide(engine, pattern, work)
-            for i in range(change.shape[0]):
-                change[i] -= direction[i]
-            scale = float(1.0)
-            while True:
-                merit = _residual(engine, contacts, pattern, feet, work, h, work.other)
-                if merit < best or scale < _SHORTEST:
-                    break
-                scale *= 0.5
-                for i in range(change.shape[0]):
-                    change[i] += scale * direction[i]
+            best = _search(engine, contacts, pattern, feet, work, h)
             for i in range(direction.shape[0]):
                 work.residual[i] = work.other[i]
-            if not merit < best:
-                break
-            best = merit
+
+
+@inside
+def _search(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
+    """Move along Newton's direction to about where the residual is normal to it; return the residual's square.
+
+    Under given loads friction dissipates the most that it can, so the residual is the gradient of a convex
+    function. That function falls at each such step. The residual's square may rise where a contact changes
+    between sticking and sliding, so a search that demands its fall gives up near a stop.
+    """
+    change, direction = work.change, work.direction
+    start = float(0.0)
+    for i in range(direction.shape[0]):
+        start += work.residual[i] * direction[i]
+    low, high, scale, done = float(0.0), float(1.0), float(1.0), float(0.0)
+    before, beyond, merit = start, float(0.0), float(0.0)
+    for _ in range(_MOST_TRIALS):
+        for i in range(direction.shape[0]):
+            change[i] -= (scale - done) * direction[i]
+        done = scale
+        merit = _residual(engine, contacts, pattern, feet, work, h, work.other)
+        slope = float(0.0)
+        for i in range(direction.shape[0]):
+            slope += work.other[i] * direction[i]
+        if slope >= -_OVERSHOOT * start and (scale == 1.0 or slope <= _OVERSHOOT * start):
+            break
+        if slope < 0.0:
+            high = scale
+            beyond = slope
+        else:
+            low = scale
+            before = slope
+        # By the secant, kept off the ends.
+        scale = low + min(max(before / (before - beyond), 0.1), 0.9) * (high - low)
+    return merit
 
 
 @inside

@@ -89,7 +89,7 @@ class Remarks:
             f"for the upper end ({BOUNDING} samples make that {100 * tail:g} %)"
         )
         # Twice as many: so few samples underestimate the errors of the ends.
-        return self._more(words, 2 * BOUNDING)  # so few samples underestimate the errors of the ends
+        return self._more(words, 2 * BOUNDING)
 
     def _ends(self, width: float) -> Shortfall | None:
         errors, limit = self.spread.errors[2:], ROUGH_END * width

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 from snakes import chain
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
+from srs_twin.arrays import one_blas_thread
 
 RUN = """
 import hashlib, io
@@ -71,6 +73,31 @@ def test_a_long_twin_does_not_depend_on_the_number_of_blas_threads():
             twin = TwinSnake(chain((0.05,) * 61), contact="loaded")
         dampers.append(twin.physics.loaded.records["pattern"].damping)
     assert np.array_equal(*dampers)
+
+
+def test_threads_that_build_twins_at_once_leave_the_number_of_blas_threads_as_it_was():
+    def blas_threads():
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    def hold(entered, leave):
+        with one_blas_thread():
+            entered.set()
+            leave.wait(1.0)
+            seen.append(blas_threads())
+
+    seen, before = [], blas_threads()
+    events = [threading.Event() for _ in range(4)]
+    first = threading.Thread(target=hold, args=events[:2])
+    second = threading.Thread(target=hold, args=events[2:])
+    first.start()
+    events[0].wait(5.0)
+    second.start()
+    events[2].wait(0.2)
+    events[1].set()
+    first.join()
+    events[3].set()
+    second.join()
+    assert seen == [{1}, {1}] and blas_threads() == before
 
 
 def test_running_a_plant_again_repeats_itself():

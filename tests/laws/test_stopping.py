@@ -87,9 +87,12 @@ def test_wheels_on_their_loads_stop_along_and_across(speed):
 
 
 def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
-    """By symmetry there is none; rounding of 1e-16 of a step's way of 1e-3 m leaves far less than 1e-10 m."""
+    """By symmetry there is none.
+
+    The friction solve leaves 1e-7 of friction's impulse at most, and its error lies along the wheels.
+    """
     plant = twin(contact="loaded")
-    sideways = [stopped(plant, (0.3 + 0.1 * k, 0.0), 0.7 * k)[1] for k in range(8)]
+    sideways = [stopped(plant, (0.3 + 0.02 * k, 0.0), 0.7 * k)[1] for k in range(40)]
     assert np.abs(sideways).max() < 1e-10
 
 

@@ -18,7 +18,7 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA
 
 _SOLVE = (
     *("_clear", "_multiply", "dot", "point", "_look", "_feel", "_carry", "_project", "_forces", "_slip"),
-    *("_load", "_theta", "_law", "_residual", "_assemble", "_solve"),
+    *("_load", "_theta", "_law", "_residual", "_assemble", "_search", "_solve"),
     *("approach", "expect", "settle", "note"),
 )
 _AT_REST = 1e-5  # rad: below it what bends is the slope
