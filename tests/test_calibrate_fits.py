@@ -175,6 +175,7 @@ def main_ok(*words: str) -> None:
     assert end.value.code == 0
 
 
+@pytest.mark.slow
 def test_fits_make_a_robot(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     pulls_file(tmp_path)
@@ -198,6 +199,7 @@ def test_fits_make_a_robot(tmp_path, monkeypatch, capsys):
         assert end.value.code == 2 and message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_leaves_nothing(tmp_path):
     """A fit against the twin takes minutes: it is ended as soon as it has read its recordings."""

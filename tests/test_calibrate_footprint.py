@@ -177,6 +177,7 @@ LEARNT = "gen4_ilc"  # takes seven seconds
 CURRENT = [pytest.param(name, marks=[pytest.mark.slow] if name == LEARNT else []) for name in SHIPPED]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CURRENT)
 def test_shipped_measurements_are_current(name):
     """One offset is run again at one phase of the gait; the file's row is the mean over several."""

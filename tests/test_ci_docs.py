@@ -172,7 +172,8 @@ def test_no_workflow_pastes_an_expression_into_a_shell():
     assert not [text for text in found if "${{" in text]
 
 
-@pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("least", "code"), [("0.1", 0), pytest.param("0.9", 1, marks=pytest.mark.slow)])
 def test_the_steps_of_the_action_run(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
     installed, done = run_action(room, project=str(ROOT))
@@ -186,6 +187,7 @@ def test_the_steps_of_the_action_run(room, least, code):
         assert list(room.glob(pattern)), pattern
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
 def test_the_script_of_the_template_runs(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))

@@ -157,6 +157,7 @@ def in_a_worker(number):
     return number
 
 
+@pytest.mark.slow
 def test_without_a_folder_one_process_says_it_once_and_workers_do_not(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
     done = subprocess.run(

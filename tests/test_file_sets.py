@@ -92,7 +92,7 @@ def kill():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("end", [interrupt, kill])
+@pytest.mark.parametrize("end", [pytest.param(interrupt, marks=pytest.mark.slow), kill])
 @pytest.mark.parametrize(
     "pair",
     [name if name == "both complete" else pytest.param(name, marks=pytest.mark.slow) for name in PAIRS],

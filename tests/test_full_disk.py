@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from fewer import default
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
@@ -126,6 +127,7 @@ def test_what_a_killed_run_left_half_written_goes_with_the_next(room, full_at):
     assert not (room / "out/.part-killed").exists()
 
 
+@pytest.mark.slow
 def test_the_command_says_it_in_one_line_and_exits_with_2(room):
     script = Path(sys.executable).with_name("srs-twin")
     before = contents(room / "out")
@@ -158,8 +160,8 @@ def test_two_runs_in_one_folder_do_not_disturb_each_other(tmp_path):
     }
 
 
-@pytest.mark.parametrize("words", [["schema"], ["--version"], ["--help"]])
-@pytest.mark.parametrize("buffered", ["", "1"])
+@pytest.mark.parametrize("words", default(1, [["schema"], ["--version"], ["--help"]]))
+@pytest.mark.parametrize("buffered", default(1, ["", "1"]))
 def test_a_full_disk_behind_stdout_is_no_fault_of_ours(words, buffered, tmp_path):
     script = Path(sys.executable).with_name("srs-twin")
     with open("/dev/full", "wb") as full:

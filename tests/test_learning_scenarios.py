@@ -124,6 +124,7 @@ def stopped(tmp_path_factory) -> Any:
     return replace(run, parts=dict(run.parts) | {"analytical": (broken, given.build_controller())}).execute()
 
 
+@pytest.mark.slow
 def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
     ended, whole = stopped.trajectories["analytical"], stopped.trajectories["twin"]
     assert ended.time[-1] < 4.0 and whole.time[-1] == pytest.approx(8.0)

@@ -157,6 +157,7 @@ def test_markers_show_the_gap(tmp_path, layout, head):
     assert measured_length([take], spec, ["geometry.segment_length_m", "geometry.rigid_gap_m"]) is None
 
 
+@pytest.mark.slow
 def test_what_was_measured_is_held_and_stands_in_the_estimate():
     gap = Parameter("geometry.rigid_gap_m", "m", "identified", 0.022, 1e-4, 0.0217, 0.0223, "measured")
     names = ["friction.mu_t", "friction.mu_n", "geometry.rigid_gap_m"]

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fewer import default
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
@@ -58,7 +59,7 @@ def test_noise_is_all_that_noise_adds(tmp_path, layout):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", default(1, range(4)))
 def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
     """Every sample that was measured is its own marker's; what is filled is flagged."""
     take = Take(layout=layout, swaps=30, lost=0.05, spikes=4, seed=seed)
@@ -72,7 +73,7 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", default(1, range(3)))
 def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
     found = recorded(tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed))
     place, _, _, measured = errors(found, motion())
@@ -109,7 +110,7 @@ def test_any_frame_rate(tmp_path, rate):
 
 
 @pytest.mark.parametrize("up", MAPS)
-@pytest.mark.parametrize("unit", ["m", "cm", "mm", "in", "ft"])
+@pytest.mark.parametrize("unit", default(1, ["mm", "cm", "m", "in", "ft"]))
 def test_axes_and_units_make_no_difference(tmp_path, up, unit):
     """Found, not given: every map is a rotation, so no bend changes its sign."""
     found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))
@@ -128,7 +129,7 @@ def test_the_wrong_way_up_is_the_mirror_image(tmp_path):
     near(mirrored["y_1"], -right["y_1"], 1e-9)
 
 
-@settings(max_examples=10)
+@settings(max_examples=3)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.sampled_from(LAYOUTS))
 def test_the_world_may_be_turned_and_shifted(tmp_path_factory, x, y, turn, layout):
     folder = tmp_path_factory.mktemp("turned")

@@ -8,9 +8,11 @@ import sys
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from fewer import default
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -98,12 +100,17 @@ def cases() -> list[tuple[str, str, str, str]]:
     return found
 
 
+def thirds(values: list[Any]) -> list[Any]:
+    """Return the values in an order whose first third has some of each plant."""
+    return values[::3] + values[1::3] + values[2::3]
+
+
 def carried(state: SavedState, tmp_path: Path) -> SavedState:
     state.write(tmp_path / "state.npz")
     return SavedState.read(tmp_path / "state.npz")
 
 
-@pytest.mark.parametrize("case", cases(), ids="-".join)
+@pytest.mark.parametrize("case", default(15, map(pytest.param, thirds(cases()))), ids="-".join)
 def test_restored_it_goes_on_with_the_same_bits(case, tmp_path):
     asked = scenario(*case)
     rng = np.random.default_rng(sum(map(ord, "".join(case))))
@@ -148,6 +155,7 @@ print(go_on(plant, controller, 10)[-1].position.tobytes().hex())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", [("loaded", "lag", "follow", "hall"), ("compliant", "orifice", "ilc", "hall")], ids="-".join
 )

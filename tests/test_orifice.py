@@ -419,6 +419,7 @@ def test_a_twin_too_coarse_for_its_chambers_is_refused():
     TwinSnake(robot(), pneumatics=limited(2.0), timestep=0.00025).step(np.full((4, 2), -1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flow_limit", [None, 2e-4])
 def test_closed_chambers_do_not_drive_a_twin_on_its_loads(flow_limit):
     """Stiff springs: at 1 ms a connector between two of them once threw the snake at metres a second."""

@@ -131,7 +131,10 @@ def test_modules_come_back_from_bend_logs(tmp_path):
     assert total >= 51
 
 
-@pytest.mark.parametrize(("robot", "truth"), [(TRUE_CHAIN, OF_CHAIN), (TRUE_MODULE, OF_MODULE)])
+@pytest.mark.parametrize(
+    ("robot", "truth"),
+    [pytest.param(TRUE_CHAIN, OF_CHAIN, marks=pytest.mark.slow), (TRUE_MODULE, OF_MODULE)],
+)
 def test_modules_come_back_from_markers(tmp_path, robot, truth):
     """With noise of 0.2 mm, pressures of 100 Pa, and a clock of the log's own."""
     motion, pressure = bench(robot)
@@ -152,6 +155,7 @@ def test_modules_come_back_from_markers(tmp_path, robot, truth):
         assert found[name].value == pytest.approx(value, rel=0.01, abs=2e-3), name
 
 
+@pytest.mark.slow
 def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     """Of two takes together, with one to validate; a bend log is a recording, and its table a table."""
     time, pressure = regulated(levels(1))

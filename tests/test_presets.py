@@ -90,8 +90,8 @@ def test_an_unknown_preset_is_refused_with_those_that_there_are(srs_twin, tmp_pa
     ("twin", "named"),
     [
         ({}, None),
-        ({"preset": "reference"}, None),
-        ({"preset": "fast"}, "fast"),
+        pytest.param({"preset": "reference"}, None, marks=pytest.mark.slow),
+        pytest.param({"preset": "fast"}, "fast", marks=pytest.mark.slow),
         ({"preset": "fast", "timestep_s": 0.001}, "fast with timestep_s 0.001"),
     ],
 )

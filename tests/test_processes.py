@@ -149,6 +149,7 @@ def test_a_task_that_kills_every_worker_fails_alone(how, words):
     assert all(d.result == n * n and d.error is None for n, d in done.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("attempts", [1, 2])
 def test_a_task_that_kills_its_workers_is_tried_as_often_as_allowed(attempts, tmp_path):
     (done,) = each(partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts)

@@ -53,6 +53,7 @@ def test_each_pulse_is_as_long_as_asked_within_a_slot(duty):
     assert np.abs(lengths - duty * 1e4 / 60).max() <= 1.0 + 1e-9
 
 
+@pytest.mark.slow
 @some
 @given(arrays(float, (20, 2), elements=duties), st.sampled_from([33.3, 60.0, 100.0]))
 def test_a_valve_opens_once_a_period_at_most_and_rests_at_0_and_1(duty, carrier):

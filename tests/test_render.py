@@ -92,6 +92,7 @@ def test_pictures_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
     assert alike(picture, PLUS_RGB) + alike(picture, MINUS_RGB) > 0.002
 
 
+@pytest.mark.slow
 def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     """Its axes are metres: a body drawn without perspective covers the floor that its geometry says."""
     from srs_twin.viewing.mujoco.strobe import _floor, _from_above

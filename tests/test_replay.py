@@ -279,6 +279,7 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
     assert missed.returncode == 1 and "MISSED analytical measured_shape_rms_m" in missed.stderr
 
 
+@pytest.mark.slow
 def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp_path, monkeypatch):
     def ran(folder, *words):
         monkeypatch.chdir(folder)

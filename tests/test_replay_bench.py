@@ -216,6 +216,7 @@ def test_what_a_replay_on_a_bench_refuses_and_where(bench, changes, message):
         replayed(bench, **changes)
 
 
+@pytest.mark.slow
 def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
     expect = tmp_path / "expect.yaml"
     expect.write_text(

@@ -83,6 +83,7 @@ def test_stated_errors_cover_the_ends_of_independent_samples():
     assert np.mean(held, axis=0).min() > 0.88  # 95 % less three standard deviations of 100 trials
 
 
+@pytest.mark.slow
 def test_stated_errors_cover_the_ends_that_a_surrogate_predicts():
     """Twelve choices of the costly runs: their errors cover, and are as large as the scatter of the ends."""
 

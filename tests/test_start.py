@@ -107,6 +107,7 @@ def test_a_run_starts_from_the_first_and_the_last_sample_of_a_record(tmp_path):
         assert way.com[0] == pytest.approx(records["analytical"].com[row], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_run_from_a_run_by_the_command(srs_twin, tmp_path):
     asked = scenario(MOVING)
     (tmp_path / "first.yaml").write_text(json.dumps(dict(asked.document)), "utf-8")

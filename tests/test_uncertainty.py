@@ -303,6 +303,7 @@ def test_a_result_is_unmarked_before_the_rows_below_it_change(short, tmp_path, m
     assert marked == [False, True, False]
 
 
+@pytest.mark.slow
 def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
     """The number that it names, measured wherever in its prior: the mean width comes within 20 %."""
     found = load_scenario(short())

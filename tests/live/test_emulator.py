@@ -40,6 +40,7 @@ def walked(robot: EmulatedRobot, seconds: float) -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in seen.items()}
 
 
+@pytest.mark.slow
 def test_faults_do_what_they_say():
     at = 1.0
     whole = walked(EmulatedRobot("gen4", **QUIET), 3.0)
@@ -174,6 +175,7 @@ def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
     assert {kind for kind, _, _ in bench.sent} == {BENDS, PRESSURES, VALVES}
 
 
+@pytest.mark.slow
 @needs_broker
 def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
     port, capture = free_port(), free_port()

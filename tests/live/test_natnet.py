@@ -146,7 +146,9 @@ def test_axes_and_headings(up):
     assert natnet.turned(body, up) == pytest.approx([1.0, 2.0, 0.1, angle])
 
 
-@pytest.mark.parametrize("version", [(2, 10), (3, 1), (4, 1)])
+@pytest.mark.parametrize(
+    "version", [(4, 1), *(pytest.param(old, marks=pytest.mark.slow) for old in ((3, 1), (2, 10)))]
+)
 def test_frames_arrive_and_come_back_after_a_silence(version):
     names = {1: "connector_1", 7: "connector_2"}
     with NatNetServer(names, version=version) as server, NatNetLink(port=server.port) as link:

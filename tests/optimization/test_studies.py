@@ -88,7 +88,7 @@ def answered(asked, folder, engine=None):
         return search(asked, runs)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))])
 def test_few_runs_of_the_twin_find_its_optimum_that_the_cheap_model_misses(tmp_path, seed):
     asked = study(tmp_path, seed=seed)
     found = answered(asked, tmp_path / "out")
@@ -147,6 +147,7 @@ def test_constraints_are_kept(tmp_path):
     assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
 
 
+@pytest.mark.slow
 def test_constraints_that_nothing_keeps_and_spaces_that_run_out_end_a_search(tmp_path):
     asked = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.1}")
     best, *_ = answered(asked, tmp_path / "out").best
@@ -194,6 +195,7 @@ def test_a_front_is_that_of_the_formulas(tmp_path):
     assert area(found) > 0.93 * area(truth)
 
 
+@pytest.mark.slow
 def test_what_was_interrupted_goes_on_and_comes_to_the_same(tmp_path):
     asked = study(tmp_path)
     whole = answered(asked, tmp_path / "whole")

@@ -53,7 +53,7 @@ def test_the_files_that_are_promised_are_left(tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        pytest.param(("example.py",), id="script"),
+        pytest.param(("example.py",), id="script", marks=pytest.mark.slow),
         pytest.param(("-c", EXAMPLE), id="-c", marks=pytest.mark.slow),
         pytest.param(("-",), id="stdin", marks=pytest.mark.slow),
     ],

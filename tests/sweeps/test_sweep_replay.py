@@ -52,6 +52,7 @@ def results(sweep, folder):
     return pq.read_table(folder / "results.parquet").to_pydict()
 
 
+@pytest.mark.slow
 def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
     table = results(swept, tmp_path / "out")
     assert sorted(table["robot.geometry.rigid_gap_m"]) == GAPS
@@ -73,6 +74,7 @@ def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
     assert table["analytical.measured_bend_rms_rad"][row] == pytest.approx(rms, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_sweep_finds_what_fits_best(swept, tmp_path):
     """The recorded robot has gaps of 21 mm; shapes tell it."""
     table = results(swept, tmp_path / "out")
