@@ -438,7 +438,7 @@ def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped
 
 @inside
 def _search(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
-    """Move along Newton's direction to about where the residual is normal to it; return the residual's square.
+    """Move along Newton's direction until the residual is about normal to it; return the residual's square.
 
     Under given loads friction dissipates the most that it can, so the residual is the gradient of a convex
     function. That function falls at each such step. The residual's square may rise where a contact changes
