@@ -18,9 +18,9 @@ from grid import table
 
 from srs_twin import RobotSpec, load_robot
 from srs_twin.live.faults import BankSettings, FaultBank
-from srs_twin.recordings.clock import join
-from srs_twin.recordings.logs import read_valves
 from srs_twin.recordings.recording import Recording, read_motion
+from srs_twin.recordings.signals.clock import join
+from srs_twin.recordings.signals.logs import read_valves
 
 FOLDER = Path("calibration/examples/my_snake")
 TAKES = {"walk_straight": None, "walk_left": None, "walk_check": None, "steps": "snake:1a",

@@ -14,10 +14,10 @@ from scipy.integrate import simpson
 
 from srs_twin.errors import one_of
 from srs_twin.io.files import atomic_write
-from srs_twin.recordings.body import LAYOUTS
-from srs_twin.recordings.csv_table import LENGTHS
-from srs_twin.recordings.floor import MAPS
-from srs_twin.recordings.motion_files import MOTIVE_LENGTHS
+from srs_twin.recordings.body.floor import MAPS
+from srs_twin.recordings.body.markers import LAYOUTS
+from srs_twin.recordings.formats.motive import MOTIVE_LENGTHS
+from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.trajectory import Trajectory
 
 

@@ -21,10 +21,8 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
 from srs_twin.identification import read_motion
-from srs_twin.recordings import formats, mcap_messages
-from srs_twin.recordings.csv_table import read_file
-from srs_twin.recordings.formats import FORMATS, identify, read_mcap
-from srs_twin.recordings.motion_files import read_markers
+from srs_twin.recordings.formats import FORMATS, identify, mcap_messages, read_markers
+from srs_twin.recordings.formats.mcap import read_topics
 
 pytestmark = [pytest.mark.fast, pytest.mark.filterwarnings("ignore:No analog data")]
 
@@ -385,7 +383,7 @@ def test_c3d_cut_between_frames_keeps_what_is_there(tmp_path):
 
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_mcap(tmp_path, compression):
-    topics = read_mcap(written(tmp_path, mcap_file(compression)))
+    topics = read_topics(written(tmp_path, mcap_file(compression)))
     expected = TRUTH.copy()
     expected[1::2, 2:] = np.nan
     shift = (ns(0) - topics.origin_ns) / 1e9
@@ -475,8 +473,8 @@ def test_an_archive_of_repeated_bytes_is_refused_before_it_is_unpacked(
 
 def test_signals_are_not_read_where_only_positions_are_wanted(tmp_path):
     path = written(tmp_path, mcap_file())
-    assert read_mcap(path, signals=False).signals == {} != read_mcap(path).signals
-    assert read_mcap(path, signals=False).markers.labels == read_mcap(path).markers.labels
+    assert read_topics(path, signals=False).signals == {} != read_topics(path).signals
+    assert read_topics(path, signals=False).markers.labels == read_topics(path).markers.labels
 
 
 def damaged(content, seed):
@@ -611,11 +609,3 @@ def test_size_limits_hold_for_all(tmp_path, monkeypatch):
     for content in FILES.values():
         with pytest.raises(InputError, match="MB; at most 0 MB are read"):
             read_markers(written(tmp_path, content() + b"\n" * (1 << 20)), **TABLE)
-
-
-def test_readers_take_files_directly(tmp_path):
-    same(formats.read_vicon(read_file(written(tmp_path, vicon()))))
-    same(formats.read_qualisys(read_file(written(tmp_path, qualisys()))))
-    same(
-        formats.read_deeplabcut(read_file(written(tmp_path, deeplabcut())), RATE, "px", PIXEL), TRUTH[..., :2]
-    )

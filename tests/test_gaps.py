@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from srs_twin.recordings.gaps import longest_complete, outliers
+from srs_twin.recordings.signals.gaps import longest_complete, outliers
 
 pytestmark = pytest.mark.fast
 

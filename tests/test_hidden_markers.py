@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin import load_robot
-from srs_twin.recordings.shape import Marks, fit_shape
-from srs_twin.recordings.tracking import follow
+from srs_twin.recordings.body.shape import Marks, fit_shape
+from srs_twin.recordings.body.tracking import follow
 
 GEOMETRY = load_robot("gen2").geometry
 

@@ -17,7 +17,7 @@ from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
-from srs_twin.recordings.floor import MAPS, on_floor
+from srs_twin.recordings.body.floor import MAPS, on_floor
 
 LAYOUTS = ("single", "head", "pair")
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import cumulative_simpson
 
 from srs_twin.geometry import arc_between, measured_bend, pair_heading
-from srs_twin.recordings.trajectories import moving_slope
+from srs_twin.recordings.body.trajectories import moving_slope
 
 pytestmark = pytest.mark.fast
 

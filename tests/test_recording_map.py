@@ -172,8 +172,8 @@ def test_duties_become_valves_that_fill_for_their_share(tmp_path):
 
 def test_a_rigid_body_gives_a_heading(tmp_path):
     """A pose at each connector, mounted at any angle: bends to the noise of its rotation."""
+    from srs_twin.recordings.marker_table import MarkerTable
     from srs_twin.recordings.recording import bodies_as_pairs
-    from srs_twin.recordings.tracking import MarkerTable
 
     truth = motion()
     angle = truth.stack("theta") + np.array([0.3, -1.0, 2.0, 0.0, 3.0])

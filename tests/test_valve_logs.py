@@ -13,9 +13,9 @@ from synthetic_takes import Take
 
 from srs_twin import InputError
 from srs_twin.identification import join, read_valves
-from srs_twin.recordings.clock import driven_bends, estimate_offset
-from srs_twin.recordings.logs import ValveLog
 from srs_twin.recordings.recording_map import RecordingMap
+from srs_twin.recordings.signals.clock import driven_bends, estimate_offset
+from srs_twin.recordings.signals.logs import ValveLog
 
 pytestmark = pytest.mark.fast
 

@@ -46,10 +46,11 @@ from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, wit
 from srs_twin.io.files import write_text
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.csv_table import ANGLES, CLOCK, PRESSURES, first_line_names, read_file, read_table
-from srs_twin.recordings.gaps import LEAST_FRAMES
-from srs_twin.recordings.logs import SIDES, ValveLog
+from srs_twin.recordings.csv_table import CLOCK, first_line_names, read_file, read_table
 from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.signals.gaps import LEAST_FRAMES
+from srs_twin.recordings.signals.logs import SIDES, ValveLog
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

@@ -33,15 +33,9 @@ from srs_twin.identification.fit_file import DataSet, fingerprint, trajectory_ha
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
 from srs_twin.identification.unknowns import Unknown, unknowns
 from srs_twin.plants.analytical.floor import slide, spin_share
-from srs_twin.recordings.csv_table import (
-    LENGTHS,
-    CsvColumn,
-    CsvTable,
-    first_line_names,
-    read_file,
-    read_table,
-)
-from srs_twin.recordings.trajectories import moving_slope
+from srs_twin.recordings.body.trajectories import moving_slope
+from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_file, read_table
+from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.trajectory import Trajectory
 

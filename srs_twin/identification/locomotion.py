@@ -25,7 +25,7 @@ from srs_twin.identification.least_squares import Search, SearchOptions, Watch, 
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
-from srs_twin.recordings.trajectories import numbered
+from srs_twin.recordings.body.trajectories import numbered
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory

@@ -24,11 +24,11 @@ from srs_twin.identification.unknowns import unknowns
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
-from srs_twin.recordings.clock import join
 from srs_twin.recordings.formats import identify
-from srs_twin.recordings.logs import ValveLog, is_bend_log, read_bends, read_valves
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+from srs_twin.recordings.signals.clock import join
+from srs_twin.recordings.signals.logs import ValveLog, is_bend_log, read_bends, read_valves
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

@@ -16,7 +16,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import existing, shown
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import POSES, STATUS, BadMessageError, Message, decode, encode, topic
-from srs_twin.recordings.mcap_messages import RawMessage, records
+from srs_twin.recordings.formats.mcap_messages import RawMessage, records
 
 
 class Journal:

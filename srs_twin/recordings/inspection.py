@@ -15,16 +15,18 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.recordings.body import body_order, forward_distance
-from srs_twin.recordings.csv_table import PRESSURES, RecordedFile, read_file
-from srs_twin.recordings.floor import on_floor
-from srs_twin.recordings.formats import MCAP, PLAIN, axis_columns, identify, read_mcap
-from srs_twin.recordings.gaps import LEAST_FRAMES, FrameGrid, at_frames, frame_grid, runs
-from srs_twin.recordings.motion_files import read_markers
+from srs_twin.recordings.body.floor import on_floor
+from srs_twin.recordings.body.markers import body_order, forward_distance
+from srs_twin.recordings.body.shape import noise_of
+from srs_twin.recordings.body.tracking import distances, follow
+from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.formats import identify, mcap, plain_csv, read_markers
+from srs_twin.recordings.formats.base import axis_columns
+from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_high
 from srs_twin.recordings.recording_map import LOG_NAME, RecordingMap
-from srs_twin.recordings.shape import noise_of
-from srs_twin.recordings.tracking import MarkerTable, distances, follow
+from srs_twin.recordings.signals.gaps import LEAST_FRAMES, FrameGrid, at_frames, frame_grid, runs
+from srs_twin.recordings.signals.units import PRESSURES
 from srs_twin.robot.spec import RobotSpec
 
 _SOLID = 0.2  # of the frames a marker is seen on: less is no marker of a robot
@@ -63,7 +65,7 @@ def inspect_file(
         InputError: it cannot be read; says why.
     """
     kind = identify(path)
-    if kind == PLAIN:
+    if kind == plain_csv.NAME:
         file = read_file(path)
         (cells,) = file.head(1)
         if not axis_columns(cells) and not any(cell.strip().lower().startswith("x_1") for cell in cells):
@@ -72,10 +74,10 @@ def inspect_file(
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts["robot"] = _beside_robot(path, map, spec)
-    if kind == MCAP:
+    if kind == mcap.NAME:
         facts["signals"] = [
             {"name": name, **_signal_facts(name, time, values)}
-            for name, (time, values) in list(read_mcap(path).signals.items())[:_MOST_SIGNALS]
+            for name, (time, values) in list(mcap.read_topics(path).signals.items())[:_MOST_SIGNALS]
         ]
     return facts, scene
 
@@ -266,8 +268,8 @@ def _log_facts(file: RecordedFile, cells: Sequence[str], map: RecordingMap) -> d
             {"name": cell.strip(), **_signal_facts(cell.strip(), clock, values[:, 0], timed=time is not None)}
         )
     facts: dict[str, Any] = {
-        "file": file.name, "format": PLAIN, "content": "log", "sha256": file.sha256, "signals": signals,
-        "notes": notes,
+        "file": file.name, "format": plain_csv.NAME, "content": "log", "sha256": file.sha256,
+        "signals": signals, "notes": notes,
     }  # fmt: skip
     if time is not None and len(time) > 1:
         step = np.diff(time)

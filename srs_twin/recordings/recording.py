@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, one_of
-from srs_twin.recordings.body import (
+from srs_twin.recordings.body.floor import UPS, FloorPlane, on_floor
+from srs_twin.recordings.body.markers import (
     LAYOUTS,
     CapturedMarkers,
     TrackedBody,
@@ -20,8 +21,12 @@ from srs_twin.recordings.body import (
     robot_markers,
     tracked_body,
 )
-from srs_twin.recordings.floor import UPS, FloorPlane, on_floor
-from srs_twin.recordings.gaps import (
+from srs_twin.recordings.body.tracking import MOST, follow, pack_slots
+from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
+from srs_twin.recordings.formats import read_markers
+from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+from srs_twin.recordings.signals.gaps import (
     LEAST_FRAMES,
     WAYS,
     FrameGrid,
@@ -32,15 +37,11 @@ from srs_twin.recordings.gaps import (
     outliers,
     runs,
 )
-from srs_twin.recordings.motion_files import read_markers
-from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
-from srs_twin.recordings.tracking import MOST, MarkerTable, follow, pack_slots
-from srs_twin.recordings.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from srs_twin.recordings.logs import ValveLog
+    from srs_twin.recordings.signals.logs import ValveLog
 
 
 LONGEST_GAP = 0.2

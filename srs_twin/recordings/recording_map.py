@@ -13,7 +13,7 @@ from pydantic import Field
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.validation import Strict, load_model, validate
-from srs_twin.recordings.tracking import MarkerTable
+from srs_twin.recordings.marker_table import MarkerTable
 
 LOG_NAME = re.compile(
     r"(valve|duty|pressure(?:_(?:pa|kpa|bar|psi))?|setpoint(?:_(?:pa|kpa|bar|psi))?)_(plus|minus)_(\d{1,3})"

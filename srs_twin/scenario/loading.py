@@ -17,8 +17,8 @@ from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.footprint import load_footprint_file
-from srs_twin.recordings.logs import on_bench, read_valves
 from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.signals.logs import on_bench, read_valves
 from srs_twin.robot.file import PA_PER_KPA, RobotFile, far_off, resolve_robot
 from srs_twin.robot.sourced import restated
 from srs_twin.scenario.checks import (

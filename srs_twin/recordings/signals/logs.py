@@ -22,21 +22,21 @@ import numpy as np
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.pneumatics import Schedule
-from srs_twin.recordings.csv_table import (
-    ANGLES,
-    CLOCK,
-    PRESSURES,
-    CsvColumn,
-    CsvTable,
-    first_line_names,
-    read_file,
-    read_table,
-)
-from srs_twin.recordings.formats import MCAP, binary_format, read_mcap
-from srs_twin.recordings.gaps import LEAST_FRAMES, at_frames, filled, frame_grid, longest_complete, time_order
+from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
+from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, first_line_names, read_file, read_table
+from srs_twin.recordings.formats import c3d, mcap
+from srs_twin.recordings.formats.base import start_of
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
-from srs_twin.recordings.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
+from srs_twin.recordings.signals.gaps import (
+    LEAST_FRAMES,
+    at_frames,
+    filled,
+    frame_grid,
+    longest_complete,
+    time_order,
+)
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
@@ -58,7 +58,9 @@ def is_bend_log(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    return not binary_format(path) and any(name.startswith("bend_1") for name in first_line_names(path))
+    start = start_of(path)
+    binary = mcap.recognizes(start) or c3d.recognizes(start)
+    return not binary and any(name.startswith("bend_1") for name in first_line_names(path))
 
 
 def read_bends(
@@ -198,7 +200,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     Raises:
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
-    if binary_format(path) == MCAP:
+    if mcap.recognizes(start_of(path)):
         return _mcap_log(path, spec, map)
     air = {f"{kind}_{side}": PRESSURES for kind in AIR for side in SIDES}
     valves: dict[str, dict[str, float]] = {
@@ -285,7 +287,7 @@ def _switched(
 
 def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) -> ValveLog:
     """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
-    topics = read_mcap(path)
+    topics = mcap.read_topics(path)
     with named_in_errors(topics.name):
         names = {what: signal for signal, what in map.columns.items()}
         kinds = {what.partition("_")[0] for what in names}

@@ -20,10 +20,10 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.gaps import LEAST_FRAMES
-from srs_twin.recordings.logs import SIDES, ValveLog
+from srs_twin.recordings.body.trajectories import numbered
 from srs_twin.recordings.recording import Recording, named_in_errors
-from srs_twin.recordings.trajectories import numbered
+from srs_twin.recordings.signals.gaps import LEAST_FRAMES
+from srs_twin.recordings.signals.logs import SIDES, ValveLog
 from srs_twin.robot.spec import RobotSpec
 
 LEAST_OVERLAP = 0.5

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.recordings.body import CapturedMarkers, TrackedBody
+from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

@@ -23,9 +23,10 @@ from itertools import pairwise
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.recordings.csv_table import LENGTHS
-from srs_twin.recordings.shape import Marks, Shape, determined, fit_shape, marker_arms
-from srs_twin.recordings.tracking import MarkerTable, distances, some_frames
+from srs_twin.recordings.body.shape import Marks, Shape, determined, fit_shape, marker_arms
+from srs_twin.recordings.body.tracking import distances, some_frames
+from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import RobotSpec
 
 LAYOUTS = ("auto", "single", "head", "pair", "middles", "head_middles")

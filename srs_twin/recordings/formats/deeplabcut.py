@@ -1,0 +1,72 @@
+"""DeepLabCut: its CSV, of one animal (3 header rows) or several (4), in pixels or lengths."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from srs_twin.io.files import printable
+from srs_twin.recordings.csv_table import read_file
+from srs_twin.recordings.formats.base import Start, Unstated, frame_rate, length_unit, numbered
+from srs_twin.recordings.marker_table import MarkerTable, plausible
+
+NAME = "DeepLabCut CSV"
+LEAST_LIKELIHOOD = 0.6
+"""Samples that DeepLabCut deems less likely are not seen; its own default (`pcutoff`)."""
+
+
+def recognizes(start: Start) -> bool:
+    """Say whether a file starts with the row of the scorer."""
+    return start.title.lower() == "scorer"
+
+
+def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+    """Read the tracks of DeepLabCut in a plane, of one animal (3 header rows) or several (4).
+
+    Args:
+        path: of its CSV.
+        unstated: frames a second of the video; unit of the coordinates where they are lengths (None or "px":
+            pixels); size of a pixel.
+
+    Raises:
+        InputError: rate or scale are not given, or the file is damaged; with line and column.
+    """
+    file = read_file(path)
+    rate_hz, unit, scale_m = unstated
+    missing = [] if rate_hz else ["`rate_hz` (frames a second of the video)"]
+    pixels = unit in (None, "px")
+    if pixels and not scale_m:
+        missing.append("`scale_m` (m per pixel; or `unit`, where coordinates are lengths)")
+    if missing:
+        raise file.error(f"DeepLabCut counts frames and pixels; give {' and '.join(missing)}")
+    rate = frame_rate(file, str(rate_hz))
+    factor = float(scale_m or 0.0) if pixels else length_unit(file, unit or "")
+    if not 0 < factor < 1e3:
+        raise file.error(f"scale_m {factor:g} is not allowed; m per pixel are wanted")
+    lines = {cells[0].strip(): cells for cells in file.head(4) if cells}
+    if not {"bodyparts", "coords"} <= lines.keys():
+        raise file.error("the header is cut: rows scorer, (individuals,) bodyparts and coords are wanted", 2)
+    rows = 4 if "individuals" in lines else 3
+    width = len(lines["coords"])
+    coords = [cell.strip() for cell in lines["coords"][1:]]
+    if len(coords) % 3 or coords != ["x", "y", "likelihood"] * (len(coords) // 3) or not coords:
+        raise file.error("columns x,y,likelihood are wanted for each body part", rows)
+    values, notes = file.rows(rows, range(width), width)
+    frame = numbered(file, values[:, 0], rows, "frame number")
+    samples = values[:, 1:].reshape(len(values), -1, 3)
+    points = samples[..., :2] * [factor, -factor]
+    unlikely = ~(samples[..., 2] >= LEAST_LIKELIHOOD) & np.isfinite(points).all(axis=-1)
+    points[unlikely] = np.nan
+    points, implausible = plausible(points)
+    notes += [
+        f"{int(unlikely.sum())} samples of likelihood below {LEAST_LIKELIHOOD} taken as not seen",
+        "y flipped: it runs down in pictures",
+        f"coordinates multiplied by {factor:g} to m",
+    ]
+    parts, animals = lines["bodyparts"], lines.get("individuals")
+    if len(parts) != width or (animals and len(animals) != width):
+        raise file.error(f"rows of the header have other than {width} cells", rows)
+    names = (f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in range(1, width, 3))
+    labels = tuple(printable(name) for name in names)
+    return MarkerTable(file.name, file.sha256, NAME, frame / rate, points, labels, (*notes, *implausible))

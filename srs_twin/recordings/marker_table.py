@@ -1,0 +1,54 @@
+"""Markers over time, as a file has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FARTHEST = 1e3
+"""Markers farther than this from the origin are no marker positions, m."""
+
+
+@dataclass(frozen=True)
+class MarkerTable:
+    """Markers over time, in the file's own axes, SI.
+
+    Attributes:
+        name: of the file, as messages show it.
+        sha256: of the file.
+        kind: of the file, as `formats.identify` names it, with its version where it has one.
+        time: shape (frames,), s, as the file counts it.
+        points: NaN where a marker was not seen, shape (frames, columns, 3), or (…, 2) in a plane, m.
+        labels: names of the columns.
+        corrections: what was converted, left out or skipped, in words.
+        places: station on the body and side of each column (`body.Places`), where its name says so; else
+            empty.
+        header_frames: how many frames the header announces; None where it does not.
+        rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
+            shape (frames, columns, 4); None for markers alone.
+    """
+
+    name: str
+    sha256: str
+    kind: str
+    time: np.ndarray
+    points: np.ndarray
+    labels: tuple[str, ...]
+    corrections: tuple[str, ...]
+    places: tuple[tuple[int, str], ...] = ()
+    header_frames: int | None = None
+    rotations: np.ndarray | None = None
+
+
+def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return points without those that lie beyond any room or lack a coordinate, and words on them."""
+    partly = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
+    with np.errstate(invalid="ignore"):
+        far = (np.abs(points) > FARTHEST).any(axis=-1)
+    said = []
+    if partly.any():
+        said.append(f"{int(partly.sum())} positions lacked a coordinate: taken as not seen")
+    if far.any():
+        said.append(f"{int(far.sum())} positions lay over {FARTHEST:g} m away: taken as not seen")
+    return np.where((partly | far)[..., None], np.nan, points), tuple(said)

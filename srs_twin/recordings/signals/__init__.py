@@ -1,0 +1,1 @@
+"""Clocks, units, gaps and logs of recordings."""
