@@ -33,3 +33,15 @@ def test_outliers_are_found_wherever_the_track_is(place, hidden):
     points[59, 0] += [0.003, -0.004]
     points[121, 1] -= [0.0, 0.005]
     assert np.argwhere(outliers(points, 1e-3)).tolist() == [[59, 0], [121, 1]]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_outlier_among_missing_samples_is_blamed_and_no_other(seed):
+    """Whichever samples are missing around it; near the ends there are too few to judge."""
+    random, s = np.random.default_rng(seed), np.linspace(-1, 1, 200)
+    points = np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])[:, None].copy()
+    points[random.random(200) < 0.25] = np.nan
+    places = np.flatnonzero(np.isfinite(points[:, 0, 0]))[[0, 20, 40, 60, 80, -2]]
+    points[places] += [0.03, -0.04]
+    found = np.flatnonzero(outliers(points, 1e-3)[:, 0])
+    assert found.tolist() == places[1:-1].tolist()

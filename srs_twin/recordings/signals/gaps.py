@@ -6,6 +6,7 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -102,6 +103,7 @@ def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
 
 
 WAYS = ("spline", "linear")
+_NEAR = np.array([-2, -1, 1, 2])  # samples beside one that tell where it should be
 _TIMES = 8.0  # times as far from where its neighbours have it as most samples: no place of a marker
 _NORMAL = 1.4826  # standard deviation over median absolute deviation of a normal distribution
 
@@ -116,22 +118,45 @@ def outliers(points: np.ndarray, least: float) -> np.ndarray:
     Returns:
         Shape (frames, tracks).
     """
-    # How far from the cubic through two neighbours on each side; where one of the four was not seen, half of
-    # how far from the middle between two.
-    jump = np.full(points.shape[:2], np.nan)
-    jump[1:-1] = np.linalg.norm(points[1:-1] - (points[2:] + points[:-2]) / 2, axis=-1) / 2
-    cubic = (4 * (points[3:-1] + points[1:-3]) - points[4:] - points[:-4]) / 6
-    fine = np.linalg.norm(points[2:-2] - cubic, axis=-1)
-    jump[2:-2] = np.where(np.isnan(fine), jump[2:-2], fine)
-    jump = np.nan_to_num(jump)
-    usual = np.array([np.median(each[each > 0]) if (each > 0).any() else 0.0 for each in jump.T])
-    limit = np.maximum(least, _TIMES * _NORMAL * usual)
-    # To its neighbours, whose own neighbour it is, an outlier gives two thirds and a sixth of its jump.
-    peak = jump.copy()
-    for shift in (1, 2):
-        np.maximum(peak[shift:], jump[:-shift], out=peak[shift:])
-        np.maximum(peak[:-shift], jump[shift:], out=peak[:-shift])
-    return np.asarray((jump > limit) & (jump >= peak))
+    found = np.zeros(points.shape[:2], dtype=bool)
+    for track in range(points.shape[1]):
+        frames = np.flatnonzero(~np.isnan(points[:, track, 0]))
+        if len(frames) > 2 * len(_NEAR):
+            found[frames, track] = _leaps(frames, points[frames, track], least)
+    return found
+
+
+def _leaps(frames: np.ndarray, seen: np.ndarray, least: float) -> np.ndarray:
+    """Say which samples of one track are outliers, shape (samples,).
+
+    Residuals r = A p are those from the cubics through the two samples before and the two after each; their
+    rows count less where gaps make cubics inexact, whose error grows with the product of the four distances
+    in time (4 frames⁴ without gaps). An outlier by d at sample k adds d a_k to them, a_k column k of A, so
+    |a_k·r| / |a_k| is largest at the outlier itself, and |a_k·r| / |a_k|² its size.
+    """
+    from scipy.sparse import csr_array
+
+    middle = np.arange(2, len(frames) - 2)
+    near = middle[:, None] + _NEAR
+    time = (frames[near] - frames[middle, None]).astype(float)
+    weight = -np.ones_like(time)
+    for k, other in permutations(range(len(_NEAR)), 2):
+        weight[:, k] *= time[:, other] / (time[:, other] - time[:, k])
+    rows = np.column_stack([weight, np.ones(len(middle))]) * (4 / np.abs(time.prod(axis=1)))[:, None]
+    places = np.column_stack([near, middle])
+    cubics = csr_array(
+        (rows.ravel(), places.ravel(), 5 * np.arange(len(middle) + 1)), (len(middle), len(frames))
+    )
+    share = np.linalg.norm(cubics.T @ (cubics @ seen), axis=1)
+    size = np.sqrt((cubics**2).sum(axis=0))
+    score = share / size
+    usual = np.median(score[score > 0]) if (score > 0).any() else 0.0
+    padded = np.pad(score, 4)
+    peak = np.max([padded[shift : len(padded) - 8 + shift] for shift in range(9)], axis=0)
+    leaps = (share > least * size**2) & (score > _TIMES * _NORMAL * usual) & (score >= peak)
+    # Of the outermost only a small part shows: they are not judged, but keep others from being blamed.
+    leaps[[0, 1, -2, -1]] = False
+    return np.asarray(leaps)
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
