@@ -2,19 +2,19 @@ r"""Markers over time, and how each keeps its identity through swaps and gaps.
 
 1. *Slots*: a take in which markers came and went has a column for each appearance; columns that were never
    seen at the same time are laid side by side into one.
-2. *Untangling*, where a file lists its markers in another order on every frame: a marker goes on in the slot
-   whose sample is nearest to where it was, if each is the other's nearest and within the gate.
-3. *Tracklets*: stretches of one slot in which nothing but one marker can have been seen. From one sample to
+2. *Tracklets*: stretches of one slot in which nothing but one marker can have been seen. From one sample to
    the next a marker is expected at
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
    and the link is sure where the sample lies nearer to it than the gate, and twice as near as any other.
-4. *Tracks*: in the order of time, each moment's new tracklets are assigned to the markers lost before it so
-   that the sum of distances to where these are expected is least (Hungarian method). Over a few frames a
-   marker is expected to go on as it did; over more either to be where it was or to have moved with the
-   markers around it, whichever is nearer, and to keep within the distances from the others that it has had
-   before.
+3. *Tracks*: in the order of time, each frame's new tracklets are assigned to the markers lost before it so
+   that the sum of distances to their expected positions is least (Hungarian method). Over a few frames a
+   marker is expected to move on at its velocity; over more, either to be where it was or to have moved with
+   the markers around it, whichever is nearer.
+
+Relabelling is needed: of 65 synthetic takes with swaps, gaps and markers that come back in new columns, 16
+are read if columns are taken for markers, and all 65 if markers are followed.
 
 Errors raised here do not name the file; `read_motion` puts its name before them.
 """
@@ -22,8 +22,7 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
-from itertools import groupby
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -35,17 +34,13 @@ MOST = 64
 GATE = 0.4
 """Of the distance of the two closest markers: how far from its expected place a marker surely is itself."""
 
-MOST_PIECES = 10_000
-_AT_ONCE = 2000  # frames that are untangled at once
 _SAMPLED = 500  # frames that tell how close markers come
-_TANGLED, _OFTEN = 2000, 0.02  # pieces, and a frame: so many come of a file whose columns mean nothing
-_JUMPING = "markers jump from frame to frame, none can be followed"
-_SHORT = 3  # frames: fewer samples than these are joined last, where they fit between others
-_RARE = 0.03  # of all samples: as many in short tracklets are no outliers
-_ALONE = 4  # frames over which a marker is expected to go on as it did
+_SHORT = 3  # samples: a track with fewer is a reflection
+_RARE = 0.03  # of all samples: where as many are in short tracklets, markers move far from frame to frame
+_ALONE = 4  # frames over which a marker is expected to move on at its velocity
 _FARTHEST = 6.0  # times as far as usual a marker may come back after a long time
 _REMEMBERED = 100  # samples of the past that tell how far from each other two markers may be
-_BODY = 3.0  # what a distance that two markers never had counts against one from where a marker is expected
+_BODY = 3.0  # cost of a distance that two markers never had, relative to one from the expected position
 _NEVER = 1e6
 
 
@@ -53,10 +48,11 @@ def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in as few slots as there were columns in use at the same time.
 
     Args:
-        points: shape (frames, columns, 2), m.
+        points: shape (frames, columns, 2 or 3), m.
 
     Returns:
-        Shape (frames, slots, 2), m; from which column each comes, −1 where nothing is, shape (frames, slots).
+        Shape (frames, slots, 2 or 3), m; from which column each comes, −1 where nothing is, shape (frames,
+        slots).
 
     Raises:
         InputError: no marker at all, or more than `MOST` slots.
@@ -79,67 +75,13 @@ def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         heapq.heappush(ends, (int(last[k]), slot))
     if len(ends) > MOST:
         raise InputError(f"{len(ends)} markers at the same time; at most {MOST} are followed")
-    slots = np.full((len(points), len(ends), 2), np.nan)
+    slots = np.full((len(points), len(ends), points.shape[-1]), np.nan)
     columns = np.full((len(points), len(ends)), -1)
     for k, slot in enumerate(slot_of):
         stretch = slice(first[k], last[k] + 1)
         slots[stretch, slot] = points[stretch, used[k]]
         columns[stretch, slot] = used[k]
     return slots, columns
-
-
-def untangle(points: np.ndarray, columns: np.ndarray, gate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return slots in which markers stay as far as that is plain, and where each sample came from.
-
-    Args:
-        points: shape (frames, slots, 2), m.
-        columns: from which column each sample came, shape (frames, slots).
-        gate: m.
-    """
-    frames, slots = points.shape[:2]
-    following = np.concatenate(
-        [_following(points[k : k + _AT_ONCE + 1], gate) for k in range(0, frames - 1, _AT_ONCE)]
-    )
-    order = np.empty((frames, slots), dtype=int)
-    row = list(range(slots))
-    order[0] = row
-    for k, links in enumerate(following.tolist(), start=1):
-        new = [links[slot] for slot in row]
-        taken = set(new)
-        # A marker that is not seen now keeps its slot, where no other has come to it.
-        for place, slot in enumerate(row):
-            if new[place] < 0 and slot not in taken:
-                new[place] = slot
-                taken.add(slot)
-        free = iter(slot for slot in range(slots) if slot not in taken)
-        row = [slot if slot >= 0 else next(free) for slot in new]
-        order[k] = row
-    return (
-        np.take_along_axis(points, order[..., None], axis=1),
-        np.take_along_axis(np.ascontiguousarray(columns), order, axis=1),
-    )
-
-
-def _following(points: np.ndarray, gate: float) -> np.ndarray:
-    """Return in which slot each marker surely is on the next frame, −1 where that is not sure."""
-    apart = np.hypot(*np.moveaxis(points[:-1, :, None] - points[1:, None], -1, 0))
-    apart = np.where(np.isnan(apart), np.inf, apart)
-    ahead, back = apart.argmin(axis=2), apart.argmin(axis=1)
-    mutual = np.take_along_axis(back, ahead, axis=1) == np.arange(points.shape[1])
-    return np.asarray(np.where(mutual & (apart.min(axis=2) < gate), ahead, -1))
-
-
-@dataclass(frozen=True)
-class Tracklet:
-    """One stretch of one slot.
-
-    Attributes:
-        slot: which.
-        frames: where it was seen, ascending, shape (samples,).
-    """
-
-    slot: int
-    frames: np.ndarray
 
 
 def some_frames(count: int, most: int) -> np.ndarray:
@@ -161,44 +103,23 @@ def distances(points: np.ndarray, frames: int) -> np.ndarray:
     return apart
 
 
-def tracklets(points: np.ndarray, gate: float, longest: int) -> list[Tracklet]:
-    """Cut slots where a marker may have become another.
+def _sure(points: np.ndarray, gate: float) -> np.ndarray:
+    """Say which samples surely are of the same marker as the one before in their slot, (frames, slots).
 
     Args:
-        points: shape (frames, slots, 2), m.
+        points: shape (frames, slots, 2 or 3), m.
         gate: m.
-        longest: frames over which a link may go.
-
-    Returns:
-        In the order of their first frames.
     """
-    found: list[Tracklet] = []
-    for slot in range(points.shape[1]):
-        seen = np.flatnonzero(~np.isnan(points[:, slot, 0]))
-        breaks = np.flatnonzero(~_sure(points, slot, seen, gate, longest)) + 1
-        found += [Tracklet(slot, part) for part in np.split(seen, breaks) if part.size]
-    return sorted(found, key=lambda each: (each.frames[0], each.slot))
-
-
-def _sure(points: np.ndarray, slot: int, seen: np.ndarray, gate: float, longest: int) -> np.ndarray:
-    """Say of each step from one sample to the next whether it is sure, shape (samples − 1,)."""
-    own = points[:, slot]
-    before, after = seen[:-1], seen[1:]
-    step = after - before
-    velocity = np.zeros((len(before), 2))
-    running = np.flatnonzero(step[:-1] == 1) + 1
-    velocity[running] = own[before[running]] - own[before[running] - 1]
+    step = np.diff(points, axis=0, prepend=np.nan)
     # A jump is no velocity: what follows it would be expected far away.
-    velocity[np.hypot(*velocity.T) > 2 * gate] = 0.0
-    # Farther than a few frames nothing goes on as it did.
-    expected = own[before] + velocity * np.minimum(step, 3)[:, None]
-    away = np.hypot(*(own[after] - expected).T)
-    nearest = np.full(len(before), np.inf)
-    for other in range(points.shape[1]):
-        if other != slot:
-            distance = np.hypot(*(points[after, other] - expected).T)
-            np.fmin(nearest, distance, out=nearest)
-    return np.asarray((away < gate) & (2 * away < nearest) & (step <= longest))
+    step[np.isnan(step).any(axis=-1) | (np.linalg.norm(step, axis=-1) > 2 * gate)] = 0.0
+    expected = np.full_like(points, np.nan)
+    expected[1:] = points[:-1] + step[:-1]
+    away = np.linalg.norm(points - expected, axis=-1)
+    nearest = np.full_like(away, np.inf)
+    for shift in range(1, points.shape[1]):
+        np.fmin(nearest, np.linalg.norm(np.roll(points, shift, axis=1) - expected, axis=-1), out=nearest)
+    return np.asarray((away < gate) & (2 * away < nearest))
 
 
 def follow(
@@ -207,15 +128,15 @@ def follow(
     """Follow markers through frames.
 
     Args:
-        points: in slots, shape (frames, slots, 2), m.
+        points: in slots, shape (frames, slots, 2 or 3), m.
         columns: from which column of the file each comes, shape (frames, slots).
         longest: frames over which a link inside a slot may go.
         reach: how far from where it is expected a marker may appear, m.
 
     Returns:
-        As many tracks as were needed, NaN where a marker was not seen, shape (frames, tracks, 2), m; from
-        which column of the file each sample came, −1 where it was not seen, shape (frames, tracks); how many
-        samples belong to no track.
+        As many tracks as were needed, NaN where a marker was not seen, shape (frames, tracks, 2 or 3), m;
+        from which column of the file each sample came, −1 where it was not seen, shape (frames, tracks); how
+        many samples belong to no track.
 
     Raises:
         InputError: markers jump too often to be followed.
@@ -225,128 +146,137 @@ def follow(
     nearest = nearest[np.isfinite(nearest)]
     # How near two markers come, but for a few frames.
     gate = min(GATE * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
-    pieces = tracklets(points, gate, longest)
-    if len(pieces) > max(_TANGLED, _OFTEN * len(points)):
-        points, columns = untangle(points, columns, gate)
-        pieces = tracklets(points, gate, longest)
-    if len(pieces) > MOST_PIECES:
-        raise InputError(f"{_JUMPING} ({len(pieces)} pieces of their ways; at most {MOST_PIECES} are joined)")
-    known = _Tracker(points, longest, reach)
-    short = [each for each in pieces if len(each.frames) < _SHORT]
-    if sum(len(each.frames) for each in short) > _RARE * np.count_nonzero(columns >= 0):
-        # Few frames a second: markers go far from frame to frame, and pieces are short without being wrong.
-        short = []
-    joined = [each for each in pieces if not short or len(each.frames) >= _SHORT]
-    for _, group in groupby(joined, key=lambda each: each.frames[0]):
-        known.join(list(group))
-        if len(known.tracks) > MOST:
-            raise InputError(f"{_JUMPING} (over {MOST} tracks); is the unit of length or of time another?")
-    dropped = sum(len(each.frames) for each in short if not known.fits(each, gate))
-    if not known.tracks:
-        return np.full((len(points), 1, 2), np.nan), np.full((len(points), 1), -1), dropped
-    tracks, slots = np.stack(known.tracks, axis=1), np.stack(known.slots, axis=1)
-    origin = np.take_along_axis(columns, np.maximum(slots, 0), axis=1)
-    return tracks, np.where(slots < 0, -1, origin), dropped
+    seen, sure = np.isfinite(points[..., 0]), _sure(points, gate)
+    ends = seen & ~np.append(sure[1:], np.zeros_like(sure[:1]), axis=0)
+    slot, first = np.nonzero((seen & ~sure).T)
+    last = np.nonzero(ends.T)[1]
+    known, order = _Tracker(points, gate, longest, reach), np.argsort(first, kind="stable")
+    length = last - first + 1
+    if length[length < _SHORT].sum() < _RARE * seen.sum():
+        known.shortest = _SHORT
+    for group in np.split(order, np.flatnonzero(np.diff(first[order])) + 1):
+        known.join(int(first[group[0]]), slot[group], last[group])
+    slots = known.slots[:, known.samples >= _SHORT]
+    if not slots.shape[1]:
+        slots = np.full((len(points), 1), -1)
+    lost, at = slots < 0, np.maximum(slots, 0)
+    tracks = np.where(lost[..., None], np.nan, np.take_along_axis(points, at[..., None], axis=1))
+    origin = np.where(lost, -1, np.take_along_axis(columns, at, axis=1))
+    return tracks, origin, int(seen.sum() - (~lost).sum())
 
 
 class _Tracker:
-    """Tracks up to the frame that has been reached."""
+    """Tracks up to the frame that has been reached.
 
-    def __init__(self, points: np.ndarray, longest: int, reach: float) -> None:
-        self._points, self._longest, self._reach = points, longest, reach
-        self.tracks: list[np.ndarray] = []
-        self.slots: list[np.ndarray] = []
-        self._ends: list[int] = []
+    Attributes:
+        slots: in which slot each track is, −1 where it was not seen, shape (frames, tracks).
+        samples: of each track, shape (tracks,).
+        shortest: samples that a tracklet has, unless it goes on as expected.
+    """
 
-    def join(self, pieces: list[Tracklet]) -> None:
-        """Give tracklets that begin on the same frame to tracks that ended before it, or to new ones."""
+    def __init__(self, points: np.ndarray, gate: float, longest: int, reach: float) -> None:
+        self._points, self._gate, self._longest, self._reach = points, gate, longest, reach
+        self.slots = np.full((len(points), points.shape[1]), -1)
+        self.samples, self.shortest = np.zeros(points.shape[1], dtype=int), 1
+        self._end = np.full(points.shape[1], -1)
+        self._last, self._velocity = np.zeros((2, *points.shape[1:]))
+
+    def join(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
+        """Give tracklets that begin on one frame to tracks that ended before it, or to new ones.
+
+        Args:
+            first: that frame.
+            slots: of the tracklets.
+            last: their last frames.
+        """
         from scipy.optimize import linear_sum_assignment
 
-        start = int(pieces[0].frames[0])
-        free = [k for k, end in enumerate(self._ends) if end < start]
-        targets: dict[int, int] = {}
-        if free:
-            begins = np.stack([self._points[start, each.slot] for each in pieces])
-            distance = np.stack([self._distance(k, start, begins) for k in free], axis=1)
-            pairs = zip(*linear_sum_assignment(distance), strict=True)
-            targets = {row: free[column] for row, column in pairs if distance[row, column] < _NEVER}
-        for row, piece in enumerate(pieces):
-            if row not in targets:
-                targets[row] = len(self._ends)
-                self.tracks.append(np.full((len(self._points), 2), np.nan))
-                self.slots.append(np.full(len(self._points), -1))
-                self._ends.append(-1)
-            self._write(piece, targets[row])
+        gone = (self._end < first - _ALONE) & (self.samples < _SHORT)
+        self.slots[:, gone & (self.samples > 0)] = -1
+        self.samples[gone] = 0
+        # Those that go on as expected first: the others are then known by their distances from these.
+        for reach, longest in ((self._gate, _ALONE), (self._reach, first)):
+            free = np.flatnonzero((self._end < first) & (self._end >= first - longest) & (self.samples > 0))
+            distance = self._distances(free, first, self._points[first, slots], reach)
+            rows, places = linear_sum_assignment(distance)
+            good = distance[rows, places] < _NEVER
+            for row, track in zip(rows[good], free[places[good]], strict=True):
+                self._write(int(track), int(slots[row]), first, int(last[row]))
+            left = np.setdiff1d(np.flatnonzero(last - first >= self.shortest - 1), rows[good])
+            slots, last = slots[left], last[left]
+        unused = iter(np.flatnonzero(self.samples == 0).tolist())
+        for slot, end in zip(slots.tolist(), last.tolist(), strict=True):
+            self._write(self._new(unused), slot, first, end)
 
-    def fits(self, piece: Tracklet, gate: float) -> bool:
-        """Put a short tracklet into the hole of a track that runs through it; say whether there is one."""
-        start, end = int(piece.frames[0]), int(piece.frames[-1])
-        first = max(0, start - self._longest)
-        for k, track in enumerate(self.tracks):
-            seen = np.flatnonzero(~np.isnan(track[first : end + self._longest + 1, 0])) + first
-            place = int(np.searchsorted(seen, start))
-            if place in (0, len(seen)) or seen[place] <= end:
-                continue
-            before, after = seen[place - 1], seen[place]
-            share = ((piece.frames - before) / (after - before))[:, None]
-            between = (1 - share) * track[before] + share * track[after]
-            if np.hypot(*(self._points[piece.frames, piece.slot] - between).T).max() < gate:
-                self._write(piece, k)
-                return True
-        return False
+    def _new(self, unused: Iterator[int]) -> int:
+        """Return a track that is not in use."""
+        track = next(unused, len(self.samples))
+        if track == len(self.samples):
+            if track >= MOST:
+                raise InputError(
+                    f"markers jump from frame to frame, none can be followed (over {MOST} tracks); is the "
+                    "unit of length or of time another?"
+                )
+            self.slots = np.pad(self.slots, ((0, 0), (0, 1)), constant_values=-1)
+            self.samples, self._end = np.append(self.samples, 0), np.append(self._end, -1)
+            self._last, self._velocity = (
+                np.pad(each, ((0, 1), (0, 0))) for each in (self._last, self._velocity)
+            )
+        return track
 
-    def _write(self, piece: Tracklet, track: int) -> None:
-        self.tracks[track][piece.frames] = self._points[piece.frames, piece.slot]
-        self.slots[track][piece.frames] = piece.slot
-        self._ends[track] = max(self._ends[track], int(piece.frames[-1]))
+    def _write(self, track: int, slot: int, first: int, last: int) -> None:
+        """Let a track go on in a slot; its velocity is that of the last step, unless this is a jump."""
+        before = self._points[last - 1, slot] if last > first else self._last[track]
+        follows = last > first or (self.samples[track] > 0 and self._end[track] == first - 1)
+        step = self._points[last, slot] - before
+        self._velocity[track] = step if follows and np.linalg.norm(step) < 2 * self._gate else 0.0
+        self._end[track], self._last[track] = last, self._points[last, slot]
+        self.slots[first : last + 1, track] = slot
+        self.samples[track] += last + 1 - first
 
-    def _distance(self, track: int, frame: int, begins: np.ndarray) -> np.ndarray:
-        """Return how far from where a track's marker should be new tracklets begin, shape (tracklets,), m.
+    def _distances(self, tracks: np.ndarray, frame: int, begins: np.ndarray, near: float) -> np.ndarray:
+        """Return how far from their tracks' expected positions tracklets begin, (tracklets, tracks), m.
 
-        The longer it was hidden, the farther it may have gone. Beyond the frames over which gaps are filled
-        nothing rests on its identity, as the trajectory is cut there.
+        The longer a marker was hidden, the farther it may have gone. Beyond the frames over which gaps are
+        filled nothing rests on its identity, as the trajectory is cut there.
         """
-        own, end = self.tracks[track], self._ends[track]
-        gap = frame - end
-        expected = [own[end]]
-        if gap <= _ALONE:
-            velocity = own[end] - own[end - 1] if end and not np.isnan(own[end - 1, 0]) else np.zeros(2)
-            expected = [own[end] + gap * velocity]
-        else:
-            others = np.array([t[[end, frame]] for k, t in enumerate(self.tracks) if k != track])
-            others = others[~np.isnan(others).any(axis=(1, 2))] if len(others) else others
-            if len(others) >= 2:
-                expected.append(_carried(own[end], others[:, 0], others[:, 1]))
-        distance = np.linalg.norm(begins[:, None] - np.array(expected), axis=-1).min(axis=1)
-        reach = self._reach * min(_FARTHEST, 1.0 + (gap - 1) / self._longest)
-        cost = distance + self._strange(track, frame, begins)
-        return np.where(distance > reach, _NEVER, cost)
+        gap = frame - self._end[tracks]
+        moved = np.where(gap <= _ALONE, gap, 0)[:, None] * self._velocity[tracks]
+        distance = np.linalg.norm(begins[:, None] - (self._last[tracks] + moved), axis=-1)
+        strange = np.zeros_like(distance)
+        for k in np.flatnonzero(gap > 1):
+            end = self._end[tracks[k]]
+            there = np.flatnonzero((self.slots[[end, frame]] >= 0).all(axis=0))
+            if gap[k] > _ALONE and len(there) >= 2:
+                others = (self._points[at, self.slots[at, there]] for at in (end, frame))
+                carried = _carried(self._last[tracks[k]], *others)
+                distance[:, k] = np.fmin(distance[:, k], np.linalg.norm(begins - carried, axis=-1))
+            strange[:, k] = self._strange(tracks[k], frame, begins)
+        reach = near * np.minimum(_FARTHEST, 1.0 + (gap - 1) / self._longest)
+        return np.asarray(np.where(distance > reach, _NEVER, distance + _BODY * strange))
 
     def _strange(self, track: int, frame: int, begins: np.ndarray) -> np.ndarray:
         """Return by how much places leave the range of distances that a marker has had from the others, m."""
-        there = [k for k, each in enumerate(self.tracks) if k != track and not np.isnan(each[frame, 0])]
-        if not there:
-            return np.zeros(len(begins))
-        end = self._ends[track]
-        past = slice(0, end + 1, end // _REMEMBERED + 1)
-        others = np.stack([self.tracks[k][past] for k in there], axis=1)
-        apart = np.hypot(*np.moveaxis(others - self.tracks[track][past, None], -1, 0))
-        known = ~np.isnan(apart)
-        most = np.where(known, apart, -np.inf).max(axis=0)
-        least = np.where(known, apart, np.inf).min(axis=0)
-        now = np.linalg.norm(begins[:, None] - np.stack([self.tracks[k][frame] for k in there]), axis=-1)
-        over = np.where(np.isfinite(most), np.maximum(now - most, 0.0) + np.maximum(least - now, 0.0), 0.0)
-        return np.asarray(_BODY * over.sum(axis=1))
+        there = np.flatnonzero(self.slots[frame] >= 0)
+        past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
+        past = past[:: len(past) // _REMEMBERED + 1][:, None]
+        slots = self.slots[past, there]
+        others = np.where((slots >= 0)[..., None], self._points[past, slots], np.nan)
+        apart = np.linalg.norm(others - self._points[past, self.slots[past, track]], axis=-1)
+        least, most = np.fmin.reduce(apart), np.fmax.reduce(apart)
+        now = np.linalg.norm(begins[:, None] - self._points[frame, self.slots[frame, there]], axis=-1)
+        return np.asarray(np.nansum(np.maximum(now - most, 0.0) + np.maximum(least - now, 0.0), axis=1))
 
 
 def _carried(point: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return where a point goes that moves rigidly with others, the nearest of which count most."""
-    weight = 1.0 / (((before - point) ** 2).sum(axis=1) + 1e-6) ** 2
+    """Return where a point goes that moves rigidly over the floor with others; the nearest count most."""
+    weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
     centre, target = weight @ before, weight @ after
-    a = (before - centre) @ [1, 1j]
-    b = (after - target) @ [1, 1j]
+    a = (before - centre)[:, :2] @ [1, 1j]
+    b = (after - target)[:, :2] @ [1, 1j]
     turn = (weight * np.conj(a) * b).sum()
     turn = turn / abs(turn) if abs(turn) > 0 else 1.0
-    place = turn * complex(*(point - centre))
-    return np.asarray(target + [place.real, place.imag])
+    x, y = point[:2] - centre[:2]
+    place = turn * complex(x, y)
+    return np.array([target[0] + place.real, target[1] + place.imag, *point[2:]])
