@@ -156,7 +156,7 @@ def test_floor_is_levelled_beyond_three_degrees(degrees, levelled):
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
     found = on_floor(tilted, "auto", "z")
     assert found.up == "z" and any("levelled" in each for each in found.corrections) == levelled
-    assert (np.ptp(found.height) < 0.01) == levelled
+    assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
 
 
 def test_a_tilted_floor_is_levelled_and_said(tmp_path):

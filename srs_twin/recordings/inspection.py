@@ -23,7 +23,7 @@ from srs_twin.recordings.csv_table import RecordedFile, read_file
 from srs_twin.recordings.formats import identify, mcap, plain_csv, read_markers
 from srs_twin.recordings.formats.base import axis_columns
 from srs_twin.recordings.marker_table import MarkerTable
-from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_high
+from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_strangers
 from srs_twin.recordings.recording_map import LOG_NAME, RecordingMap
 from srs_twin.recordings.signals.gaps import LEAST_FRAMES, FrameGrid, at_frames, frame_grid, runs
 from srs_twin.recordings.signals.units import PRESSURES
@@ -101,30 +101,23 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
         return facts, None
     facts |= {"up": floor.up}
     facts["notes"] += floor.corrections
-    plane, high = without_high(floor)
-    seen = at_frames(plane, frames)
-    height = at_frames(floor.height, frames)
+    seen = at_frames(floor.points, frames)
     facts["markers"] = [
-        _marker_facts(name, seen[:, k], height[:, k], frames, name in bodies)
-        for k, name in enumerate(whole.labels)
+        _marker_facts(name, seen[:, k], frames, name in bodies) for k, name in enumerate(whole.labels)
     ]
-    if high:
-        facts["notes"].append(f"{high} positions lie far above or below the others")
     scene = _chain_facts(whole, seen, frames, facts)
     return facts, scene
 
 
-def _marker_facts(
-    name: str, place: np.ndarray, height: np.ndarray, frames: FrameGrid, body: bool
-) -> dict[str, Any]:
+def _marker_facts(name: str, place: np.ndarray, frames: FrameGrid, body: bool) -> dict[str, Any]:
     missing = np.isnan(place[:, 0])
     gaps = runs(missing)
     inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(place))] if len(gaps) else gaps
     longest = float(np.diff(inner, axis=1).max()) * frames.period if len(inner) else 0.0
     return {
         "name": name, "rigid_body": body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
-        "longest_gap_s": longest, "noise_mm": None if missing.all() else 1e3 * noise_of(place[:, None]),
-        "height_mm": None if np.isnan(height).all() else 1e3 * float(np.nanmedian(height)),
+        "longest_gap_s": longest, "noise_mm": None if missing.all() else 1e3 * noise_of(place[:, None, :2]),
+        "height_mm": None if missing.all() else 1e3 * float(np.nanmedian(place[:, 2])),
     }  # fmt: skip
 
 
@@ -133,7 +126,7 @@ def _chain_facts(
 ) -> Scene | None:
     """Add order, distances, layouts and head to the facts, as far as markers tell them."""
     slots, columns = in_slots(table, seen)
-    apart = distances(slots, _SAMPLED)
+    apart = distances(slots[..., :2], _SAMPLED)
     nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=2)
     if not np.isfinite(nearest).any():
         facts["notes"].append("never two markers at once")
@@ -142,6 +135,8 @@ def _chain_facts(
     if near > _MILLIMETRES:
         facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give units")
     tracks, origin, dropped = follow(slots, columns, max(1, round(_GAP / frames.period)), 2 * near)
+    tracks, origin, _, notes = without_strangers(tracks, origin, table)
+    facts["notes"] += notes
     share = (~np.isnan(tracks[..., 0])).mean(axis=0)
     solid = np.flatnonzero(share >= _SOLID)
     names = _names(origin[:, solid], table.labels, facts)
@@ -399,7 +394,9 @@ def in_words(facts: Mapping[str, Any]) -> str:
         noise = f"noise {facts['noise_mm']:.2g} mm; " if "noise_mm" in facts else ""
         lines.append(f"up: {facts['up']}; {noise}{facts.get('tracks', 0)} lasting markers")
     for each in facts.get("markers", ())[:40]:
-        noise = f"noise {each['noise_mm']:.2g} mm" if each["noise_mm"] is not None else "never seen"
+        noise = "never seen"
+        if each["noise_mm"] is not None:
+            noise = f"noise {each['noise_mm']:.2g} mm, {each['height_mm']:.0f} mm high"
         noise += ", rigid body" if each["rigid_body"] else ""
         gaps = f"{each['gaps']} gaps up to {each['longest_gap_s']:.3g} s"
         lines.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, one_of
-from srs_twin.recordings.body.floor import UPS, FloorPlane, on_floor
+from srs_twin.recordings.body.floor import UPS, FloorPlane, on_floor, strangers
 from srs_twin.recordings.body.markers import (
     LAYOUTS,
     CapturedMarkers,
@@ -48,7 +48,6 @@ LONGEST_GAP = 0.2
 """s. What lies in longer gaps nobody knows: the trajectory is cut there."""
 
 _ARM = 0.01  # m: from a rigid body to the markers that stand for it
-_HIGHEST = 0.05  # m over or under most markers: farther nothing is on the robot
 _JUMP = 0.06  # of a segment's length: no smaller jump is an outlier
 _REACH = 0.8  # of a segment's length: no marker appears farther from where it is expected
 
@@ -125,11 +124,11 @@ def read_motion(
         geometry = spec.geometry
         frames = frame_grid(table.time)
         floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
-        plane, high = without_high(floor)
-        slots, columns = in_slots(table, at_frames(plane, frames))
+        slots, columns = in_slots(table, at_frames(floor.points, frames))
         gap_frames = max(1, round(longest_gap_s / frames.period))
-        check_scale(slots, geometry.pitch, spec.segments, spec.name)
+        check_scale(slots[..., :2], geometry.pitch, spec.segments, spec.name)
         tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
+        tracks, columns, others, notes = without_strangers(tracks, columns, table)
         layouts, chosen = robot_markers(
             tracks, geometry.connectors, geometry.pitch, layout, len(table.places)
         )
@@ -147,11 +146,11 @@ def read_motion(
             )
         time = frames.time[kept]
         origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
-        whole, other = filled(time, points[kept], fill), high + left_out + dropped
+        whole, other = filled(time, points[kept], fill), others + left_out + dropped
         markers = CapturedMarkers(table, layouts[0], time, whole, origin, int(jumps.sum()), other)
         markers = likeliest_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
-        summary = _summary(frames, floor, markers, body)
+        summary = _summary(frames, floor, markers, body, notes)
         return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
 
 
@@ -184,7 +183,9 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
     )
 
 
-def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody) -> LogSummary:
+def _summary(
+    frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody, notes: Sequence[str]
+) -> LogSummary:
     """Return what became of the samples of a file."""
     table, time, columns = markers.table, markers.time, markers.columns
     gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
@@ -195,7 +196,7 @@ def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, bod
         layout=markers.layout,
         head=body.head,
         up=floor.up,
-        samples_seen=int((~np.isnan(at_frames(floor.plane, frames)[..., 0])).sum()),
+        samples_seen=int((~np.isnan(at_frames(floor.points, frames)[..., 0])).sum()),
         samples_other=markers.other,
         samples_rejected=markers.rejected,
         longest_filled_s=float(max(gaps, default=0.0)),
@@ -215,24 +216,40 @@ def _summary(frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, bod
         frames_kept=len(time),
         start=float(time[0]),
         end=float(time[-1]),
-        corrections=(*table.corrections, *frames.corrections, *floor.corrections, *body.corrections),
+        corrections=(*table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections),
         markers=counts,
     )
 
 
-def without_high(floor: FloorPlane) -> tuple[np.ndarray, int]:
-    """Return the plane without what lies well over or under the robot, and how many samples those were."""
-    if not np.isfinite(floor.height).any():
-        return floor.plane, 0
-    high = np.abs(floor.height - np.nanmedian(floor.height)) > _HIGHEST
-    return np.where(high[..., None], np.nan, floor.plane), int(high.sum())
+def without_strangers(
+    tracks: np.ndarray, columns: np.ndarray, table: MarkerTable
+) -> tuple[np.ndarray, np.ndarray, int, list[str]]:
+    """Return tracks that may be the robot's, in the plane.
+
+    Args:
+        tracks: over the floor, shape (frames, tracks, 3), m.
+        columns: from which column of the file each sample came, −1 where it was not seen, (frames, tracks).
+        table: the file; columns that have a place on the robot are the robot's.
+
+    Returns:
+        Shape (frames, tracks, 2), m; columns; how many samples the others had; words on them.
+    """
+    out = {} if table.places else strangers(tracks)
+    mine = np.array([k for k in range(tracks.shape[1]) if k not in out], dtype=int)
+    samples, notes = 0, []
+    for k, why in out.items():
+        own = columns[columns[:, k] >= 0, k]
+        samples += own.size
+        if own.size >= LEAST_FRAMES:
+            notes.append(f"marker '{table.labels[np.bincount(own).argmax()]}' left out: {why}")
+    return tracks[:, mine, :2], columns[:, mine], samples, notes
 
 
-def in_slots(table: MarkerTable, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def in_slots(table: MarkerTable, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return markers in slots; columns with connectors' names stay where they are."""
     count = len(table.places)
     if not count:
-        return pack_slots(plane)
+        return pack_slots(points)
     if count > MOST:
         raise InputError(f"{count} markers; at most {MOST} are followed")
-    return plane, np.broadcast_to(np.arange(count), (len(plane), count))
+    return points, np.broadcast_to(np.arange(count), (len(points), count))

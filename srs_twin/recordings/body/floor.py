@@ -1,7 +1,11 @@
 """Floor: which way is up in a recording, and the map from its axes to the floor plane.
 
-Markers on a crawling snake stay in a plane; its normal is the axis closest to the direction in which they
-spread least, found without what lies apart. Each map is a rotation, so left stays left:
+Each marker of a crawling snake keeps its height, so its displacements d over some time lie in the floor plane
+at any height. The normal n is the one of many normals d₁ × d₂ with the least median |n·d|, refined by
+principal components of the displacements near that plane. A take without motion has only the positions of the
+markers to fit a plane to, which markers of unequal height tilt.
+
+The axis of the file closest to the normal points up. Each map is a rotation, so left stays left:
 
 | up | x    | y    |
 |----|------|------|
@@ -30,7 +34,14 @@ MAPS = {
 UPS = ("auto", *MAPS)
 
 _SAMPLED = 20_000
+_PARTS = (60, 30, 10)  # of a take: the spans of time over which markers move
+_NORMALS = 400  # candidates for the normal
+_SHIFT = 1e-3  # m: a tilt that displaces high markers farther against low ones is levelled
 _PLAIN = 3.0  # how many times further markers spread in the plane than out of it, where that tells the plane
+_SAME_LEVEL = 0.05  # m: so far from most markers' height any marker may be the robot's
+_STEADY = 0.02  # m: a marker at another height that varies more is not on the robot
+_VARIES = 0.5  # of the distance from the robot's nearest marker: it varies less
+_MOVES = 0.2  # of the motion of that marker
 _LEVEL = np.radians(3.0)  # beyond this the recording is levelled
 _STEEPEST = np.radians(30.0)
 
@@ -41,14 +52,13 @@ class FloorPlane:
 
     Attributes:
         up: the axis of the file that points up.
-        plane: shape (frames, columns, 2), m.
-        height: above the file's origin, shape (frames, columns), m; zeros where the file has none.
+        points: x and y on the floor, and height above the file's origin (0 where the file has none), shape
+            (frames, columns, 3), m.
         corrections: what was found and done, in words.
     """
 
     up: str
-    plane: np.ndarray
-    height: np.ndarray
+    points: np.ndarray
     corrections: tuple[str, ...]
 
 
@@ -79,7 +89,50 @@ def on_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
         x, y, _ = (("−" if sign < 0 else "") + "XYZ"[axis] for axis, sign in MAPS[up])
         seen = f"axes turned: floor x is {x}, floor y is {y} of the file"
         notes.append("y reversed, as up -z asks" if flat else seen)
-    return FloorPlane(up, turned[..., :2], turned[..., 2], tuple(notes))
+    return FloorPlane(up, turned, tuple(notes))
+
+
+def strangers(tracks: np.ndarray) -> dict[int, str]:
+    """Return the tracks that are not of the robot, and why.
+
+    A marker at another height than most, as on a mast, is the robot's if it keeps this height and its
+    distance from another marker of the robot, and does not stand still while that one moves.
+
+    Args:
+        tracks: over the floor, shape (frames, tracks, 3), m.
+    """
+    seen = np.isfinite(tracks[..., 0])
+    level = np.quantile(tracks[seen][:, 2], 0.5, method="lower") if seen.any() else 0.0
+    heights = [tracks[seen[:, k], k, 2] for k in range(tracks.shape[1])]
+    far = [k for k, each in enumerate(heights) if each.size and abs(np.median(each) - level) > _SAME_LEVEL]
+    robot, found = [k for k, each in enumerate(heights) if each.size and k not in far], {}
+    for k in far:
+        if (change := _range(heights[k])) > _STEADY:
+            found[k] = f"its height varies by {1e3 * change:.0f} mm"
+        else:
+            found[k] = "does not move with the others"
+    unsure = [k for k in far if _range(heights[k]) <= _STEADY]
+    while joined := [k for k in unsure if any(_together(tracks[:, [k, other], :2]) for other in robot)]:
+        robot += joined
+        unsure = [k for k in unsure if k not in joined]
+    return {
+        k: f"{1e3 * np.median(heights[k]):.0f} mm high, {why}" for k, why in found.items() if k not in robot
+    }
+
+
+def _range(values: np.ndarray) -> float:
+    low, high = np.quantile(values, [0.05, 0.95])
+    return float(high - low)
+
+
+def _together(pair: np.ndarray) -> bool:
+    """Say whether the first of two tracks moves as the second does; shape (frames, 2, 2), m."""
+    pair = pair[np.isfinite(pair).all(axis=(1, 2))]
+    if len(pair) < 2:
+        return False
+    apart = np.linalg.norm(pair[:, 0] - pair[:, 1], axis=-1)
+    own, other = np.linalg.norm(pair - np.median(pair, axis=0), axis=-1).mean(axis=0)
+    return bool(_range(apart) <= _VARIES * np.median(apart) + _STEADY / 2 and own >= _MOVES * other)
 
 
 def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
@@ -87,9 +140,11 @@ def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
     seen = seen[:: len(seen) // _SAMPLED + 1]
     if len(seen) < 3:
         raise InputError("too few markers to find the floor")
-    centre, spread, axes = _plane(seen)
+    centre, (spread, axes) = np.median(seen, axis=0), _plane(_displacements(points))
+    if not _is_plane(spread):
+        spread, axes = _plane(seen - centre)
     axis = int(np.argmax(np.abs(axes[:, 0])))
-    if spread[1] < _PLAIN * spread[0] + 1e-3:
+    if not _is_plane(spread):
         common = "xyz".index(usual)
         across = np.median(np.abs(seen[:, common] - np.median(seen[:, common])))
         if across > 2 * spread[0] + 1e-3:
@@ -112,25 +167,42 @@ def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
     notes = [f"up is {up}: markers stay within {plane}"]
     if abs(mean) <= 1e-3:
         notes.append(f"markers lie at height 0: that {up} points up, not down, is assumed")
-    if tilt > _LEVEL:
+    # Too few columns to have quantiles: the highest and the lowest.
+    heights = np.nanmedian(points @ normal, axis=0) if points.ndim > 2 else np.zeros(1)
+    if tilt > _LEVEL or tilt * np.nanmax(heights) - tilt * np.nanmin(heights) > _SHIFT:
         points = (points - centre) @ _turn(normal, axis).T + centre
         notes.append(f"levelled by {np.degrees(tilt):.1f}°")
     return up, points, notes
 
 
-def _plane(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centre, spreads (ascending) and their directions (columns), without points that lie apart."""
-    kept = seen
+def _displacements(points: np.ndarray) -> np.ndarray:
+    """Return displacements of markers over some spans of time, the larger half, shape (samples, 3), m."""
+    lags = {max(1, len(points) // parts) for parts in _PARTS}
+    moved = np.concatenate([(points[lag:] - points[:-lag]).reshape(-1, 3) for lag in sorted(lags)])
+    moved = moved[np.isfinite(moved).all(axis=1)]
+    moved = moved[:: len(moved) // _SAMPLED + 1]
+    distance = np.linalg.norm(moved, axis=1)
+    # Both ends of a displacement have noise.
+    return np.asarray(moved[distance >= np.median(distance)] / np.sqrt(2))
+
+
+def _is_plane(spread: np.ndarray) -> bool:
+    return bool(spread[1] >= _PLAIN * spread[0] + 1e-3)
+
+
+def _plane(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return spreads about the origin (ascending) and their directions (columns), without what lies apart."""
+    pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
+    normals = np.cross(*moved[pairs])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
+    away = np.abs(moved[:: len(moved) // 2000 + 1] @ normals.T)
+    normal, kept = normals[np.argmin(np.median(away, axis=0))], moved
     for _ in range(4):
-        centre = np.median(kept, axis=0)
-        values, axes = np.linalg.eigh(np.cov((kept - centre).T) + 1e-18 * np.eye(3))
-        far = np.abs((seen - centre) @ axes)
-        middle = np.median(far, axis=0)
-        inside = (far <= 8 * middle + 1e-3).all(axis=1)
-        if inside.sum() < 3:
-            break
-        kept = seen[inside]
-    return centre, np.sqrt(np.maximum(values, 0.0)), axes
+        away = np.abs(moved @ normal)
+        kept = moved[away <= 5 * np.median(away) + 1e-3]
+        values, axes = np.linalg.eigh(kept.T @ kept / len(kept) + 1e-18 * np.eye(3))
+        normal = axes[:, 0]
+    return np.sqrt(np.maximum(values, 0.0)), axes
 
 
 def _turn(normal: np.ndarray, axis: int) -> np.ndarray:

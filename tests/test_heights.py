@@ -1,0 +1,105 @@
+"""Heights of markers: masts, a tilted floor, lamps over the robot and people beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from recorded import NOISE, SPEC, motion, true_at
+from scipy.spatial.transform import Rotation
+from synthetic_takes import Take, markers
+
+from srs_twin.identification import read_motion
+from srs_twin.recordings.body.floor import on_floor
+from srs_twin.recordings.inspection import in_words, inspect_file
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+
+MASTS = (0.09, 0.03, 0.15, 0.03, 0.09)
+
+
+def raised(heights, seed=0, layout="single"):
+    """Return markers at these heights with noise, shape (frames, markers, 3), m."""
+    place = markers(motion(), Take(layout=layout))
+    height = np.broadcast_to(np.asarray(heights), place.shape[:2])
+    points = np.concatenate([place, height[..., None]], axis=-1)
+    return points + NOISE * np.random.default_rng(seed).standard_normal(points.shape)
+
+
+def written(path, points, names=None):
+    """Write markers as a plain CSV file, empty cells where they are not seen."""
+    names = names or [f"c{k + 1}" for k in range(points.shape[1])]
+    head = ",".join(["time", *(f"{name}_{axis}" for name in names for axis in "xyz")])
+    rows = np.column_stack([motion().time, points.reshape(len(points), -1)])
+    lines = (",".join("" if np.isnan(v) else f"{v:.6f}" for v in row) for row in rows)
+    path.write_text("\n".join([head, *lines, ""]))
+    return path
+
+
+def bend_error(found):
+    error = found.trajectory.stack("bend") - true_at(found.trajectory, motion()).stack("bend")
+    return np.sqrt((error**2).mean())
+
+
+@pytest.mark.parametrize("heights", [MASTS, (0.09, 0.03, 0.03, 0.03, 0.03)])
+def test_markers_on_masts_are_detected_and_used(tmp_path, heights):
+    path = written(tmp_path / "masts.csv", raised(heights))
+    facts, _ = inspect_file(path, NO_MAP, None)
+    assert [each["coverage"] for each in facts["markers"]] == [1.0] * 5
+    assert [each["height_mm"] for each in facts["markers"]] == pytest.approx(1e3 * np.array(heights), abs=0.1)
+    assert not any("levelled" in each or "left out" in each for each in facts["notes"])
+    spacing = {tuple(each["markers"]): each["median_mm"] for each in facts["distances"]}
+    flat, _ = inspect_file(written(tmp_path / "flat.csv", raised((0.03,) * 5)), NO_MAP, None)
+    for each in flat["distances"]:
+        assert spacing[tuple(each["markers"])] == pytest.approx(each["median_mm"], abs=0.05)
+    assert "never seen" not in in_words(facts) and "90 mm high" in in_words(facts)
+    assert bend_error(read_motion(path, SPEC)) < 0.04
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
+    """Up to half of the markers on masts, 0 to 20° of tilt in any direction: within 0.1°."""
+    random = np.random.default_rng(seed)
+    layout = ("single", "head", "pair")[seed % 3]
+    count = markers(motion(), Take(layout=layout)).shape[1]
+    heights = np.full(count, 0.03)
+    high = random.choice(count, count // 2, replace=False)
+    heights[high] = random.uniform(0.06, 0.2, len(high))
+    axis, turn = random.uniform(0, 2 * np.pi, 2)
+    tilt = random.uniform(3.1, 20) if seed % 4 else 0.0
+    tilted = Rotation.from_rotvec(np.radians(tilt) * np.array([np.cos(axis), np.sin(axis), 0]))
+    points = raised(heights, seed, layout) @ Rotation.from_euler("z", turn).as_matrix().T
+    found = on_floor(points @ tilted.as_matrix().T + [0, 0, 1], "auto", "z")
+    assert found.up == "z" and any("levelled" in each for each in found.corrections) == (tilt > 0)
+    x, y, z = np.moveaxis(found.points, -1, 0)
+    plane = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    slope = np.linalg.lstsq(plane, (z - heights).ravel(), rcond=None)[0]
+    assert np.degrees(np.hypot(*slope[:2])) < 0.05
+
+
+def test_lamps_and_people_are_left_out_by_their_motion(tmp_path):
+    """A lamp over the path stands still, a cap on a head bobs, a cart drives past."""
+    time = motion().time
+    middle = motion().position[:, 2]
+    lamp = np.column_stack([np.tile(middle[200], (len(time), 1)), np.full(len(time), 1.5)])
+    cap = np.column_stack([middle + [0.2, 0.1], 1.7 + 0.03 * np.sin(12 * time)])
+    cart = np.column_stack([0.05 + 0.8 * time, 0.1 - 0.3 * time, np.full(len(time), 0.4)])
+    points = np.concatenate([raised(MASTS), np.stack([lamp, cap, cart], axis=1)], axis=1)
+    path = written(tmp_path / "x.csv", points, ["a", "b", "c", "d", "e", "lamp", "cap", "cart"])
+    facts, _ = inspect_file(path, NO_MAP, None)
+    assert [each["coverage"] for each in facts["markers"]] == [1.0] * 8
+    found = read_motion(path, SPEC)
+    for said in (facts["notes"], found.summary.corrections):
+        out = [each for each in said if "left out" in each]
+        assert "marker 'lamp' left out: 1500 mm high, does not move with the others" in out
+        assert any("'cap' left out: 170" in each and "its height varies by" in each for each in out)
+        assert any("'cart' left out: 400 mm high" in each for each in out) and len(out) == 3
+    assert found.summary.markers.samples_other == 3 * len(time) and bend_error(found) < 0.04
+
+
+def test_markers_that_a_map_names_are_the_robots(tmp_path):
+    """A named marker is used at any height, and swaps of names between heights are followed."""
+    points = raised((0.03, 0.03, 0.25, 0.03, 0.03))
+    points[250:, [1, 2]] = points[250:, [2, 1]]
+    path = written(tmp_path / "x.csv", points)
+    map = RecordingMap(markers={f"c{k}": {"connector": k} for k in range(1, 6)})
+    found = read_motion(path, SPEC, map=map)
+    assert found.summary.markers.moves == 2 and bend_error(found) < 0.04
