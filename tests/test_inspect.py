@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 from recorded import NOISE, RATE, SPEC, motion, valve_csv
 from synthetic_takes import Take, motive_csv, write_motive
 from test_foreign_recordings import bag
@@ -13,8 +14,10 @@ from test_formats import c3d_file
 
 from srs_twin import InputError
 from srs_twin.cli import main
+from srs_twin.cli.options import print_json
 from srs_twin.identification import read_motion
 from srs_twin.io.validation import load_model
+from srs_twin.recordings.facts import plain_facts
 from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 
@@ -150,6 +153,50 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert [each["file"] for each in json.loads(said.out)] == ["take.csv"] and "cut.csv:" in said.err
     run(["inspect", "take.csv", "--robot", "gen2", "--units", "m"])
     assert "layout head" in capsys.readouterr().out
+
+
+def typed(schema):
+    """Yield every part of a schema that has a type of its own."""
+    if isinstance(schema, dict):
+        yield from [schema] * (schema.get("type") in ("number", "integer"))
+        schema = list(schema.values())
+    if isinstance(schema, list):
+        for each in schema:
+            yield from typed(each)
+
+
+def test_json_of_all_kinds_of_files_is_as_its_schema_says(tmp_path, monkeypatch, capsys):
+    """Markers, bodies with signals, logs, files that cannot be read; and every number has a unit."""
+    monkeypatch.chdir(tmp_path)
+    run(["schema", "inspect"])
+    schema = json.loads(capsys.readouterr().out)
+    Draft202012Validator.check_schema(schema)
+    assert all("unit" in each for each in typed(schema))
+    for block in (schema["$defs"][name] for name in schema["$defs"]):
+        assert all(each.get("description") for each in block["properties"].values())
+    write_motive(motion(), Take(layout="head", unit="cm"), "take.csv")
+    (tmp_path / "take.c3d").write_bytes(c3d_file())
+    (tmp_path / "log.csv").write_text(valve_csv(motion(), 0.0, 4.0, 7.0))
+    (tmp_path / "none.csv").write_text("hello\nworld\n")
+    bag(tmp_path / "walk.mcap")
+    run(["inspect", "take.csv", "take.c3d", "log.csv", "walk.mcap", "none.csv", "-r", "gen2", "--json"], 2)
+    found = json.loads(capsys.readouterr().out)
+    Draft202012Validator(schema).validate(found)
+    assert [each["format"] for each in found] == ["Motive CSV 1.21", "C3D", "plain CSV", "MCAP"]
+    take, c3d, log, walk = found
+    assert (take["units"], take["bodies"], c3d["units"]) == ("cm", [], "mm")
+    assert take["markers"][0]["noise_m"] == pytest.approx(NOISE, rel=0.2)
+    assert any(each.startswith("markers:") for each in take["proposals"]) and "log:" in log["proposals"]
+    assert walk["bodies"][0] == "/snake/link1" and c3d["robot"]["reads"] is False
+    assert take["robot"]["reads"] and "markers" not in log
+
+
+def test_numpy_numbers_do_not_reach_json(capsys):
+    facts = {"file": "x", "format": "C3D", "content": "markers", "sha256": "", "proposals": [], "notes": []}
+    plain = plain_facts({**facts, "frames": np.uint16(435), "rate_hz": np.float32(100)})
+    assert (type(plain["frames"]), type(plain["rate_hz"])) == (int, float)
+    print_json({"a": np.uint16(3), "b": np.arange(2), "c": np.float32(0.5), "d": np.bool_(True)})
+    assert json.loads(capsys.readouterr().out) == {"a": 3, "b": [0, 1], "c": 0.5, "d": True}
 
 
 def test_files_that_are_nothing(tmp_path):

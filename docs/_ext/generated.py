@@ -18,6 +18,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "scenario keys": key_tables.scenario,
     "sweep keys": key_tables.sweep,
     "robot keys": key_tables.robot,
+    "inspect keys": key_tables.inspection,
     "commands": command_tables.commands,
 }
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from srs_twin.io.validation import allowed
+from srs_twin.recordings.facts import RecordingFacts
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.sweep.file import SweepFile
@@ -35,6 +36,11 @@ def robot() -> str:
     spread = blocks.root["$defs"]["Uncertain"]
     # A key of records, which have no section of their own.
     return "\n\n".join([blocks.markdown("robot"), *blocks._section("robot", "uncertain", spread)])
+
+
+def inspection() -> str:
+    """Return the keys of what `inspect --json` prints."""
+    return _Output(RecordingFacts.model_json_schema()).markdown("inspect")
 
 
 @dataclass
@@ -114,6 +120,17 @@ class Blocks:
             if set(record) == set(_RECORD):
                 return _shown(record["unit"]["const"])
         return _shown(schema.get("unit", ""))
+
+
+class _Output(Blocks):
+    """The blocks of a document that is printed: numbers have plain units."""
+
+    def _meaning(self, schema: Schema) -> str:
+        return str(schema.get("description", ""))
+
+    def _unit(self, schema: Schema) -> str:
+        options = (option.get("items", option) for option, _ in self._options(schema))
+        return _shown(next((str(each["unit"]) for each in options if "unit" in each), ""))
 
 
 def _shown(unit: str) -> str:

@@ -14,7 +14,7 @@ _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _ALL = _KINDS[:-1]
 """What is listed together: `--json` has these keys, which files of others rely on."""
 _SHIPPED = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
-_SCHEMAS = ("scenario", "sweep", "study")
+_SCHEMAS = ("scenario", "sweep", "study", "inspect")
 
 
 def list_(
@@ -134,10 +134,10 @@ def _words(value: Any) -> str:
 def schema(
     kind: Annotated[str, argument("KIND")] = "scenario",
 ) -> None:
-    """Print the JSON Schema of scenario, sweep or study files.
+    """Print the JSON Schema of scenario, sweep or study files, or of the output of inspect --json.
 
     Options:
-        kind: Of which files: scenario, sweep or study.
+        kind: Kind of document: scenario, sweep, study or inspect.
     """
     if kind not in _SCHEMAS:
         raise UnknownNameError("kind of file", kind, _SCHEMAS)
@@ -149,6 +149,10 @@ def schema(
         from srs_twin.optimization.file import study_json_schema
 
         found = study_json_schema()
+    elif kind == "inspect":
+        from srs_twin.recordings.facts import facts_json_schema
+
+        found = facts_json_schema()
     else:
         from srs_twin.scenario import scenario_json_schema
 

@@ -83,11 +83,11 @@ FloorOption = Annotated[str | None, option("--law NAME", _FLOOR)]
 
 
 def print_json(document: Any) -> None:
-    """Print one JSON document on stdout."""
+    """Print one JSON document on stdout; NumPy's numbers and arrays become Python's."""
     import json
 
     # ASCII alone: a terminal obeys what control characters foreign names hold.
-    typer.echo(json.dumps(document, indent=2, allow_nan=False))
+    typer.echo(json.dumps(document, indent=2, allow_nan=False, default=lambda value: value.tolist()))
 
 
 def plants_of(given: str | None) -> list[str] | None:

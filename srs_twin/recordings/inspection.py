@@ -1,12 +1,13 @@
 """What is in a recording, without a robot: format, clock, axes, markers, distances, order, head, a map.
 
-Facts are plain data with units in their keys, as `srs-twin inspect --json` prints them. `Scene` is what its
-picture is drawn from.
+Facts are plain data with units in their keys, as `srs-twin inspect --json` prints them (`facts.py`). `Scene`
+is what its picture is drawn from.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from srs_twin.recordings.body.markers import body_order, forward_distance
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
 from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.facts import plain_facts
 from srs_twin.recordings.formats import identify, mcap, plain_csv, read_markers
 from srs_twin.recordings.formats.base import axis_columns
 from srs_twin.recordings.marker_table import MarkerTable
@@ -37,6 +39,7 @@ _CRAWLED = 0.3  # of the distance of neighbours: less does not tell the head
 _CARRIER = 10.0  # openings a second: more are no gait's
 _MOST_SIGNALS = 200
 _MILLIMETRES = 2.0  # m between neighbours: more is a unit that was mistaken
+_FROM = re.compile(r"(?:converted from|given:) (?:.*, )?(mm|cm|in|ft|px)\b")
 _UNIT = ("_pa", "_kpa", "_bar", "_psi")
 
 
@@ -69,7 +72,7 @@ def inspect_file(
         file = read_file(path)
         (cells,) = file.head(1)
         if not axis_columns(cells) and not any(cell.strip().lower().startswith("x_1") for cell in cells):
-            return _log_facts(file, cells, map), None
+            return _whole(_log_facts(file, cells, map)), None
     table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
@@ -79,7 +82,12 @@ def inspect_file(
             {"name": name, **_signal_facts(name, time, values)}
             for name, (time, values) in list(mcap.read_topics(path).signals.items())[:_MOST_SIGNALS]
         ]
-    return facts, scene
+    return _whole(facts), scene
+
+
+def _whole(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return facts with the map that they propose, in plain types."""
+    return plain_facts({**facts, "proposals": proposed_map([facts]).splitlines()})
 
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
@@ -89,7 +97,8 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
         "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
         "rate_hz": rate, "duration_s": float(frames.time[-1] - frames.time[0]),
         "frames": int((frames.rows >= 0).sum()), "frames_missing": int((frames.rows < 0).sum()),
-        "announced_frames": table.header_frames, "notes": [*table.corrections, *frames.corrections],
+        "announced_frames": table.header_frames, "units": _length_unit(table),
+        "notes": [*table.corrections, *frames.corrections],
     }  # fmt: skip
     turned = () if table.rotations is None else np.flatnonzero(np.isfinite(table.rotations).any(axis=(0, 2)))
     bodies = [table.labels[k] for k in turned]
@@ -99,7 +108,7 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
     except InputError as error:
         facts["notes"].append(str(error))
         return facts, None
-    facts |= {"up": floor.up}
+    facts |= {"up": floor.up, "bodies": bodies}
     facts["notes"] += floor.corrections
     seen = at_frames(floor.points, frames)
     facts["markers"] = [
@@ -109,14 +118,21 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
     return facts, scene
 
 
+def _length_unit(table: MarkerTable) -> str:
+    """Return the unit of a file's lengths, which its reader notes where it converts them."""
+    found = (_FROM.search(each) for each in table.corrections)
+    return next((each[1] for each in found if each), "m")
+
+
 def _marker_facts(name: str, place: np.ndarray, frames: FrameGrid, body: bool) -> dict[str, Any]:
     missing = np.isnan(place[:, 0])
     gaps = runs(missing)
     inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(place))] if len(gaps) else gaps
     longest = float(np.diff(inner, axis=1).max()) * frames.period if len(inner) else 0.0
+    noise = None if missing.all() else noise_of(place[:, None, :2])
     return {
         "name": name, "rigid_body": body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
-        "longest_gap_s": longest, "noise_mm": None if missing.all() else 1e3 * noise_of(place[:, None, :2]),
+        "longest_gap_s": longest, "noise_mm": None if noise is None else 1e3 * noise, "noise_m": noise,
         "height_mm": None if missing.all() else 1e3 * float(np.nanmedian(place[:, 2])),
     }  # fmt: skip
 
