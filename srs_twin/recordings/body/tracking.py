@@ -244,7 +244,7 @@ class _Tracker:
         moved = np.where(gap <= _ALONE, gap, 0)[:, None] * self._velocity[tracks]
         distance = np.linalg.norm(begins[:, None] - (self._last[tracks] + moved), axis=-1)
         strange = np.zeros_like(distance)
-        for k in np.flatnonzero(gap > 1):
+        for k in np.flatnonzero((gap > 1) | (near > self._gate)):
             end = self._end[tracks[k]]
             there = np.flatnonzero((self.slots[[end, frame]] >= 0).all(axis=0))
             if gap[k] > _ALONE and len(there) >= 2:
