@@ -51,7 +51,8 @@ def inspect(
         try:
             facts, scene = inspect_file(path, known, spec)
         except InputError as error:
-            failed.append(str(error))
+            said = str(error)
+            failed.append(said if Path(path).name in said else f"{path}: {said}")
             continue
         found.append(facts)
         if not as_json:

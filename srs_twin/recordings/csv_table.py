@@ -190,13 +190,27 @@ class RecordedFile:
         return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
 
 
+def recording_file(path: str | os.PathLike[str]) -> Path:
+    """Return the file of a recording, which of a ROS 2 bag lies in a folder.
+
+    Raises:
+        InputError: it is missing, or a folder without one such file.
+    """
+    place = Path(path)
+    bags = sorted(each for each in place.glob("*") if each.suffix in (".db3", ".mcap"))
+    if len(bags) > 1:
+        names = ", ".join(each.name for each in bags[:3])
+        raise InputError(f"{shown(place)}: a folder with {len(bags)} bags; give one of them ({names}, …)")
+    return existing(bags[0] if bags else place, suffix=".csv")
+
+
 def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
     """Read a recorded file of any kind.
 
     Raises:
         InputError: missing, no regular file, not readable, empty, or too large.
     """
-    place = existing(Path(path), suffix=".csv")
+    place = recording_file(path)
     name = shown(place)
     try:
         if (megabytes := place.stat().st_size / (1 << 20)) > MAX_BYTES >> 20:

@@ -20,8 +20,9 @@ from srs_twin.recordings.body.markers import body_order, forward_distance
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
 from srs_twin.recordings.csv_table import RecordedFile, read_file
-from srs_twin.recordings.formats import identify, mcap, plain_csv, read_markers
+from srs_twin.recordings.formats import holds_topics, identify, plain_csv, read_markers, read_topics
 from srs_twin.recordings.formats.base import axis_columns
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_high
 from srs_twin.recordings.recording_map import LOG_NAME, RecordingMap
@@ -70,16 +71,29 @@ def inspect_file(
         (cells,) = file.head(1)
         if not axis_columns(cells) and not any(cell.strip().lower().startswith("x_1") for cell in cells):
             return _log_facts(file, cells, map), None
-    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
+    topics = read_topics(path) if holds_topics(path) else None
+    if topics is not None and topics.markers is None and topics.signals:
+        return _topics_facts(topics, kind), None
+    table = topics.markers if topics is not None else None
+    if table is None:
+        table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts["robot"] = _beside_robot(path, map, spec)
-    if kind == mcap.NAME:
-        facts["signals"] = [
-            {"name": name, **_signal_facts(name, time, values)}
-            for name, (time, values) in list(mcap.read_topics(path).signals.items())[:_MOST_SIGNALS]
-        ]
+    if topics is not None:
+        facts["signals"] = _topics_facts(topics, kind)["signals"]
     return facts, scene
+
+
+def _topics_facts(topics: RecordedTopics, kind: str) -> dict[str, Any]:
+    """Return the facts of the signals of a bag."""
+    signals = list(topics.signals.items())[:_MOST_SIGNALS]
+    time = max((each for _, (each, _) in signals), key=len, default=np.zeros(0))
+    return {
+        "file": topics.name, "format": kind, "content": "log", "sha256": topics.sha256,
+        "signals": [{"name": name, **_signal_facts(name, *series)} for name, series in signals],
+        "notes": list(topics.notes), **_clock_facts(time),
+    }  # fmt: skip
 
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
@@ -140,7 +154,7 @@ def _chain_facts(
         return None
     near = float(np.median(nearest[np.isfinite(nearest)]))
     if near > _MILLIMETRES:
-        facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give units")
+        facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
     tracks, origin, dropped = follow(slots, columns, max(1, round(_GAP / frames.period)), 2 * near)
     share = (~np.isnan(tracks[..., 0])).mean(axis=0)
     solid = np.flatnonzero(share >= _SOLID)
@@ -271,14 +285,19 @@ def _log_facts(file: RecordedFile, cells: Sequence[str], map: RecordingMap) -> d
         "file": file.name, "format": plain_csv.NAME, "content": "log", "sha256": file.sha256,
         "signals": signals, "notes": notes,
     }  # fmt: skip
-    if time is not None and len(time) > 1:
-        step = np.diff(time)
-        facts |= {
-            "starts_s": float(time[0]), "duration_s": float(time[-1] - time[0]), "rows": len(time),
-            "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
-            "steps_back": int((step < 0).sum()),
-        }  # fmt: skip
-    return facts
+    return facts if time is None else facts | _clock_facts(time)
+
+
+def _clock_facts(time: np.ndarray) -> dict[str, Any]:
+    """Return begin, duration, rate and number of rows of a log; nothing of a single one."""
+    if len(time) < 2:
+        return {}
+    step = np.diff(time)
+    return {
+        "starts_s": float(time[0]), "duration_s": float(time[-1] - time[0]), "rows": len(time),
+        "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
+        "steps_back": int((step < 0).sum()),
+    }  # fmt: skip
 
 
 def _signal_facts(name: str, time: np.ndarray, values: np.ndarray, *, timed: bool = True) -> dict[str, Any]:

@@ -72,10 +72,11 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Put a file's name before the messages of a block; names that are unknown are not the file's fault."""
+    """Put a file's name before the messages of a block."""
     try:
         yield
-    except UnknownNameError:
+    except UnknownNameError as error:
+        error.args = (f"{file}: {error}",)
         raise
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
@@ -143,7 +144,7 @@ def read_motion(
             raise InputError(
                 f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps "
                 f"up to {longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all "
-                f"markers seen on {together:.0f} % of them); give longest_gap_s"
+                f"markers seen on {together:.0f} % of them); give --longest-gap"
             )
         time = frames.time[kept]
         origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])

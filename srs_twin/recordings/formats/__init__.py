@@ -2,20 +2,36 @@
 
 Each module of this package reads one format: `NAME`, `recognizes(start)`, and `read(path, unstated)`. Lengths
 come out in m and times in s, in the file's own axes. Damaged files of any format raise one `InputError` that
-names the file. The libraries `c3d` and `mcap` are the extra `recordings`.
+names the file. The libraries `c3d` and `rosbags` are the extra `recordings`.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable
-from srs_twin.recordings.formats import c3d, deeplabcut, mcap, motive, plain_csv, qualisys, vicon
+from srs_twin.recordings.csv_table import read_bytes
+from srs_twin.recordings.formats import (
+    c3d,
+    deeplabcut,
+    mcap,
+    motive,
+    plain_csv,
+    qualisys,
+    ros1_bag,
+    ros2_bag,
+    topics,
+    trc,
+    tum,
+    vicon,
+)
 from srs_twin.recordings.formats.base import Start, Unstated, start_of
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 
 
@@ -29,24 +45,45 @@ class Format(NamedTuple):
 
 _READERS = tuple(
     Format(module.NAME, module.recognizes, module.read)
-    for module in (c3d, mcap, motive, vicon, qualisys, deeplabcut, plain_csv)
+    for module in (
+        c3d,
+        mcap,
+        ros1_bag,
+        ros2_bag,
+        motive,
+        vicon,
+        qualisys,
+        trc,
+        tum,
+        deeplabcut,
+        plain_csv,
+    )  # fmt: skip
 )
 """In the order in which a file is tried."""
 FORMATS = tuple(each.name for each in _READERS)
+_BAGS = (mcap, ros1_bag, ros2_bag)
 
+_TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
-# Suffix or first bytes, what that is, what to do.
+# Suffix or pattern of the first bytes, what that is, what to do.
 _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
     (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
-    (b"#ROSBAG", "a ROS 1 bag", "convert it: `mcap convert in.bag out.mcap`"),
-    (b"SQLite format 3", "a ROS 2 bag in SQLite (.db3)", "convert it: `mcap convert in.db3 out.mcap`"),
-    (b"\x89HDF", "an HDF5 file", "DeepLabCut writes a CSV beside it with save_as_csv=True"),
-    (b"PK\x03\x04", "a ZIP archive or an Excel workbook (.xlsx)", "unpack it, or save the sheet as CSV"),
-    (b"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)", "save the sheet as CSV"),
-    (b"\x1f\x8b", "a gzip archive", "unpack it"),
-    (b"PathFileType", "a TRC file", _EXPORT),
-    (b"HIERARCHY", "a BVH file, which holds joint angles and no markers", _EXPORT),
+    (rb"#ROSBAG", "a bag of an older ROS", "convert it: `rosbag fix in.bag out.bag`"),
+    (rb"\x28\xb5\x2f\xfd", "a Zstandard archive, as of compressed bags", "unpack it: `zstd -d FILE`"),
+    (rb"\x89HDF.*df_with_missing", "a DeepLabCut file (HDF5)", "write its CSV with save_as_csv=True"),
+    (rb"\x89HDF.*track_occupancy", "a SLEAP file (HDF5)", _TABLE),
+    (rb"\x89HDF", "an HDF5 file", _TABLE),
+    (rb"MATLAB", "a MATLAB file", f"{_TABLE} (writetable)"),
+    (rb"PK\x03\x04.{26}[^\0]{0,200}?\.npy", "a NumPy archive (.npz)", f"{_TABLE} (numpy.savetxt)"),
+    (rb"\x93NUMPY", "a NumPy array (.npy)", f"{_TABLE} (numpy.savetxt)"),
+    (rb"PK\x03\x04.*(xl/|\[Content_Types)", "an Excel workbook (.xlsx)", "save the sheet as CSV"),
+    (rb"PK\x03\x04", "a ZIP archive", "unpack it"),
+    (rb"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)", "save the sheet as CSV"),
+    (rb"\x1f\x8b", "a gzip archive", "unpack it"),
+    (rb"PAR1", "a Parquet file", f"{_TABLE} (pandas: to_csv)"),
+    (rb"\x80[\x02-\x05]", "a Python pickle", _TABLE),
+    (rb"HIERARCHY", "a BVH file, which holds joint angles and no markers", _EXPORT),
 )
 
 
@@ -90,7 +127,7 @@ def _format(path: str | os.PathLike[str]) -> Format:
         if each.recognizes(start):
             return each
     for sign, what, remedy in _OTHERS:
-        if raw.startswith(sign) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
+        if re.match(sign, raw, re.DOTALL) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
             raise InputError(f"{name}: {what}, which is not read; {remedy}. Formats: {', '.join(FORMATS)}")
     looks = (
         "a binary file of a kind that is not known"
@@ -99,3 +136,26 @@ def _format(path: str | os.PathLike[str]) -> Format:
     )
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
     raise InputError(printable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
+
+
+def read_topics(path: str | os.PathLike[str], *, signals: bool = True) -> RecordedTopics:
+    """Read poses, points and signals of a bag; see `topics.read`.
+
+    Raises:
+        InputError: damaged, too large, no bag, or the libraries are not installed.
+    """
+    start = start_of(path)
+    for bag in _BAGS:
+        if bag.recognizes(start):
+            return topics.read(read_bytes(path), bag.NAME, bag.messages, signals=signals)
+    raise InputError(f"{start.name}: no bag; formats with topics: {', '.join(bag.NAME for bag in _BAGS)}")
+
+
+def holds_topics(path: str | os.PathLike[str]) -> bool:
+    """Say whether a file holds topics, as bags do.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    start = start_of(path)
+    return any(bag.recognizes(start) for bag in _BAGS)

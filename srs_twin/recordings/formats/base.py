@@ -5,18 +5,18 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
-from srs_twin.io.files import existing, printable, shown
-from srs_twin.recordings.csv_table import RecordedFile
+from srs_twin.io.files import printable, shown
+from srs_twin.recordings.csv_table import RecordedFile, recording_file
+from srs_twin.recordings.marker_table import MarkerTable, plausible
 from srs_twin.recordings.signals.units import LENGTHS
 
 _PEEK = 1 << 16  # bytes that tell a format
@@ -76,7 +76,7 @@ def start_of(path: str | os.PathLike[str]) -> Start:
     Raises:
         InputError: it is missing or cannot be read.
     """
-    place = existing(Path(path), suffix=".csv")
+    place = recording_file(path)
     name = shown(place)
     try:
         with place.open("rb") as stream:
@@ -146,6 +146,38 @@ def numbered(file: RecordedFile, numbers: np.ndarray, header_lines: int, what: s
     if (missing := np.isnan(numbers)).any():
         raise file.error(f"a row without a {what}", header_lines + 1 + int(missing.argmax()), 1)
     return numbers
+
+
+def announced(text: str) -> int | None:
+    """Return the number of frames that a header announces; None where it is no number."""
+    return int(text) if text.isdecimal() and len(text) < 10 else None
+
+
+def converted(units: Iterable[str]) -> list[str]:
+    """Return that lengths were converted, in words; empty where all are m."""
+    others = ", ".join(sorted({*units} - {"m"}))
+    return [f"lengths converted from {others} to m"] if others else []
+
+
+def marker_table(
+    file: RecordedFile,
+    kind: str,
+    time: np.ndarray,
+    points: np.ndarray,
+    names: Sequence[str],
+    notes: Sequence[str],
+    *,
+    frames: int | None = None,
+    rotations: np.ndarray | None = None,
+) -> MarkerTable:
+    """Return markers as a reader found them, without implausible points and with printable names."""
+    points, implausible = plausible(points)
+    if rotations is not None:
+        unknown = np.isnan(rotations).any(axis=-1) | np.isnan(points[..., 0])
+        rotations = np.where(unknown[..., None], np.nan, rotations)
+    labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
+    corrections = (*notes, *implausible)
+    return MarkerTable(file.name, file.sha256, kind, time, points, labels, corrections, (), frames, rotations)
 
 
 @contextmanager

@@ -77,11 +77,11 @@ def estimate_offset(
         step = sum(spans) / _MOST
     least = int(LEAST_OVERLAP * min(spans) / step)
     if least < 8:
-        raise InputError("too short to find its offset; give offset")
+        raise InputError("too short to find its offset; give --offset")
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
-        raise InputError("nothing moves, so its offset cannot be found; give offset")
+        raise InputError("nothing moves, so its offset cannot be found; give --offset")
     loss, lags, count = _losses(bends, model, least)
     best = int(np.argmin(loss))
     explained = 1 - float(loss[best])
@@ -89,7 +89,7 @@ def estimate_offset(
     if explained < EXPLAINED:
         raise InputError(
             f"no offset explains the bends (the best {100 * explained:.0f} % of their variance, "
-            f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give offset"
+            f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give --offset"
         )
     _refuse_ambiguous(loss, lags * step + zero, best)
     error, shift = float("inf"), 0.0
@@ -150,8 +150,8 @@ def _refuse_ambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
         listed = ", ".join(f"{each:.4g}" for each in sorted(nearest))
         raise InputError(
             f"the offset of its clock is ambiguous, {len(rivals) + 1} fit about equally well ({listed} s, …)"
-            ": a gait repeats itself, and neither its start nor its end is in view; give offset, or a longer "
-            "recording"
+            ": a gait repeats itself, and neither its start nor its end is in view; give --offset, or a "
+            "longer recording"
         )
 
 
@@ -252,7 +252,7 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     forgotten = 0.0 if empty else _FORGOTTEN * max(spec.actuator.tau_fill, spec.actuator.tau_vent)
     known = clock >= forgotten
     if known.sum() < LEAST_FRAMES:
-        raise InputError(f"{log.source}: {span:g} s are too short to find its offset; give offset")
+        raise InputError(f"{log.source}: {span:g} s are too short to find its offset; give --offset")
     return log.time[0] + clock[known], trace.bend[known]
 
 

@@ -23,8 +23,8 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
-from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, first_line_names, read_file, read_table
-from srs_twin.recordings.formats import c3d, mcap
+from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, read_file, read_table
+from srs_twin.recordings.formats import holds_topics, read_topics
 from srs_twin.recordings.formats.base import start_of
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
@@ -59,8 +59,9 @@ def is_bend_log(path: str | os.PathLike[str]) -> bool:
         InputError: it cannot be read.
     """
     start = start_of(path)
-    binary = mcap.recognizes(start) or c3d.recognizes(start)
-    return not binary and any(name.startswith("bend_1") for name in first_line_names(path))
+    return "\0" not in start.line and any(
+        cell.strip(' "').lower().startswith("bend_1") for cell in start.cells
+    )
 
 
 def read_bends(
@@ -102,7 +103,7 @@ def read_bends(
     kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
         raise table.file.error(
-            f"no {LEAST_FRAMES} rows on end in which all bends are known; give longest_gap_s"
+            f"no {LEAST_FRAMES} rows on end in which all bends are known; give --longest-gap"
         )
     kept_time, unknown = frames.time[kept], int(np.isnan(bend[kept]).sum())
     notes += frames.corrections
@@ -193,15 +194,15 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     """Read a log of valves, duties or pressures.
 
     Args:
-        path: of a plain CSV or an MCAP file.
+        path: of a plain CSV file or a bag.
         spec: the robot that it is of.
         map: which columns, or signals of topics, hold what; frequency of the duties' carrier.
 
     Raises:
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
-    if mcap.recognizes(start_of(path)):
-        return _mcap_log(path, spec, map)
+    if holds_topics(path):
+        return _topics_log(path, spec, map)
     air = {f"{kind}_{side}": PRESSURES for kind in AIR for side in SIDES}
     valves: dict[str, dict[str, float]] = {
         f"{kind}_{side}": {} for kind in ("valve", "duty") for side in SIDES
@@ -285,9 +286,9 @@ def _switched(
     return edges, np.where(filling, 1.0, -1.0)
 
 
-def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) -> ValveLog:
+def _topics_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) -> ValveLog:
     """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
-    topics = mcap.read_topics(path)
+    topics = read_topics(path)
     with named_in_errors(topics.name):
         names = {what: signal for signal, what in map.columns.items()}
         kinds = {what.partition("_")[0] for what in names}
@@ -349,7 +350,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     if moved > _MOVED * pitch or turned > _TURNED:
         raise InputError(
             f"{recording.summary.source}: the head moves by {1e3 * moved:.0f} mm and turns by "
-            f"{np.degrees(turned):.2g}°; on a bench it is held (is the other end held? Give head)"
+            f"{np.degrees(turned):.2g}°; on a bench it is held (is the other end held? Give --head)"
         )
     mass = spec.mass.array()
     # Turned by −heading about the clamp, which then lies ahead on the x axis.
