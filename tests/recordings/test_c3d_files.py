@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import random
 import struct
 import warnings
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from srs_twin import InputError
+from srs_twin.cli import main
 from srs_twin.recordings.formats import read_markers
 
 RATE = 100.0
@@ -197,6 +199,21 @@ def test_units_of_points(tmp_path):
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(InputError, match="odd.c3d: unit of length 'furlong' is not known"):
         read_markers(tmp_path / "odd.c3d")
+
+
+def test_a_scale_of_analog_channels_that_are_not_there(tmp_path, capsys):
+    """The library c3d cannot go through such files; `inspect --json` prints what is in them."""
+    points = walk(50, 3)
+    by_ezc3d(tmp_path / "a.c3d", points)
+    file = ezc3d.c3d(str(tmp_path / "a.c3d"))
+    file["parameters"]["ANALOG"]["SCALE"]["value"] = [-1.0]
+    file.write(str(tmp_path / "b.c3d"))
+    same(tmp_path / "b.c3d", points)
+    with pytest.raises(SystemExit) as left:
+        main(["inspect", str(tmp_path / "b.c3d"), "--json"])
+    (facts,) = json.loads(capsys.readouterr().out)
+    assert not left.value.code and facts["announced_frames"] == facts["frames"] == 50
+    assert len(facts["markers"]) == 3 and facts["rate_hz"] == pytest.approx(RATE)
 
 
 def test_angles_are_no_markers(tmp_path):
