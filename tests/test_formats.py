@@ -24,7 +24,8 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
 from srs_twin.identification import read_motion
-from srs_twin.recordings.formats import FORMATS, identify, read_markers, read_topics, topics
+from srs_twin.recordings.csv_table import read_bytes
+from srs_twin.recordings.formats import FORMATS, identify, mcap, read_markers, read_topics, topics
 
 pytestmark = [pytest.mark.fast, pytest.mark.filterwarnings("ignore:No analog data")]
 
@@ -499,7 +500,7 @@ def test_an_archive_of_repeated_bytes_is_refused_before_it_is_unpacked(
         writer.add_message(channel, log_time=ORIGIN, data=b"[" + b" " * size + b"]", publish_time=ORIGIN)
     writer.finish()
     path = written(tmp_path, stream.getvalue())
-    monkeypatch.setattr(topics, "unpacked", None)  # not one chunk is
+    monkeypatch.setattr(mcap, "unpacked", None)  # not one chunk is
     with pytest.raises(
         InputError, match=r"its chunks unpack to \d+ MB; of a file of \d+ kB at most \d+ MB are"
     ):
@@ -508,8 +509,9 @@ def test_an_archive_of_repeated_bytes_is_refused_before_it_is_unpacked(
 
 def test_signals_are_not_read_where_only_positions_are_wanted(tmp_path):
     path = written(tmp_path, mcap_file())
-    assert read_topics(path, signals=False).signals == {} != read_topics(path).signals
-    assert read_topics(path, signals=False).markers.labels == read_topics(path).markers.labels
+    found = topics.read(read_bytes(path), "MCAP", mcap.messages, signals=False)
+    assert found.signals == {} != read_topics(path).signals
+    assert found.markers.labels == read_topics(path).markers.labels
 
 
 def damaged(content, seed):

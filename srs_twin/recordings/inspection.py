@@ -20,7 +20,7 @@ from srs_twin.recordings.body.markers import body_order, forward_distance
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
 from srs_twin.recordings.csv_table import RecordedFile, read_file
-from srs_twin.recordings.formats import holds_topics, identify, plain_csv, read_markers, read_topics
+from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_topics
 from srs_twin.recordings.formats.base import axis_columns
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
@@ -71,7 +71,7 @@ def inspect_file(
         (cells,) = file.head(1)
         if not axis_columns(cells) and not any(cell.strip().lower().startswith("x_1") for cell in cells):
             return _log_facts(file, cells, map), None
-    topics = read_topics(path) if holds_topics(path) else None
+    topics = read_topics(path)
     if topics is not None and topics.markers is None and topics.signals:
         return _topics_facts(topics, kind), None
     table = topics.markers if topics is not None else None

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from types import ModuleType
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable
@@ -25,43 +24,18 @@ from srs_twin.recordings.formats import (
     qualisys,
     ros1_bag,
     ros2_bag,
-    topics,
     trc,
     tum,
     vicon,
 )
-from srs_twin.recordings.formats.base import Start, Unstated, start_of
-from srs_twin.recordings.formats.topics import RecordedTopics
+from srs_twin.recordings.formats.base import Unstated, start_of
+from srs_twin.recordings.formats.topics import RecordedTopics, read
 from srs_twin.recordings.marker_table import MarkerTable
 
-
-class Format(NamedTuple):
-    """A format: its name, whether a file that starts so has it, and its reader."""
-
-    name: str
-    recognizes: Callable[[Start], bool]
-    read: Callable[[str | os.PathLike[str], Unstated], MarkerTable]
-
-
-_READERS = tuple(
-    Format(module.NAME, module.recognizes, module.read)
-    for module in (
-        c3d,
-        mcap,
-        ros1_bag,
-        ros2_bag,
-        motive,
-        vicon,
-        qualisys,
-        trc,
-        tum,
-        deeplabcut,
-        plain_csv,
-    )  # fmt: skip
-)
-"""In the order in which a file is tried."""
-FORMATS = tuple(each.name for each in _READERS)
 _BAGS = (mcap, ros1_bag, ros2_bag)
+_READERS = (c3d, *_BAGS, motive, vicon, qualisys, trc, tum, deeplabcut, plain_csv)
+"""In the order in which a file is tried."""
+FORMATS = tuple(each.NAME for each in _READERS)
 
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
@@ -93,7 +67,7 @@ def identify(path: str | os.PathLike[str]) -> str:
     Raises:
         InputError: missing, a folder, empty, or of another format; says what it looks like.
     """
-    return _format(path).name
+    return str(_format(path).NAME)
 
 
 def read_markers(
@@ -115,10 +89,11 @@ def read_markers(
     Raises:
         InputError: with file, line and column, and what is allowed.
     """
-    return _format(path).read(path, Unstated(rate_hz, unit, scale_m))
+    table: MarkerTable = _format(path).read(path, Unstated(rate_hz, unit, scale_m))
+    return table
 
 
-def _format(path: str | os.PathLike[str]) -> Format:
+def _format(path: str | os.PathLike[str]) -> ModuleType:
     start = start_of(path)
     name, raw = start.name, start.raw
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
@@ -138,24 +113,11 @@ def _format(path: str | os.PathLike[str]) -> Format:
     raise InputError(printable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
 
 
-def read_topics(path: str | os.PathLike[str], *, signals: bool = True) -> RecordedTopics:
-    """Read poses, points and signals of a bag; see `topics.read`.
+def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
+    """Read poses, points and signals of a bag; None where the file is none. See `topics.read`.
 
     Raises:
-        InputError: damaged, too large, no bag, or the libraries are not installed.
+        InputError: damaged, too large, or the libraries are not installed.
     """
-    start = start_of(path)
-    for bag in _BAGS:
-        if bag.recognizes(start):
-            return topics.read(read_bytes(path), bag.NAME, bag.messages, signals=signals)
-    raise InputError(f"{start.name}: no bag; formats with topics: {', '.join(bag.NAME for bag in _BAGS)}")
-
-
-def holds_topics(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file holds topics, as bags do.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    start = start_of(path)
-    return any(bag.recognizes(start) for bag in _BAGS)
+    bag = next((each for each in _BAGS if each.recognizes(start_of(path))), None)
+    return None if bag is None else read(read_bytes(path), bag.NAME, bag.messages)

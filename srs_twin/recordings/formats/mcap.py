@@ -8,9 +8,16 @@ import zlib
 from collections.abc import Iterator
 
 from srs_twin.recordings.csv_table import RecordedFile, read_bytes
-from srs_twin.recordings.formats import topics
 from srs_twin.recordings.formats.base import Start, Unstated
-from srs_twin.recordings.formats.topics import ChunkError, CutError, Message, Topic
+from srs_twin.recordings.formats.topics import (
+    ChunkError,
+    CutError,
+    Message,
+    Topic,
+    check_unpacked,
+    read_markers,
+    unpacked,
+)
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "MCAP"
@@ -28,7 +35,7 @@ def recognizes(start: Start) -> bool:
 
 def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     """Read the topics with positions; see `topics.read_markers`."""
-    return topics.read_markers(read_bytes(path), NAME, messages)
+    return read_markers(read_bytes(path), NAME, messages)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:
@@ -40,7 +47,7 @@ def messages(file: RecordedFile) -> Iterator[Message]:
     """
     data = memoryview(file.data)
     chunks = (content for kind, content in _records(data[len(MAGIC) :]) if kind == _CHUNK)
-    topics.check_unpacked(file, (_CHUNK_HEAD.unpack_from(chunk)[2] for chunk in chunks))
+    check_unpacked(file, (_CHUNK_HEAD.unpack_from(chunk)[2] for chunk in chunks))
     return stream_messages(data)
 
 
@@ -78,7 +85,7 @@ def _unpacked(chunk: memoryview) -> memoryview:
     """Return the records of a chunk."""
     _, _, size, checksum = _CHUNK_HEAD.unpack_from(chunk)
     how, place = _text(chunk, _CHUNK_HEAD.size)
-    data = topics.unpacked(chunk[place + 8 :], how, size)
+    data = unpacked(chunk[place + 8 :], how, size)
     if checksum and zlib.crc32(data) != checksum:
         raise ChunkError("the checksum of a chunk is wrong")
     return memoryview(data)

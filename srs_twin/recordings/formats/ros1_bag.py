@@ -6,9 +6,15 @@ import os
 from collections.abc import Iterator
 
 from srs_twin.recordings.csv_table import RecordedFile, read_bytes
-from srs_twin.recordings.formats import topics
 from srs_twin.recordings.formats.base import Start, Unstated
-from srs_twin.recordings.formats.topics import CutError, Message, Topic
+from srs_twin.recordings.formats.topics import (
+    CutError,
+    Message,
+    Topic,
+    check_unpacked,
+    read_markers,
+    unpacked,
+)
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "ROS 1 bag"
@@ -23,7 +29,7 @@ def recognizes(start: Start) -> bool:
 
 def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     """Read the topics with positions; see `topics.read_markers`."""
-    return topics.read_markers(read_bytes(path), NAME, messages)
+    return read_markers(read_bytes(path), NAME, messages)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:
@@ -35,12 +41,12 @@ def messages(file: RecordedFile) -> Iterator[Message]:
     """
     data, connections = memoryview(file.data)[len(_MAGIC) :], dict[str, Topic]()
     sizes = (_number(fields["size"]) for fields, _ in _records(data) if fields["op"] == _CHUNK)
-    topics.check_unpacked(file, sizes)
+    check_unpacked(file, sizes)
     for outer, packed in _records(data):
         inside = iter([(outer, packed)])
         if outer["op"] == _CHUNK:
             how = outer["compression"].decode().replace("none", "")
-            inside = _records(memoryview(topics.unpacked(packed, how, _number(outer["size"]))))
+            inside = _records(memoryview(unpacked(packed, how, _number(outer["size"]))))
         for fields, content in inside:
             if fields["op"] == _CONNECTION:
                 name, kind = fields["topic"].decode("utf-8", "replace"), _fields(content)["type"].decode()

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from contextlib import closing
 
 from srs_twin.recordings.csv_table import RecordedFile, read_bytes
-from srs_twin.recordings.formats import topics
 from srs_twin.recordings.formats.base import Start, Unstated
-from srs_twin.recordings.formats.topics import ChunkError, Message, Topic
+from srs_twin.recordings.formats.topics import ChunkError, Message, Topic, read_markers, unpacked
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "ROS 2 bag"
@@ -26,7 +25,7 @@ def recognizes(start: Start) -> bool:
 
 def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     """Read the topics with positions; see `topics.read_markers`."""
-    return topics.read_markers(read_bytes(path), NAME, messages)
+    return read_markers(read_bytes(path), NAME, messages)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:
@@ -52,5 +51,5 @@ def messages(file: RecordedFile) -> Iterator[Message]:
             if left < 0:
                 raise ChunkError("more data than the file has")
             if content.startswith(_ZSTD):
-                content = topics.unpacked(content, "zstd", None)
+                content = unpacked(content, "zstd", None)
             yield Message(known[number], int(time), memoryview(content))

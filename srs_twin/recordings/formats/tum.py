@@ -15,19 +15,14 @@ from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "TUM trajectory"
 _COMMENTS = re.compile(rb"(?:[ \t]*#[^\n]*\n|[ \t\r]*\n)*")
+_START = re.compile(_COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n")
+_UNIT = 0.01  # from the length of a quaternion
 _EPOCH = 1e8  # s: later times are counted from 1970, or from a clock like it
 
 
 def recognizes(start: Start) -> bool:
-    """Say whether the first line below comments has a time, a place and a quaternion, without commas."""
-    raw = start.raw.removeprefix(b"\xef\xbb\xbf")
-    comments = _COMMENTS.match(raw)
-    line = raw[comments.end() if comments else 0 :].split(b"\n", 1)[0]
-    try:
-        numbers = [float(each) for each in line.split()]
-    except ValueError:
-        return False
-    return len(numbers) == 8 and abs(float(np.linalg.norm(numbers[4:])) - 1) < 0.01
+    """Say whether the first line below comments has eight numbers without commas."""
+    return bool(_START.match(start.raw.removeprefix(b"\xef\xbb\xbf")))
 
 
 def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
@@ -46,4 +41,8 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         notes.append(f"times counted from the first, {time[0]:.3f} s")
         time = time - time[0]
     points, turns = values[:, None, 1:4], values[:, None, 4:]
+    if (np.abs(np.linalg.norm(turns, axis=-1) - 1) > _UNIT).any():
+        raise file.error(
+            "eight numbers a line are read as time, x, y, z and a quaternion, which has length 1"
+        )
     return marker_table(file, NAME, time, points, [Path(file.name).stem], notes, rotations=turns)

@@ -24,8 +24,9 @@ from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
 from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, read_file, read_table
-from srs_twin.recordings.formats import holds_topics, read_topics
+from srs_twin.recordings.formats import read_topics
 from srs_twin.recordings.formats.base import start_of
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.gaps import (
@@ -201,8 +202,8 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     Raises:
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
-    if holds_topics(path):
-        return _topics_log(path, spec, map)
+    if (topics := read_topics(path)) is not None:
+        return _topics_log(topics, spec, map)
     air = {f"{kind}_{side}": PRESSURES for kind in AIR for side in SIDES}
     valves: dict[str, dict[str, float]] = {
         f"{kind}_{side}": {} for kind in ("valve", "duty") for side in SIDES
@@ -286,9 +287,8 @@ def _switched(
     return edges, np.where(filling, 1.0, -1.0)
 
 
-def _topics_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) -> ValveLog:
+def _topics_log(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
     """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
-    topics = read_topics(path)
     with named_in_errors(topics.name):
         names = {what: signal for signal, what in map.columns.items()}
         kinds = {what.partition("_")[0] for what in names}
