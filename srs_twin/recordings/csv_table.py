@@ -197,7 +197,8 @@ def recording_file(path: str | os.PathLike[str]) -> Path:
         InputError: it is missing, or a folder without one such file.
     """
     place = Path(path)
-    bags = sorted(each for each in place.glob("*") if each.suffix in (".db3", ".mcap"))
+    inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
+    bags = sorted(each for each in inside if each.suffix in (".db3", ".mcap"))
     if len(bags) > 1:
         names = ", ".join(each.name for each in bags[:3])
         raise InputError(f"{shown(place)}: a folder with {len(bags)} bags; give one of them ({names}, …)")
