@@ -187,6 +187,14 @@ def test_parameters_that_contradict_the_file_are_not_believed(tmp_path):
     same(tmp_path / "a.c3d", points)
 
 
+@pytest.mark.parametrize(("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)])
+def test_frames_before_the_first(tmp_path, first, begins):
+    """Frame 1 is at 0 s; programs that count from 0 mean the same."""
+    points = walk()
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, first=first))
+    same(tmp_path / "a.c3d", points, first=begins)
+
+
 def test_units_of_points(tmp_path):
     points = walk(20, 3)
     by_ezc3d(tmp_path / "m.c3d", points / 1e3, units=("m",))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -91,6 +93,17 @@ def test_tum(tmp_path, head, origin, space):
     assert np.abs(found.points - points).max() < 1e-9 and np.abs(found.rotations[:, 0] - turns).max() < 1e-9
     assert np.abs(np.diff(found.time) - 1 / RATE).max() < 1e-6
     assert found.time[0] == (0.0 if origin > 1e8 else origin)
+
+
+def test_eight_numbers_that_are_no_pose_are_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("0.1 1 2 3 4 5 6 7\n" * 5)
+    with pytest.raises(InputError, match="eight numbers a line are read as .* a quaternion"):
+        read_markers(tmp_path / "a.txt")
+    (tmp_path / "b.txt").write_text("0.1" + " " * 200_000 + "1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n")
+    began = time.perf_counter()
+    with pytest.raises(InputError):
+        read_markers(tmp_path / "b.txt")
+    assert time.perf_counter() - began < 2
 
 
 def test_tum_that_is_damaged(tmp_path):

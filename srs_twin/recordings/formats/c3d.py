@@ -89,7 +89,8 @@ def _samples(file: RecordedFile, reader: Any) -> tuple[np.ndarray, int, int]:
     header, scale, dtypes = reader.header, float(reader.point_scale), reader._dtypes
     count, kind = int(reader.point_used), np.dtype(dtypes.float32 if scale < 0 else dtypes.int16)
     width = (4 * count + int(header.analog_count)) * kind.itemsize
-    data = file.data[(max(int(header.data_block), 2) - 1) * _BLOCK :]
+    block = int(header.data_block) or _integer(reader, "POINT:DATA_START")
+    data = file.data[max(block - 1, 1) * _BLOCK :]
     by_header = int(header.last_frame) - int(header.first_frame) + 1
     start, end, long, short = (
         _integer(reader, key)

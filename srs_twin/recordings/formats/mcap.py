@@ -53,7 +53,7 @@ def messages(file: RecordedFile) -> Iterator[Message]:
 
 def stream_messages(data: memoryview) -> Iterator[Message]:
     """Yield the messages of a file in its order, however much its chunks unpack to; as `messages`."""
-    kinds: dict[int, str] = {0: ""}
+    kinds: dict[int, str] = {}
     channels: dict[int, Topic] = {}
     for outer, packed in _records(data[len(MAGIC) :]):
         for kind, content in _records(_unpacked(packed)) if outer == _CHUNK else [(outer, packed)]:
@@ -66,7 +66,7 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
                 number, schema = struct.unpack_from("<HH", content)
                 name, place = _text(content, 4)
                 encoding, _ = _text(content, place)
-                channels[number] = Topic(name, kinds[schema] or encoding, encoding)
+                channels[number] = Topic(name, kinds.get(schema) or encoding, encoding)
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:

@@ -34,7 +34,7 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     file = read_file(path)
     comments = _COMMENTS.match(file.raw)
     header = file.raw.count(b"\n", 0, comments.end() if comments else 0)
-    cells = re.sub(rb"[ \t]+", b",", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", file.raw))
+    cells = re.sub(rb"(?m)^,|,(?=\r?$)", b"", re.sub(rb"[ \t]+", b",", file.raw))
     values, notes = replace(file, data=cells).rows(header, range(8), 8)
     time = numbered(file, values[:, 0], header, "time")
     if time.min() > _EPOCH:
