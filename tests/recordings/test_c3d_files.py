@@ -164,8 +164,7 @@ def test_takes_of_65535_frames_and_more(tmp_path, count):
     same(tmp_path / "a.c3d", points)
 
 
-@pytest.mark.parametrize("processor", [84, 86])
-@pytest.mark.parametrize("key", ["TRIAL", "LONG_FRAMES"])
+@pytest.mark.parametrize(("processor", "key"), [(84, "TRIAL"), (86, "LONG_FRAMES")])
 def test_conventions_of_long_takes(tmp_path, processor, key):
     """The header wraps round at 65,536; the parameters have the frames."""
     points = walk(66000, 1)

@@ -141,10 +141,12 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
     return rate
 
 
-def numbered(file: RecordedFile, numbers: np.ndarray, header_lines: int, what: str) -> np.ndarray:
-    """Return a column of which no cell may be blank."""
+def numbered(
+    file: RecordedFile, numbers: np.ndarray, header_lines: int, what: str, column: int = 1
+) -> np.ndarray:
+    """Return a column, counted from 1, of which no cell may be blank."""
     if (missing := np.isnan(numbers)).any():
-        raise file.error(f"a row without a {what}", header_lines + 1 + int(missing.argmax()), 1)
+        raise file.error(f"a row without a {what}", header_lines + 1 + int(missing.argmax()), column)
     return numbers
 
 
@@ -160,21 +162,15 @@ def converted(units: Iterable[str]) -> list[str]:
 
 
 def marker_table(
-    file: RecordedFile,
-    kind: str,
-    time: np.ndarray,
-    points: np.ndarray,
-    names: Sequence[str],
-    notes: Sequence[str],
-    *,
-    frames: int | None = None,
-    rotations: np.ndarray | None = None,
-) -> MarkerTable:
+    file: RecordedFile, kind: str, time: np.ndarray, points: np.ndarray, names: Sequence[str],
+    notes: Sequence[str], *, frames: int | None = None, rotations: np.ndarray | None = None,
+) -> MarkerTable:  # fmt: skip
     """Return markers as a reader found them, without implausible points and with printable names."""
     points, implausible = plausible(points)
     if rotations is not None:
-        unknown = np.isnan(rotations).any(axis=-1) | np.isnan(points[..., 0])
-        rotations = np.where(unknown[..., None], np.nan, rotations)
+        rotations = np.where(
+            np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True)), np.nan, rotations
+        )
     labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
     corrections = (*notes, *implausible)
     return MarkerTable(file.name, file.sha256, kind, time, points, labels, corrections, (), frames, rotations)

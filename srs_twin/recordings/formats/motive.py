@@ -10,12 +10,13 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import did_you_mean
+from srs_twin.errors import InputError, did_you_mean
 from srs_twin.recordings.csv_table import RecordedFile, read_file
 from srs_twin.recordings.formats.base import (
     Start,
@@ -23,7 +24,9 @@ from srs_twin.recordings.formats.base import (
     announced,
     converted,
     counted_times,
+    frame_rate,
     marker_table,
+    numbered,
 )
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
@@ -146,13 +149,8 @@ def _times(file: RecordedFile, header: _Header, frame: np.ndarray, time: np.ndar
     Raises:
         InputError: a row without a time.
     """
-    if (missing := np.isnan(time)).any():
-        raise file.error("a row without a time", header.lines + 1 + int(missing.argmax()), 2)
+    time = numbered(file, time, header.lines, "time", 2)
     for key in ("Export Frame Rate", "Capture Frame Rate"):
-        try:
-            rate = float(header.about.get(key, ""))
-        except ValueError:
-            continue
-        if 0 < rate < 1e6:
-            return counted_times(frame, time, rate)
+        with suppress(InputError):
+            return counted_times(frame, time, frame_rate(file, header.about.get(key, "")))
     return time

@@ -163,6 +163,7 @@ def read(file: RecordedFile, kind: str, messages: Messages, *, signals: bool = T
         return topics.result()
 
 
+_Numbers = tuple[float, ...]
 _Series = dict[str, "array[float]"]
 """Label → rows of time (ns from the first message on) and one or seven numbers, one after another."""
 
@@ -198,23 +199,19 @@ class _Topics:
                 if label != topic and hasattr(stamped, "child_frame_id"):
                     label = printable(label[:200])
                     self.parents[label] = stamped.header.frame_id
-                self._append(
-                    topic, self.bodies.setdefault(topic, {}), label, stamped, message, _numbers(pose)
-                )
+                self._append(self.bodies.setdefault(topic, {}), label, stamped, message, _numbers(pose))
         elif self.with_signals:
             said = decode(bytes(message.data))
             for name, value in _joints(said) if kind.endswith("JointState") else _leaves("", said):
-                self._append(topic, self.signals, f"{topic}{printable(name)}", said, message, (value,))
+                self._append(self.signals, f"{topic}{printable(name)}", said, message, (value,))
 
-    def _append(
-        self, topic: str, series: _Series, label: str, said: Any, message: Message, values: tuple[float, ...]
-    ) -> None:
+    def _append(self, series: _Series, label: str, said: Any, message: Message, values: _Numbers) -> None:
         """Add a row, at the stamp of its header or else at its log time."""
         stamp, time = getattr(getattr(said, "header", None), "stamp", None), message.log_time
         whole, part = getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
         if isinstance(whole, int) and isinstance(part, int) and (whole or part):
             time = whole * 10**9 + part
-            self.apart.setdefault(topic, abs(time - message.log_time) / 1e9)
+            self.apart.setdefault(printable(message.topic.name), abs(time - message.log_time) / 1e9)
         series.setdefault(label, array("d")).extend((time - self.origin, *values))
         self.numbers += 1 + len(values)
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
@@ -350,7 +347,7 @@ def _definitions(encoding: str) -> Any:
     return store
 
 
-def _numbers(pose: Any) -> tuple[float, ...]:
+def _numbers(pose: Any) -> _Numbers:
     """Return x, y, z and the quaternion x, y, z, w of a pose, transform or point; NaN where there is none."""
     at = getattr(pose, "position", None) or getattr(pose, "translation", pose)
     turn = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
