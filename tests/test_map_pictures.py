@@ -355,3 +355,19 @@ def test_stripes_of_twenty_thousand_rows_are_few_rectangles(tmp_path):
     array[:, ::2] = 0
     Image.fromarray(array).save(tmp_path / "a.png")
     assert len(read_map(write_map(tmp_path / "a.png"))) == 4
+
+
+def test_other_spellings_of_a_map(tmp_path):
+    """Missing thresholds, a number with an exponent, a rotated map; a path of Windows is refused."""
+    Image.fromarray(WALL).save(tmp_path / "a.png")
+    path = write_map(tmp_path / "a.png")
+    text, plain = path.read_text(), read_map(path)
+    for new in (text.replace("0.05\n", "5e-2\n"), text[: text.index("occupied")], text + "frame: map\n"):
+        path.write_text(new)
+        assert read_map(path) == plain
+    path.write_text(text.replace("0.0]", "1.5707963267948966]"))
+    corners = np.array(read_map(path)[0].corners)
+    assert np.allclose([corners.min(axis=0), corners.max(axis=0)], [[-1.25, 0.4], [-0.5, 0.5]])
+    path.write_text(text.replace("a.png", "sub\\a.png"))
+    with pytest.raises(InputError, match=r"a\.yaml:1:8: image: .*no such file"):
+        read_map(path)
