@@ -75,8 +75,8 @@ class RecordingReader:
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
         """Read what was measured of the body: a captured motion, or a log of its bends; as `motion`."""
-        if is_bend_log(path):
-            return read_bends(path, spec, **self._stretch(frequency))
+        if is_bend_log(path, self.map):
+            return read_bends(path, spec, map=self.map, **self._stretch(frequency))
         return self.motion(path, spec, frequency)
 
     def _stretch(self, frequency: float | None) -> dict[str, Any]:
@@ -99,8 +99,8 @@ class RecordingReader:
         Raises:
             InputError: as `body`, `read_valves` and `joined`.
         """
-        if not is_bend_log(path):
-            identify(path)  # judged first: the log's name was made of its name
+        if not is_bend_log(path, self.map):
+            identify(path, self.map.dialect)  # judged first: the log's name was made of its name
         log = read_valves(valves, spec, self.map)
         return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
 

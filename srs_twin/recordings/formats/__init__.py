@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect
 from srs_twin.recordings.formats import c3d, deeplabcut, mcap, motive, plain_csv, qualisys, vicon
 from srs_twin.recordings.formats.base import Start, Unstated, start_of
 from srs_twin.recordings.marker_table import MarkerTable
@@ -50,13 +51,17 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
 )
 
 
-def identify(path: str | os.PathLike[str]) -> str:
+def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, one of `FORMATS`, by its first bytes.
+
+    Args:
+        path: of the file.
+        dialect: layout of a plain table, where it is not found.
 
     Raises:
         InputError: missing, a folder, empty, or of another format; says what it looks like.
     """
-    return _format(path).name
+    return _format(path, dialect).name
 
 
 def read_markers(
@@ -65,6 +70,7 @@ def read_markers(
     rate_hz: float | None = None,
     unit: str | None = None,
     scale_m: float | None = None,
+    dialect: Dialect = AS_FOUND,
 ) -> MarkerTable:
     """Read a recording as it is, in any of `FORMATS`.
 
@@ -74,15 +80,16 @@ def read_markers(
             with an external clock).
         unit: of lengths, where the file does not say (DeepLabCut, plain CSV).
         scale_m: size of a pixel, m (DeepLabCut).
+        dialect: layout of a plain table, where it is not found.
 
     Raises:
         InputError: with file, line and column, and what is allowed.
     """
-    return _format(path).read(path, Unstated(rate_hz, unit, scale_m))
+    return _format(path, dialect).read(path, Unstated(rate_hz, unit, scale_m, dialect))
 
 
-def _format(path: str | os.PathLike[str]) -> Format:
-    start = start_of(path)
+def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Format:
+    start = start_of(path, dialect)
     name, raw = start.name, start.raw
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
@@ -92,6 +99,8 @@ def _format(path: str | os.PathLike[str]) -> Format:
     for sign, what, remedy in _OTHERS:
         if raw.startswith(sign) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
             raise InputError(f"{name}: {what}, which is not read; {remedy}. Formats: {', '.join(FORMATS)}")
+    if start.table.problem and b"\0" not in raw:
+        raise InputError(f"{name}:{start.table.header_lines + 1}: {start.table.problem}")
     looks = (
         "a binary file of a kind that is not known"
         if b"\0" in raw
