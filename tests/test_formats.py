@@ -588,6 +588,15 @@ def test_unknown_formats_are_named(tmp_path, name, content, words):
     assert "empty" in words or "MCAP" in str(refused.value)
 
 
+def test_a_column_that_is_missing_is_reported_at_the_line_of_the_names(tmp_path):
+    """The same rows are read once the column is there."""
+    names, rows = "time,a_x,a_y,b_x,b_y,b_z", "0,1,2,3,4,5\n0.1,1,2,3,4,5\n"
+    with pytest.raises(InputError, match=r"m\.csv:1: a_z is missing, other markers have one"):
+        read_markers(written(tmp_path, f"{names}\n{rows}".encode(), "m.csv"))
+    whole = names.replace("a_y", "a_y,a_z") + "\n" + rows.replace("2,3", "2,0,3")
+    assert read_markers(written(tmp_path, whole.encode(), "m.csv")).points.shape == (2, 2, 3)
+
+
 def test_places_that_hold_no_file(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         identify(tmp_path / "none.c3d")

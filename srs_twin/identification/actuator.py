@@ -262,9 +262,7 @@ class StaticTable:
         trajectory, log = recording.trajectory, _log(recording, name)
         time, bend = trajectory.time, _seen_bends(trajectory)
         pressure = np.stack([trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1)
-        # Medians of second differences of white noise are 1.65 standard deviations; of valves' states, small.
-        noise = np.median(np.abs(np.diff(log.values, 2, axis=0, prepend=log.values[:1])), axis=0)
-        band = np.maximum(_HELD, 3 * noise)
+        band = np.maximum(_HELD, 3 * _scatter(log.values))
         if log.kind == "valve":
             pressure = np.select([pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan)
         of_frame = trajectory.stack("bend_error") if trajectory.has("bend_error") else np.zeros_like(bend)
@@ -312,6 +310,24 @@ def _constant(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int
             yield begin, k
             begin, low, high = k, row, row
     yield begin, len(pressure)
+
+
+def _scatter(values: np.ndarray) -> np.ndarray:
+    """Return the median size of second differences of a log's noise, 1.65 σ where it is white, shape (…).
+
+    The smaller of two estimates, since steps and slow changes of pressure are not noise. A step changes one
+    first difference but two second differences; a ramp changes all first differences but no second one.
+    First differences of white noise are smaller than second differences by √3.
+
+    Args:
+        values: shape (rows, …), 2 rows or more.
+    """
+    medians = [
+        scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
+        for order, scale in ((1, math.sqrt(3)), (2, 1.0))
+        if len(values) > order
+    ]
+    return np.asarray(np.min(medians, axis=0))
 
 
 def _at_rest(time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, of_frame: np.ndarray) -> list[float]:
