@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -46,11 +45,11 @@ from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, wit
 from srs_twin.io.files import write_text
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.csv_table import CLOCK, first_line_names, read_file, read_table
+from srs_twin.recordings.csv_table import first_line_names, read_file, read_table
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.signals.gaps import LEAST_FRAMES
 from srs_twin.recordings.signals.logs import SIDES, ValveLog
-from srs_twin.recordings.signals.units import ANGLES, PRESSURES
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES, is_clock
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -395,7 +394,7 @@ def is_static(path: str | os.PathLike[str]) -> bool:
         InputError: the file cannot be read.
     """
     names = first_line_names(path)
-    timed = any(re.split(r"[^a-z]", name)[0] in CLOCK for name in names)
+    timed = any(is_clock(name) for name in names)
     return not timed and any(name.startswith("bend_") for name in names)
 
 

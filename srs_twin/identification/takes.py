@@ -75,8 +75,8 @@ class RecordingReader:
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
         """Read what was measured of the body: a captured motion, or a log of its bends; as `motion`."""
-        if is_bend_log(path):
-            return read_bends(path, spec, **self._stretch(frequency))
+        if is_bend_log(path, self.map):
+            return read_bends(path, spec, map=self.map, **self._stretch(frequency))
         return self.motion(path, spec, frequency)
 
     def _stretch(self, frequency: float | None) -> dict[str, Any]:

@@ -63,11 +63,13 @@ class Recording:
             of a log of bends only the last of these.
         summary: what was made of the file.
         valves: what was commanded or measured of the air, on the clock of the trajectory; None at first.
+        epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
     """
 
     trajectory: Trajectory
     summary: LogSummary
     valves: ValveLog | None = None
+    epoch_ns: int | None = None
 
 
 @contextmanager
@@ -119,7 +121,7 @@ def read_motion(
     one_of("fill", fill, WAYS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
-    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
+    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect)
     up = map.up if map.up and up == "auto" else up
     with named_in_errors(table.name):
         table = bodies_as_pairs(map.applied(table))
@@ -153,7 +155,8 @@ def read_motion(
         markers = likeliest_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
         summary = _summary(frames, floor, markers, body)
-        return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
+        trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
+        return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
 
 
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:

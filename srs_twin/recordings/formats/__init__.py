@@ -14,7 +14,7 @@ from types import ModuleType
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable
-from srs_twin.recordings.csv_table import read_bytes
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes
 from srs_twin.recordings.formats import (
     c3d,
     deeplabcut,
@@ -61,13 +61,17 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
 )
 
 
-def identify(path: str | os.PathLike[str]) -> str:
+def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, one of `FORMATS`, by its first bytes.
+
+    Args:
+        path: of the file.
+        dialect: layout of a plain table, where it is not found.
 
     Raises:
         InputError: missing, a folder, empty, or of another format; says what it looks like.
     """
-    return str(_format(path).NAME)
+    return str(_format(path, dialect).NAME)
 
 
 def read_markers(
@@ -76,6 +80,7 @@ def read_markers(
     rate_hz: float | None = None,
     unit: str | None = None,
     scale_m: float | None = None,
+    dialect: Dialect = AS_FOUND,
 ) -> MarkerTable:
     """Read a recording as it is, in any of `FORMATS`.
 
@@ -85,16 +90,18 @@ def read_markers(
             with an external clock).
         unit: of lengths, where the file does not say (DeepLabCut, plain CSV).
         scale_m: size of a pixel, m (DeepLabCut).
+        dialect: layout of a plain table, where it is not found.
 
     Raises:
         InputError: with file, line and column, and what is allowed.
     """
-    table: MarkerTable = _format(path).read(path, Unstated(rate_hz, unit, scale_m))
+    unstated = Unstated(rate_hz, unit, scale_m, dialect)
+    table: MarkerTable = _format(path, dialect).read(path, unstated)
     return table
 
 
-def _format(path: str | os.PathLike[str]) -> ModuleType:
-    start = start_of(path)
+def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:
+    start = start_of(path, dialect)
     name, raw = start.name, start.raw
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
@@ -104,6 +111,8 @@ def _format(path: str | os.PathLike[str]) -> ModuleType:
     for sign, what, remedy in _OTHERS:
         if re.match(sign, raw, re.DOTALL) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
             raise InputError(f"{name}: {what}, which is not read; {remedy}. Formats: {', '.join(FORMATS)}")
+    if start.table.problem and b"\0" not in raw:
+        raise InputError(f"{name}:{start.table.header_lines + 1}: {start.table.problem}")
     looks = (
         "a binary file of a kind that is not known"
         if b"\0" in raw

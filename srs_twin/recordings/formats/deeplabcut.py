@@ -32,7 +32,7 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         InputError: rate or scale are not given, or the file is damaged; with line and column.
     """
     file = read_file(path)
-    rate_hz, unit, scale_m = unstated
+    rate_hz, unit, scale_m, _ = unstated
     missing = [] if rate_hz else ["`rate_hz` (frames a second of the video)"]
     pixels = unit in (None, "px")
     if pixels and not scale_m:
