@@ -185,6 +185,7 @@ def converted(units: Iterable[str]) -> list[str]:
 def marker_table(
     file: RecordedFile, kind: str, time: np.ndarray, points: np.ndarray, names: Sequence[str],
     notes: Sequence[str], *, frames: int | None = None, rotations: np.ndarray | None = None,
+    epoch_ns: int | None = None,
 ) -> MarkerTable:  # fmt: skip
     """Return markers as a reader found them, without implausible points and with printable names."""
     points, implausible = plausible(points)
@@ -194,7 +195,8 @@ def marker_table(
         )
     labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
     corrections = (*notes, *implausible)
-    return MarkerTable(file.name, file.sha256, kind, time, points, labels, corrections, (), frames, rotations)
+    about = file.name, file.sha256, kind
+    return MarkerTable(*about, time, points, labels, corrections, (), frames, rotations, epoch_ns)
 
 
 @contextmanager

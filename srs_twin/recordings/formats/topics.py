@@ -28,6 +28,8 @@ from srs_twin.recordings.csv_table import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, Re
 from srs_twin.recordings.formats.base import decoding, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 
+_SINCE_1970 = 10**17  # ns: earlier log times are of a clock of their own
+_OTHER_CLOCK = 1e6  # s
 _APART = 1.0  # s from the log's clock: stamps farther away may be another clock's
 _MOST_UNPACKED = 4 * MAX_BYTES
 _LEAST_ALLOWED = 16 << 20  # bytes, unpacked, of the smallest file
@@ -190,7 +192,8 @@ class _Topics:
         self.messages += 1
         if self.messages > _MOST_MESSAGES:
             raise self.file.error(f"over {_MOST_MESSAGES} messages; record fewer topics, or a shorter take")
-        self.origin = self.origin or message.log_time
+        if self.messages == 1:
+            self.origin = message.log_time
         topic, kind, decode = _decoder(message.topic)
         if decode is None:
             self.skipped[f"{topic} ({kind})"] += 1
@@ -254,8 +257,13 @@ class _Topics:
         notes += [f"bodies are in different frames: {', '.join(roots[:5])}"] if len(roots) > 1 else []
         turns = np.where(_turned(poses)[..., None], poses[..., 3:], np.nan)
         rotations = None if np.isnan(turns).all() else turns
+        epoch: int | None = self.origin if self.origin > _SINCE_1970 else None
+        if abs(time[0]) > _OTHER_CLOCK:  # stamps of a simulated clock
+            time, epoch = time - time[0], None
         notes = [*self.notes, *map(printable, notes)]
-        return marker_table(self.file, self.kind, time, poses[..., :3], names, notes, rotations=rotations)
+        return marker_table(
+            self.file, self.kind, time, poses[..., :3], names, notes, rotations=rotations, epoch_ns=epoch
+        )
 
 
 def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:

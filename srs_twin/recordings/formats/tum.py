@@ -37,7 +37,9 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     cells = re.sub(rb"(?m)^,|,(?=\r?$)", b"", re.sub(rb"[ \t]+", b",", file.raw))
     values, notes = replace(file, data=cells).rows(header, range(8), 8)
     time = numbered(file, values[:, 0], header, "time")
+    epoch = None
     if time.min() > _EPOCH:
+        epoch = round(1e9 * time[0])
         notes.append(f"times counted from the first, {time[0]:.3f} s")
         time = time - time[0]
     points, turns = values[:, None, 1:4], values[:, None, 4:]
@@ -45,4 +47,6 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         raise file.error(
             "eight numbers a line are read as time, x, y, z and a quaternion, which has length 1"
         )
-    return marker_table(file, NAME, time, points, [Path(file.name).stem], notes, rotations=turns)
+    return marker_table(
+        file, NAME, time, points, [Path(file.name).stem], notes, rotations=turns, epoch_ns=epoch
+    )
