@@ -23,7 +23,7 @@ _MOST = 3  # names suggested
 _CLOSE = 0.6  # similarity from which on a name is suggested; that of `difflib`
 _ALIKE = 0.05  # names this much less similar than the best are suggested with it
 _STEM = 0.75  # the same for the beginning of a name: short words are soon alike
-_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json")
+_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json", ".urdf", ".mjcf")
 _WORDS = re.compile(r"[_.\s-]")
 
 

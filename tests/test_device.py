@@ -17,6 +17,8 @@ import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
 from srs_twin.errors import EngineWarning
 from srs_twin.friction_held import held, rolling
+from srs_twin.parallel import Done
+from srs_twin.pneumatics.chambers import as_felt
 from srs_twin.sweep import load_sweep
 from srs_twin.sweep.execution import local
 from srs_twin.sweep.on_device import on_device
@@ -119,6 +121,30 @@ def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
         at = np.searchsorted(schedule.starts, slot * (np.arange(slots * steps) + 0.5), side="right") - 1
         assert len(schedule.starts) > 8
         assert (found == schedule.states[at]).all()
+
+
+def test_pressures_on_the_device_act_as_on_the_processor():
+    """The bends of these segments saturate. Under equal pressures the law has its slope at rest."""
+    from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
+    from srs_twin.plants.device.ported import record, stacked
+
+    bent = replace(GEN2, actuator=replace(GEN2.actuator, bend_limit=0.6))
+    twin, empty = TwinSnake(bent), np.zeros((bent.segments, 2))
+    pressure = 1e3 * np.array([[0.0, 0.0], [30.0, 30.0], [45.0, 5.0], [2.0, 40.0]])
+    whole = empty.astype(int)
+    air = Air(pressure, empty[:, 0], whole, whole, empty[:, 0])
+    records = {
+        "relaxation": twin.pneumatics.relaxation(1e-4), "columns": twin.physics.columns, "air": air,
+        "kept": Kept(empty[0], *3 * [empty]), "wave": Wave(1.0, 0.0, 0.0, empty[:, 0]),
+        "bodies": Bodies(*7 * [empty]),
+    }  # fmt: skip
+    ported = {name: record(each) for name, each in records.items()}
+    spec = SimpleNamespace(h=1e-4, slot=1e-4, slots=1, tick=1, middle=False)
+    ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
+    given = [stacked(ported[name], [records[name]], "cpu") for name in ("relaxation", "air")]
+    valves = wp.zeros((1, 1, bent.segments, 2), dtype=int, device="cpu")
+    wp.launch(kernels(ported, spec).fill, dim=(1, bent.segments), inputs=[*given, valves, ctrl], device="cpu")
+    assert ctrl.numpy().reshape(-1, 2) == pytest.approx(as_felt(bent, pressure), rel=1e-5)
 
 
 @pytest.mark.slow
@@ -264,6 +290,25 @@ def test_copies_of_a_batch_on_a_device_are_refused(way):
 
     with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
         way(object.__new__(WarpBatch))
+
+
+@pytest.mark.parametrize("together", [2, 1024])
+def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch, together):
+    def refuse(twin: TwinSnake) -> None:
+        raise InputError("it cannot")
+
+    def here(workers):
+        return lambda experiment, points: (Done(k, each.changes, None) for k, each in enumerate(points))
+
+    kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
+    for name, value in {"warp_batch": lambda: kind, "local": here, "TOGETHER": together}.items():
+        monkeypatch.setattr(f"srs_twin.sweep.on_device.{name}", value)
+    (tmp_path / "s.yaml").write_text(SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]"))
+    found = load_sweep(tmp_path / "s.yaml")
+    points = [replace(found.points[0], changes={"seed": seed}) for seed in range(5)]
+    with pytest.warns(EngineWarning, match="5 of 5 points run on the processor: it cannot"):
+        rows = list(on_device(None, 1)(found.experiment, points))
+    assert [(row.number, row.result) for row in rows] == [(k, {"seed": k}) for k in range(5)]
 
 
 def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkeypatch):

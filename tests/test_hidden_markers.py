@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin import load_robot
+from srs_twin.recordings.body.markers import robot_markers
 from srs_twin.recordings.body.shape import Marks, fit_shape
 from srs_twin.recordings.body.tracking import follow
 
@@ -28,6 +29,18 @@ def test_markers_that_pass_each_other_unseen_keep_their_identity():
         step = np.diff(tracks[seen[:, k], k, 0])
         assert (np.sign(step) == np.sign(step[0])).all()
         assert len(set(origin[seen[:, k], k])) == 1
+
+
+def test_a_marker_stays_the_robots_while_its_neighbour_is_hidden():
+    """The next one on a body that bends a little is almost two segments away."""
+    pitch, count = GEOMETRY.pitch, GEOMETRY.connectors
+    heading = 0.6 * np.arange(count)  # two straight steps of length 1 that turn by 0.6 span 2 cos(0.3) = 1.91
+    body = np.cumsum(pitch * np.exp(1j * heading))
+    tracks = np.append(body, body.mean() + 10 * pitch)  # and something else, far away
+    points = np.tile(np.stack([tracks.real, tracks.imag], axis=-1), (100, 1, 1))
+    points[30:, 1] = np.nan
+    layouts, chosen = robot_markers(points, count, pitch, "auto", 0)
+    assert (layouts, chosen.tolist()) == (["single"], list(range(count)))
 
 
 def test_body_is_recovered_while_a_marker_is_hidden():

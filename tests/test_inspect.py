@@ -72,9 +72,9 @@ def test_lengths_in_another_unit_than_assumed_are_asked_for(tmp_path):
     path.write_text(
         ",".join(["t", *names]) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
     )
-    assert any("lengths in mm? Give units" in each for each in inspect_file(path, NO_MAP, None)[0]["notes"])
+    assert any("lengths in mm? Give --units" in each for each in inspect_file(path, NO_MAP, None)[0]["notes"])
     facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
-    assert not any("Give units" in each for each in facts["notes"])
+    assert not any("Give --units" in each for each in facts["notes"])
     assert facts["robot"]["reads"] and facts["robot"]["layout"] == "single"
     assert facts["robot"]["length_mm"] == pytest.approx([1e3 * SPEC.geometry.segment_length] * 4, rel=0.02)
 

@@ -68,13 +68,62 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("resolution: 0.1", "resolution: 0", "resolution 0 m must be above 0"),
-        ("resolution: 0.1", "resolution: fine", "resolution: 1 finite number needed, not 'fine'"),
-        ("origin: [0.0, 0.0, 0.0]", "origin: [0, 0]", "origin: 3 finite numbers needed"),
-        ("free_thresh: 0.196", "free_thresh: 0.9", "free_thresh <= occupied_thresh"),
-        ("room.pgm", "hall.pgm", "hall.pgm: no picture that can be read"),
-        ("image: room.pgm\n", "", "no map: it needs image, resolution and origin"),
-        ("negate: 0", "mode: raw", "mode 'raw' is not read; trinary and scale are"),
+        (
+            "resolution: 0.1",
+            "resolution: 0",
+            "room.yaml:2:13: resolution: must be a number from 0.0001 to 100",
+        ),
+        ("resolution: 0.1", "resolution: -0.1", "resolution: must be a number from 0.0001 to 100, not -0.1"),
+        (
+            "resolution: 0.1",
+            "resolution: 1e-300",
+            "resolution: must be a number from 0.0001 to 100, not 1e-300",
+        ),
+        (
+            "resolution: 0.1",
+            "resolution: .inf",
+            "resolution: must be a number from 0.0001 to 100, not infinity",
+        ),
+        ("resolution: 0.1", "resolution: .nan", "resolution: must be a number from 0.0001 to 100, not NaN"),
+        ("resolution: 0.1", "resolution: true", "resolution: must be a number from 0.0001 to 100, not true"),
+        ("resolution: 0.1", "resolution: fine", "from 0.0001 to 100, not text 'fine'"),
+        ("origin: [0.0, 0.0, 0.0]", "origin: [0, 0]", "room.yaml:3:9: origin: "),
+        ("origin: [0.0, 0.0, 0.0]", "origin: 5", "room.yaml:3:9: origin: "),
+        (
+            "[0.0, 0.0, 0.0]",
+            "[0, 1e9, 0]",
+            "room.yaml:3:13: origin[1]: must be a number from -10000 to 10000",
+        ),
+        (
+            "[0.0, 0.0, 0.0]",
+            "[0, .nan, 0]",
+            "room.yaml:3:13: origin[1]: must be a number from -10000 to 10000",
+        ),
+        (
+            "free_thresh: 0.196",
+            "free_thresh: 0.65",
+            "room.yaml:6:14: free_thresh: must be below occupied_thresh",
+        ),
+        ("free_thresh: 0.196", "free_thresh: -0.1", "free_thresh: must be a number from 0 to 1, not -0.1"),
+        (
+            "occupied_thresh: 0.65",
+            "occupied_thresh: 65",
+            "occupied_thresh: must be a number from 0 to 1, not 65",
+        ),
+        ("room.pgm", "rom.pgm", "room.yaml:1:8: image: "),
+        ("room.pgm", "rom.pgm", "rom.pgm: no such file; did you mean "),
+        ("room.pgm", "[room.pgm]", "image: must be text of 1 to 1000 characters, not a list of 1"),
+        ("image: room.pgm\n", "", "image: missing"),
+        ("negate: 0", "mode: raw", "room.yaml:4:7: mode: must be one of trinary, scale, not text 'raw'"),
+        (
+            "negate: 0",
+            "negate: maybe",
+            "room.yaml:4:9: negate: must be true, yes, on, 1 or false, no, off, 0, not",
+        ),
+        *(
+            ("negate: 0", f"negate: {each}", "room.yaml:4:9: negate: must be")
+            for each in ("2", "0.0", "[0]", "''")
+        ),
     ],
 )
 def test_what_is_no_map_is_refused(tmp_path, old, new, words):
@@ -84,7 +133,7 @@ def test_what_is_no_map_is_refused(tmp_path, old, new, words):
     path.write_text(text.replace(old, new))
     with pytest.raises(InputError, match=".") as error:
         read_map(path)
-    assert words in str(error.value)
+    assert words in str(error.value) and "\n" not in str(error.value)
 
 
 def test_a_list_of_circles(tmp_path):

@@ -16,6 +16,7 @@ from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
 from srs_twin.identification.actuator import (
     StaticTable,
+    _scatter,
     fit_static,
     is_static,
     merged,
@@ -283,6 +284,34 @@ def test_what_makes_no_table(tmp_path):
         InputError, match=r"creep.csv: no plateau: .* for 30 s at most; .* are wanted, bends at rest"
     ):
         static_tables([taken(path, MODULE)], MODULE, 48e3)
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4, 20])
+def test_held_pressures_come_back_from_a_log_with_few_rows_per_hold(tmp_path, rows):
+    """In the two shortest logs most second differences belong to steps, which are not noise."""
+    held = 1e3 * np.array([0.0, 8.0, 16.0, 24.0, 18.0, 10.0, 2.0])
+    log_time = np.concatenate([2.5 * k + np.linspace(0.0, 2.0, rows) for k in range(len(held))])
+    log = np.zeros((len(log_time), 1, 2))
+    log[:, 0, 0] = np.repeat(held, rows)
+    (tmp_path / "log.csv").write_text(csv(log_time, air(log)))
+    time = np.arange(0.0, log_time[-1], 1 / RATE)
+    pressure = np.zeros((len(time), 1, 2))
+    pressure[:, 0, 0] = np.interp(time, log_time, log[:, 0, 0])
+    noise = 1e-3 * np.random.default_rng(2).standard_normal((len(time), 1))
+    bend = TRUE_MODULE.modules.array("bias") + air_bend(TRUE_MODULE, pressure) + noise
+    (tmp_path / "bends.csv").write_text(csv(time, {"bend_1": bend[:, 0]}))
+    (table,) = static_tables([taken(tmp_path / "bends.csv", MODULE, tmp_path / "log.csv")], MODULE, 48e3)
+    assert table.pressure[:, 0, 0] == pytest.approx(held, abs=1.0)
+
+
+@pytest.mark.parametrize(("ramp", "step", "share"), [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 100.0, 0.2)])
+def test_scatter_of_a_log_is_that_of_white_noise(ramp, step, share):
+    """Ramps do not count. A share of differences that are steps moves the median to a higher quantile."""
+    row = np.arange(20_000)
+    noise = np.random.default_rng(0).standard_normal(len(row))
+    found = _scatter((noise + ramp * row + step * (row // 5 % 7))[:, None])
+    assert found == pytest.approx(6**0.5 * stats.norm.ppf(0.5 + 0.25 / (1 - share)), rel=0.03)
+    assert np.isfinite(_scatter(noise[:2]))
 
 
 def test_the_start_of_a_creep_is_left_out(tmp_path):

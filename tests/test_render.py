@@ -19,7 +19,7 @@ from srs_twin.experiment import load_run, run_scenario
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco import opengl, render
-from srs_twin.viewing.mujoco.canvas import Canvas
+from srs_twin.viewing.mujoco.canvas import Canvas, Label
 from srs_twin.viewing.mujoco.render import FollowCamera
 from srs_twin.viewing.mujoco.stage import Stage
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES
@@ -139,6 +139,20 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
     seen = {alpha: np.abs(shown[alpha, 0] - shown[alpha, 1]).sum() for alpha, _ in shown}
     assert seen.pop(1.0) == 0, "an opaque one does hide it"
     assert min(seen.values()) > 1000
+
+
+@pytest.mark.parametrize(("width", "shown"), [(479, 1), (480, 2)])
+def test_from_480_pixels_on_labels_are_drawn_side_by_side(opengl_here, width, shown):
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with Canvas(model, width, 64, opengl=opengl_here) as canvas:
+        plain = canvas.draw(data, mujoco.MjvCamera()).astype(int)
+        labels = [Label("", "#ff0000"), Label("", "#0000ff")]
+        drawn = canvas.draw(data, mujoco.MjvCamera(), labels=labels).astype(int)
+    changed = np.abs(drawn - plain).sum(axis=(0, 2)) > 0
+    halves = changed[: width // 2], changed[-(width // 2) :]
+    assert sum(bool(half.any()) for half in halves) == shown
 
 
 def test_strobe_from_the_command_line(runs, srs_twin, tmp_path):

@@ -181,6 +181,18 @@ def test_long_scripts_are_followed_in_stretches_and_tell_their_progress():
     assert whole.com[:91] == pytest.approx(part.com, abs=1e-12)
 
 
+def test_a_resumed_run_continues_its_script_where_it_ended():
+    """The run after the cut is the rest of the uninterrupted run."""
+    plant, gait = AnalyticalSnake(SPEC), Gait(1.7, -0.3)
+    whole = rollout(plant, gait, 0.6, record_hz=50)
+    rollout(plant, gait, 0.24, record_hz=50)
+    kept = plant.save(), gait.save()
+    rest = rollout(AnalyticalSnake(SPEC), Gait(1.7, -0.3), 0.36, record_hz=50, resume=kept)
+    assert rest.time == pytest.approx(whole.time[12:])
+    for name in ("com_x", "com_y", "bend_2", "pressure_plus_3", "valve_minus_4", "work"):
+        assert rest[name] == pytest.approx(whole[name][12:], rel=1e-9, abs=1e-9), name
+
+
 def test_pose_and_seed_reach_plant_and_controller():
     plant, controller = Clock(), Teller()
     rollout(plant, controller, 0.1, pose=(1.0, 2.0, 3.0), seed=7)

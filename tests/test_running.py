@@ -226,7 +226,7 @@ def test_a_command_that_is_started_to_ignore_interrupts_does_so(tmp_path):
         (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
         (["models", "check", "./none.xml"], "none.xml: no such file"),
-        (["models", "check", "gen9"], "unknown robot 'gen9'"),
+        (["models", "check", "gen9"], "unknown robot or model file 'gen9'; did you mean gen"),
         (["view", "nosuch"], "nosuch: no recording there"),
     ],
 )

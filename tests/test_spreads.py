@@ -125,6 +125,21 @@ def test_a_surrogate_that_predicts_nothing_adds_no_error():
     assert not surrogate.any()
 
 
+def test_a_shift_by_the_mean_of_eight_runs_has_the_error_of_a_mean(monkeypatch):
+    """Leaving one of eight out is then exact: s/√n at every end, because a quantile moves with a shift."""
+
+    def shifted(
+        _: np.ndarray, cheap: np.ndarray, costly: np.ndarray, *chosen: None
+    ) -> tuple[np.ndarray, None]:
+        return cheap + np.mean(costly - cheap[: len(costly)]), None
+
+    monkeypatch.setattr("srs_twin.uncertainty.spreads.corrected", shifted)
+    rng = np.random.default_rng(4)
+    cheap, off = rng.normal(size=64), rng.normal(size=8)
+    _, surrogate = predicted(rng.random((64, 2)), cheap, cheap[:8] + off)
+    assert surrogate == pytest.approx(np.full(4, np.std(off, ddof=1) / np.sqrt(8)), rel=1e-9)
+
+
 WEIGHTS = 0.7 ** np.arange(4)
 LAWS: dict[str, Law] = {
     "sum": weighted(WEIGHTS),

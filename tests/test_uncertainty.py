@@ -21,7 +21,7 @@ from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep.execution import OpenSweep, local
 from srs_twin.uncertainty import Priors, Study
-from srs_twin.uncertainty.surrogates import Chaos, corrected
+from srs_twin.uncertainty.surrogates import Chaos, GaussianProcess, corrected
 
 SHARES = (np.arange(4000) + 0.5) / 4000
 
@@ -183,6 +183,19 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         assert errors.max() < 0.06
         found = np.array([spread.first[i], spread.total[i]])
         assert (np.abs(found - indices(np.arange(len(a)))) < 3 * errors + spread.doubt[:, i]).all()
+
+
+def test_a_process_without_a_smooth_part_is_ridge_regression():
+    """Weights of 1 and h with the prior variance b², and noise of n²: their posterior in closed form."""
+    rng = np.random.default_rng(5)
+    x, y, new = rng.normal(size=(7, 2)), 3 + rng.normal(size=7), rng.normal(size=(4, 2))
+    b, n = 0.7, 0.9
+    process = GaussianProcess(x, y, chosen=np.log([1e-9, b, n, 1.0, 1.0]))
+    known, asked = (np.column_stack([np.ones(len(each)), each]) for each in (x, new))
+    precision = known.T @ known / n**2 + np.eye(3) / b**2
+    assert process.at(new) == pytest.approx(asked @ np.linalg.solve(precision, known.T @ y) / n**2, rel=1e-6)
+    expected = asked @ np.linalg.inv(precision) @ asked.T
+    assert process.covariance(new) == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
 
 def test_a_costly_result_follows_from_a_cheap_one_and_few_of_its_own():

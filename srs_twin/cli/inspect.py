@@ -17,6 +17,9 @@ def inspect(
     map: Annotated[str | None, option("--map FILE.yaml")] = None,
     units: Annotated[str | None, option("--units UNIT")] = None,
     rate: Annotated[float | None, option("--rate HZ")] = None,
+    columns: Annotated[str | None, option("--columns NAMES")] = None,
+    separator: Annotated[str | None, option("--separator CHARACTER")] = None,
+    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None,
     picture: Annotated[str | None, option("--picture FILE.png")] = None,
     write_map: Annotated[str | None, option("--write-map FILE.yaml")] = None,
     overwrite: OverwriteOption = False,
@@ -31,6 +34,9 @@ def inspect(
         map: What is known of the files (docs/logs.md).
         units: Of lengths, where the file does not say: m, cm, mm, in, ft.
         rate: Frames a second, where the file has no time.
+        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
+        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
+        decimal: Decimal mark of a plain file, where it is not found.
         picture: The markers from above; of several files NAME goes before it.
         write_map: Where a proposed map goes.
     """
@@ -39,7 +45,9 @@ def inspect(
     from srs_twin.recordings.recording_map import given_map, read_map
     from srs_twin.robot.spec import load_robot
 
-    known = read_map(given_map(map, {"units": units, "rate_hz": rate}, ()) or {})
+    options = {"units": units, "rate_hz": rate}
+    options |= {"columns": columns, "separator": separator, "decimal": decimal}
+    known = read_map(given_map(map, options, ()) or {})
     spec = None if robot is None else load_robot(robot)
     for name, target in (("--picture", picture), ("--write-map", write_map)):
         if target is not None:
@@ -51,7 +59,8 @@ def inspect(
         try:
             facts, scene = inspect_file(path, known, spec)
         except InputError as error:
-            failed.append(str(error))
+            said = str(error)
+            failed.append(said if Path(path).name in said else f"{path}: {said}")
             continue
         found.append(facts)
         if not as_json:

@@ -1,7 +1,8 @@
-"""`srs-twin models`: MJCF from the robots' numbers, and whether MJCF is fit for use."""
+"""`srs-twin models`: MJCF from the robots' numbers, and whether MJCF or URDF is fit for use."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,7 +62,7 @@ def check(
     Shipped ones must be what an export of their robots would write.
 
     Options:
-        models: MJCF files or robots; default all.
+        models: MJCF or URDF files, or robots; default all.
     """
     from srs_twin.io.files import printable, shipped_names, shown
     from srs_twin.mjcf.check import check_mjcf
@@ -77,8 +78,8 @@ def check(
             remedy = f"is not current; `srs-twin models export {robot}` writes it anew"
             faults += [f"{name} {remedy}" for name in stale_files(load_robot(robot), path.parent)]
         bad += bool(faults)
-        reports.append({"model": model, "faults": faults, **report.sizes})
-        for line in faults or [_praise(report, current=robot is not None)]:
+        reports.append({"model": model, "faults": faults, "notes": list(report.notes), **report.sizes})
+        for line in faults or [_praise(report, current=robot is not None), *report.notes]:
             typer.echo(f"{shown(path)}: {printable(line)}", err=bool(faults) or as_json)
     if as_json:
         print_json({"models": reports})
@@ -96,12 +97,14 @@ def _praise(report: ModelReport, *, current: bool) -> str:
 
 
 def _find(model: str) -> tuple[Path, str | None]:
-    """Return the file that a path means, or the scene of a shipped robot and the robot's name."""
+    """Return the scene of a shipped robot and the robot's name, or the file that a path means."""
     from srs_twin.io.files import data_root, shipped_names
+    from srs_twin.mjcf.check import MODEL_SUFFIXES
 
-    if "/" in model or model.endswith(".xml"):
-        return Path(model), None
     names = shipped_names("robot")
-    if model not in names:
-        raise UnknownNameError("robot", model, names)
-    return data_root() / "models" / model / "scene.xml", model
+    if model in names:
+        return data_root() / "models" / model / "scene.xml", model
+    if "/" not in model and not os.path.lexists(model):
+        files = [path.name for path in Path().glob("*") if path.suffix in MODEL_SUFFIXES]
+        raise UnknownNameError("robot or model file", model, [*names, *files])
+    return Path(model), None

@@ -146,6 +146,9 @@ class ReadingOptions:
         map: What is what in the files (docs/logs.md).
         units: Of lengths, where the file does not say: m, cm, mm, in, ft.
         rate: Frames a second, where the file has no time.
+        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
+        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
+        decimal: Decimal mark of a plain file, where it is not found.
         marker: Its place, as tip=connector 3, m1=middle 1 or h2=connector 1 ahead; repeatable.
     """
 
@@ -156,13 +159,19 @@ class ReadingOptions:
     map: Annotated[str | None, option("--map FILE.yaml")] = None
     units: Annotated[str | None, option("--units UNIT")] = None
     rate: Annotated[float | None, option("--rate HZ")] = None
+    columns: Annotated[str | None, option("--columns NAMES")] = None
+    separator: Annotated[str | None, option("--separator CHARACTER")] = None
+    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
         """Return what was given, by the names of `RecordingReader`; a map as plain data."""
         from srs_twin.recordings.recording_map import given_map
 
-        options = {"units": self.units, "rate_hz": self.rate}
+        options = {
+            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
+            "decimal": self.decimal,
+        }  # fmt: skip
         values = {
             "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
             "map": given_map(self.map, options, self.marker or ()),

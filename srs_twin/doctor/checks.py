@@ -84,7 +84,7 @@ PURPOSES = {
     "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "live": "a robot on the air (MQTT), journals",
-    "recordings": "recordings in the formats C3D and MCAP",
+    "recordings": "recordings in the formats C3D and MCAP, bags of ROS",
     "rl": "training a policy (`examples/train_goto.py`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
 }
@@ -93,7 +93,11 @@ PURPOSES = {
 _DECIDING = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
 
 # Others are called like their package. Rerun's half in Python takes as long to import as all others together.
-_MODULES = {"rerun-sdk": "rerun_bindings", "ruamel-yaml": "ruamel.yaml"}
+_MODULES = {
+    "rerun-sdk": "rerun_bindings",
+    "ruamel-yaml": "ruamel.yaml",
+    "backports-zstd": "backports.zstd",
+}
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -46,11 +45,11 @@ from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, wit
 from srs_twin.io.files import write_text
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.csv_table import CLOCK, first_line_names, read_file, read_table
+from srs_twin.recordings.csv_table import first_line_names, read_file, read_table
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.signals.gaps import LEAST_FRAMES
 from srs_twin.recordings.signals.logs import SIDES, ValveLog
-from srs_twin.recordings.signals.units import ANGLES, PRESSURES
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES, is_clock
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -263,9 +262,7 @@ class StaticTable:
         trajectory, log = recording.trajectory, _log(recording, name)
         time, bend = trajectory.time, _seen_bends(trajectory)
         pressure = np.stack([trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1)
-        # Medians of second differences of white noise are 1.65 standard deviations; of valves' states, small.
-        noise = np.median(np.abs(np.diff(log.values, 2, axis=0, prepend=log.values[:1])), axis=0)
-        band = np.maximum(_HELD, 3 * noise)
+        band = np.maximum(_HELD, 3 * _scatter(log.values))
         if log.kind == "valve":
             pressure = np.select([pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan)
         of_frame = trajectory.stack("bend_error") if trajectory.has("bend_error") else np.zeros_like(bend)
@@ -313,6 +310,24 @@ def _constant(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int
             yield begin, k
             begin, low, high = k, row, row
     yield begin, len(pressure)
+
+
+def _scatter(values: np.ndarray) -> np.ndarray:
+    """Return the median size of second differences of a log's noise, 1.65 σ where it is white, shape (…).
+
+    The smaller of two estimates, since steps and slow changes of pressure are not noise. A step changes one
+    first difference but two second differences; a ramp changes all first differences but no second one.
+    First differences of white noise are smaller than second differences by √3.
+
+    Args:
+        values: shape (rows, …), 2 rows or more.
+    """
+    medians = [
+        scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
+        for order, scale in ((1, math.sqrt(3)), (2, 1.0))
+        if len(values) > order
+    ]
+    return np.asarray(np.min(medians, axis=0))
 
 
 def _at_rest(time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, of_frame: np.ndarray) -> list[float]:
@@ -379,7 +394,7 @@ def is_static(path: str | os.PathLike[str]) -> bool:
         InputError: the file cannot be read.
     """
     names = first_line_names(path)
-    timed = any(re.split(r"[^a-z]", name)[0] in CLOCK for name in names)
+    timed = any(is_clock(name) for name in names)
     return not timed and any(name.startswith("bend_") for name in names)
 
 

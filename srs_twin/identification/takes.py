@@ -24,7 +24,6 @@ from srs_twin.identification.unknowns import unknowns
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
-from srs_twin.recordings.formats import identify
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.clock import join
@@ -33,6 +32,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _LOG = ".valves.csv"
+_WITH_LOGS = (".mcap", ".bag", ".db3")
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _LEAST_OPENINGS = 4
 _EVEN = 0.05  # of a period: by how much openings may come early or late
@@ -75,8 +75,8 @@ class RecordingReader:
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
         """Read what was measured of the body: a captured motion, or a log of its bends; as `motion`."""
-        if is_bend_log(path):
-            return read_bends(path, spec, **self._stretch(frequency))
+        if is_bend_log(path, self.map):
+            return read_bends(path, spec, map=self.map, **self._stretch(frequency))
         return self.motion(path, spec, frequency)
 
     def _stretch(self, frequency: float | None) -> dict[str, Any]:
@@ -99,9 +99,11 @@ class RecordingReader:
         Raises:
             InputError: as `body`, `read_valves` and `joined`.
         """
-        if not is_bend_log(path):
-            identify(path)  # judged first: the log's name was made of its name
-        log = read_valves(valves, spec, self.map)
+        try:
+            log = read_valves(valves, spec, self.map)
+        except InputError:
+            self.body(path, spec)  # what is wrong with the recording is said first: the log is named after it
+            raise
         return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
 
 
@@ -129,7 +131,8 @@ def _log_of(take: Path) -> str:
     if not take.name:
         return str(take)  # the current folder, which is no recording
     beside = take.with_name(take.stem + _LOG)
-    return str(take if take.suffix.lower() == ".mcap" and not os.path.lexists(beside) else beside)
+    own = take.suffix.lower() in _WITH_LOGS or take.is_dir()
+    return str(take if own and not os.path.lexists(beside) else beside)
 
 
 def repeats(log: ValveLog) -> float | None:

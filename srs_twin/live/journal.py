@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import mmap
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import existing, shown
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import POSES, STATUS, BadMessageError, Message, decode, encode, topic
-from srs_twin.recordings.formats.mcap_messages import RawMessage, records
+from srs_twin.recordings.formats.mcap import MAGIC, stream_messages
 
 
 class Journal:
@@ -92,30 +93,20 @@ def journal_messages(
         refuse: called with the error of each record that is no message of ours; None: they are skipped.
 
     Raises:
-        InputError: no such file, no MCAP, or mcap is not installed.
+        InputError: no such file, or no MCAP.
     """
-    try:
-        from mcap.records import Channel
-    except ImportError as error:
-        raise InputError("journals need mcap: pip install 'srs-twin[live]'") from error
-    channels: dict[int, str] = {}
-    # Exception: the library raises errors of many kinds where a file is damaged.
+    # Exception: a damaged file raises errors of many kinds.
     with opened_journal(path) as file, contextlib.suppress(Exception):
-        for record in records(file):
-            if isinstance(record, Channel):
-                channels[record.id] = record.topic
-            elif isinstance(record, RawMessage):
-                try:
-                    message = _message(channels.get(record.channel_id, ""), record, robot, segments)
-                except BadMessageError as error:
-                    if refuse is not None:
-                        refuse(error)
-                    continue
-                if message is not None:
-                    yield message
-
-
-_MAGIC = b"\x89MCAP0\r\n"
+        whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        for topic, log_time, data in stream_messages(whole):
+            try:
+                message = _message(topic.name, log_time, bytes(data), robot, segments)
+            except BadMessageError as error:
+                if refuse is not None:
+                    refuse(error)
+                continue
+            if message is not None:
+                yield message
 
 
 def opened_journal(path: Path) -> IO[bytes]:
@@ -126,7 +117,7 @@ def opened_journal(path: Path) -> IO[bytes]:
     """
     try:
         file = existing(path, suffix=".mcap").open("rb")
-        if file.read(len(_MAGIC)) == _MAGIC:
+        if file.read(len(MAGIC)) == MAGIC:
             file.seek(0)
             return file
     except OSError as error:
@@ -135,17 +126,17 @@ def opened_journal(path: Path) -> IO[bytes]:
     raise InputError(f"{shown(path)}: not an MCAP file")
 
 
-def _message(topic: str, record: Any, robot: str, segments: int) -> Message | None:
+def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) -> Message | None:
     """Return the message of a record; None where it is another robot's.
 
     Raises:
         BadMessageError: it is no message of ours.
     """
-    arrived = record.log_time / 1e9
+    arrived = log_time / 1e9
     try:
         _, source, kind = topic.split("/", 2)
         if kind == POSES:
-            said = json.loads(bytes(record.data))
+            said = json.loads(data)
             poses, sent = np.array(said["poses"], dtype=float).reshape(-1, 4), float(said["t"])
             names = tuple(map(str, said["names"]))
             if len(names) != len(poses) or not math.isfinite(sent):
@@ -155,7 +146,7 @@ def _message(topic: str, record: Any, robot: str, segments: int) -> Message | No
         raise BadMessageError(f"no message of ours: {type(error).__name__}") from None
     if source != robot:
         return None
-    return decode(kind, bytes(record.data), source=source, arrived=arrived, segments=segments)
+    return decode(kind, data, source=source, arrived=arrived, segments=segments)
 
 
 class McapLink(Link):

@@ -1,8 +1,9 @@
-"""Check MJCF that may come from anybody: scanned first, then compiled in a child process with limits.
+"""Check MJCF and URDF from anybody: scanned first, then compiled in a child process with limits.
 
 A hundred bytes of ``<replicate>`` keep MuJoCo's compiler busy for minutes, and its parser opens whatever path
 a file names. So the XML is read here first, element by element: no document types (entities), bounded depth,
-size and number of what it multiplies to, and paths that stay in the model's folder.
+size and number of what it multiplies to, and paths that stay in the model's folder or its parent (many
+packages have ``urdf/`` next to ``meshes/``).
 
 What passes the scan is compiled in a child with limits on time and memory, for MuJoCo accepts time steps of
 NaN and negative friction as well. What passes that opens in any MuJoCo program and stands a second of random
@@ -14,27 +15,31 @@ from __future__ import annotations
 import json
 import math
 import os
-import stat
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
 
 from srs_twin.io.files import existing
 
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 MAX_FILE_BYTES = 4 << 20
 MAX_ASSET_BYTES = 32 << 20
 MAX_DEPTH = 400
 MAX_ELEMENTS = 10_000
 MAX_BODIES = 1_000
+MAX_NESTED_FILES = 30
+MAX_FOLDERS = 16
 MAX_CELLS = 1 << 24
 """Pixels of all textures and points of all height fields together."""
 
@@ -53,39 +58,67 @@ class _Refused(Exception):  # noqa: N818
 
 @dataclass
 class _Scan:
-    """What holds for all files of one model.
+    """Findings and paths of one model: the main file, or one that it attaches.
 
     Attributes:
+        main: the file that is checked, resolved.
         root: the model's own file.
-        faults: found so far.
         folders: in which assets may be looked up.
-        assets: where each path stands that is not itself MJCF, and the path.
-        models: what each attachable model multiplies to; None while it is being read.
+        strips: whether MuJoCo may look up assets by file name alone (``strippath``).
+        assets: files that are not MJCF: place and element, path as given, folder of the file that names it.
         seen: files that were included.
-        bytes: size of all files together.
+        faults: found so far, for all models.
+        models: what each attachable model multiplies to; None while it is being read.
+        bytes: size of all XML and of all assets together, for all models.
     """
 
+    main: Path
     root: Path
-    faults: list[str] = field(default_factory=list)
     folders: set[str] = field(default_factory=lambda: {"."})
-    assets: list[tuple[str, str]] = field(default_factory=list)
-    models: dict[Path, Counter[str] | None] = field(default_factory=dict)
+    strips: bool = False
+    assets: list[tuple[str, str, Path]] = field(default_factory=list)
     seen: set[Path] = field(default_factory=set)
-    bytes: int = 0
+    faults: list[str] = field(default_factory=list)
+    models: dict[Path, Counter[str] | None] = field(default_factory=dict)
+    bytes: Counter[str] = field(default_factory=Counter)
+
+    def existing(self, what: str, paths: Iterable[Path]) -> list[Path] | None:
+        """Return those of some possible paths that exist, or None after noting that they lie outside.
+
+        Args:
+            what: the place and the name, for the message.
+            paths: all that MuJoCo may open for one name.
+        """
+        # MuJoCo takes a backslash for a slash, and drops `..` from the text, whatever is linked where.
+        reduced = {Path(os.path.normpath(str(path).replace("\\", "/"))): None for path in paths}
+        found = [path for path in reduced if os.path.lexists(path)]
+        allowed = _allowed_folder(self.main)
+        outside = any(not Path(os.path.realpath(path)).is_relative_to(allowed) for path in found)
+        if outside or not any(path.is_relative_to(allowed) for path in reduced):
+            self.faults.append(f"{what}, outside the model's folder; files in {allowed} are allowed")
+            return None
+        return found
+
+
+def _allowed_folder(main: Path) -> Path:
+    """Return the parent of the model's folder, or the folder itself where the parent is not the project's."""
+    folder = main.parent
+    at_home = folder == Path(os.path.realpath(os.path.expanduser("~")))
+    return folder if at_home or folder.parent == Path(folder.anchor) else folder.parent
 
 
 def scan_mjcf(path: Path) -> list[str]:
-    """Return what is wrong with an MJCF file, and what it refers to, before anything is compiled.
+    """Return what is wrong with an MJCF or URDF file, and what it refers to, before anything is compiled.
 
     Args:
-        path: the file, resolved; whatever it names has to lie in its folder.
+        path: the file, resolved; whatever it names has to lie in its folder or the parent of that.
 
     Returns:
         One line a fault, with the line of the file in which it stands.
     """
-    scan = _Scan(path)
+    scan = _Scan(path, path, models={path: None})
     try:
-        _Reader(scan, path, Counter()).read()
+        _Reader(scan, path, Counter(), 0).read()
         _check_assets(scan)
     except _Refused as fault:
         scan.faults.append(str(fault))
@@ -95,8 +128,8 @@ def scan_mjcf(path: Path) -> list[str]:
 class _Reader:
     """Reads one file, element by element."""
 
-    def __init__(self, scan: _Scan, path: Path, count: Counter[str]) -> None:
-        self._scan, self._path, self._count = scan, path, count
+    def __init__(self, scan: _Scan, path: Path, count: Counter[str], depth: int) -> None:
+        self._scan, self._path, self._count, self._depth = scan, path, count, depth
         self._times = [1]
         self._models: list[Counter[str]] = []
         self._parser = expat.ParserCreate()
@@ -112,8 +145,8 @@ class _Reader:
             _Refused: it is no XML, or beyond a bound.
         """
         try:
-            self._scan.bytes += self._path.stat().st_size
-            if self._scan.bytes > MAX_FILE_BYTES:
+            self._scan.bytes["XML"] += self._path.stat().st_size
+            if self._scan.bytes["XML"] > MAX_FILE_BYTES:
                 raise _Refused(f"over {MAX_FILE_BYTES >> 20} MB of XML")
             self._parser.Parse(self._path.read_bytes(), True)
         except expat.ExpatError as error:
@@ -147,9 +180,13 @@ class _Reader:
             most = _SIZE_LIMITS.get(name, _OTHER_SIZE_LIMIT)
             if tag == "size" and _bytes(value) > most:
                 self._refuse(f"<size> asks for {name} {value}; at most {most} is allowed")
+            self._scan.strips |= name == "strippath" and value != "false"
             if name in _FOLDERS:
-                self._check_path(tag, value)
-                self._scan.folders.add(value)
+                folder = [self._scan.root.parent / value]
+                if self._scan.existing(self._names(tag, value), folder) is not None:
+                    self._scan.folders.add(value)
+                if len(self._scan.folders) > MAX_FOLDERS:
+                    self._refuse(f"more than {MAX_FOLDERS} folders of assets")
             elif name.startswith("file"):
                 self._refer(tag, value)
 
@@ -158,77 +195,64 @@ class _Reader:
             if self._count[what] > most:
                 self._refuse(f"more than {most} {what}, counting what is replicated")
 
-    def _check_path(self, tag: str, given: str) -> Path | None:
-        """Return the file that is meant, or None after noting that it lies elsewhere."""
-        try:
-            target = (self._scan.root.parent / given).resolve()
-            inside = target.is_relative_to(self._scan.root.parent.resolve())
-        except (OSError, RuntimeError, ValueError) as error:
-            self._note(f"<{tag}> names {given!r}, which cannot be looked up ({error})")
-            return None
-        if not inside:
-            self._note(f"<{tag}> names '{given}', outside the model's folder")
-        return target if inside else None
+    def _names(self, tag: str, given: str) -> str:
+        return f"{self._place()}: <{tag}> names '{given}'"
 
     def _refer(self, tag: str, given: str) -> None:
-        target = self._check_path(tag, given)
-        if target is None:
-            return
+        what, near = self._names(tag, given), self._path.parent
         if tag not in ("include", "model"):
-            self._scan.assets.append((self._place(), given))
-        elif not os.path.isfile(target):
-            self._refuse(f"<{tag}> names '{given}', which is not a file")
-        elif tag == "include" and target not in self._scan.seen:
-            self._scan.seen.add(target)
-            _Reader(self._scan, target, self._count).read()
-        elif tag == "model":
-            self._models.append(self._model(given, target))
+            self._scan.assets.append((what, given, near))
+            return
+        # MuJoCo looks in the folder of the model, then in that of the file.
+        found = self._scan.existing(what, [self._scan.root.parent / given, near / given])
+        if found == [] or not all(map(os.path.isfile, found or [])):
+            raise _Refused(f"{what}, which is not a file")
+        if self._depth == MAX_NESTED_FILES:
+            raise _Refused(f"{what}; files nested more than {MAX_NESTED_FILES} deep are not allowed")
+        for target in found or []:
+            if tag == "model":
+                self._models.append(self._model(what, target))
+            elif target not in self._scan.seen:
+                self._scan.seen.add(target)
+                _Reader(self._scan, target, self._count, self._depth + 1).read()
 
-    def _model(self, given: str, target: Path) -> Counter[str]:
+    def _model(self, what: str, target: Path) -> Counter[str]:
         """Return what an attachable model multiplies to, read once."""
-        models = self._scan.models
-        if target not in models and target != self._scan.root:
+        scan, models = self._scan, self._scan.models
+        if target not in models:
             models[target] = None
             count: Counter[str] = Counter()
-            _Reader(self._scan, target, count).read()
+            own = replace(scan, root=target, folders={"."}, strips=False, assets=[], seen=set())
+            _Reader(own, target, count, self._depth + 1).read()
+            _check_assets(own)
             models[target] = count
-        found = models.get(target)
+        found = models[target]
         if found is None:
-            self._refuse(f"<model> names '{given}', which is a part of itself")
+            raise _Refused(f"{what}, which is a part of itself")
         return found
-
-    def _note(self, fault: str) -> None:
-        self._scan.faults.append(f"{self._place()}: {fault}")
 
     def _refuse(self, fault: str, line: int | None = None) -> NoReturn:
         raise _Refused(f"{self._place(line)}: {fault}")
 
     def _place(self, line: int | None = None) -> str:
         number = line or self._parser.CurrentLineNumber
-        here = self._path == self._scan.root
+        here = self._path == self._scan.main
         return f"line {number}" if here else f"{self._path.name}:{number}"
 
 
 def _check_assets(scan: _Scan) -> None:
     """Refuse files that MuJoCo would open but are none, lie elsewhere, or are too large."""
-    total = 0
-    root = scan.root.parent.resolve()
-    for place, given in scan.assets:
-        for folder in sorted(scan.folders):
-            path = scan.root.parent / folder / given
-            try:
-                status = path.stat()
-            except (OSError, ValueError):
-                continue  # MuJoCo will say that it is missing
-            if not stat.S_ISREG(status.st_mode):
-                raise _Refused(f"{place}: '{given}' is not a file")
-            if not path.resolve().is_relative_to(root):
-                raise _Refused(f"{place}: '{given}' leads outside the model's folder")
-            total += status.st_size
-            if total > MAX_ASSET_BYTES:
-                raise _Refused(f"{place}: '{given}' brings the assets above {MAX_ASSET_BYTES >> 20} MB")
+    for what, given, near in scan.assets:
+        names = {given, Path(given.replace("\\", "/")).name if scan.strips else given}
+        bases = [scan.root.parent / folder for folder in sorted(scan.folders)] + [near]
+        for path in scan.existing(what, [base / name for base in bases for name in names]) or []:
+            if not path.is_file():
+                raise _Refused(f"{what}, which is not a file")
+            scan.bytes["assets"] += path.stat().st_size
+            if scan.bytes["assets"] > MAX_ASSET_BYTES:
+                raise _Refused(f"{what}, which brings the assets above {MAX_ASSET_BYTES >> 20} MB")
             if _png_pixels(path) > MAX_CELLS:
-                raise _Refused(f"{place}: '{given}' is a picture of more than {MAX_CELLS} pixels")
+                raise _Refused(f"{what}, a picture of more than {MAX_CELLS} pixels")
 
 
 def _png_pixels(path: Path) -> int:
@@ -288,24 +312,27 @@ class ModelReport:
     Attributes:
         faults: one line each; empty where the model is fit for use.
         sizes: what the compiled model has: bodies, joints, actuators, mass_kg, timestep_s.
+        notes: one line each; what MuJoCo makes of the file without a word.
     """
 
     faults: tuple[str, ...]
     sizes: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
     """Compile a model in a child process and give it a second of random control.
 
     Args:
-        path: the MJCF file.
+        path: the MJCF or URDF file.
         time_limit_s: most that the child may take, s.
 
     Raises:
         InputError: there is no such file.
     """
-    remedy = "; give an MJCF file or the name of a shipped robot"
-    model = existing(path, suffix=".xml", remedy=remedy).resolve()
+    remedy = "; give an MJCF or URDF file, or the name of a shipped robot"
+    suffix = path.suffix if path.suffix in MODEL_SUFFIXES else ".xml"
+    model = existing(path, suffix=suffix, remedy=remedy).resolve()
     faults = scan_mjcf(model)
     if faults:
         return ModelReport(tuple(faults))
@@ -336,7 +363,7 @@ def verdict(found: str, ending: str, time_limit_s: int) -> ModelReport:
     except ValueError:
         limits = f"{MEMORY_LIMIT_BYTES >> 30} GB, {time_limit_s} s"
         return ModelReport((f"broke MuJoCo or a limit ({limits}): {ending}",))
-    return ModelReport(tuple(report["faults"]), report["sizes"])
+    return ModelReport(tuple(report["faults"]), report["sizes"], tuple(report["notes"]))
 
 
 def _bad_numbers(model: Any) -> list[str]:
@@ -395,10 +422,10 @@ def _random_control(model: Any, time_limit_s: float, control_s: float) -> list[s
 
 
 def examine_model(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict[str, Any]:
-    """Compile a model and simulate it, in this process; return faults and sizes, as in `ModelReport`.
+    """Compile a model and simulate it, in this process; return the items of a `ModelReport`.
 
     Args:
-        path: the MJCF file.
+        path: the MJCF or URDF file.
         time_limit_s: a model that would take longer to simulate is a fault, s.
         control_s: simulated time under random control, s.
     """
@@ -407,11 +434,41 @@ def examine_model(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, MemoryError) as error:
-        return {"faults": [f"does not compile: {' '.join(str(error).split())}"], "sizes": {}}
-    faults = _bad_numbers(model) or _random_control(model, time_limit_s, control_s)
+        fault = f"does not compile: {' '.join(str(error).split())}"
+        return {"faults": [fault + _package_remedy(fault)], "sizes": {}, "notes": []}
+    notes = _welded_links(path)
     sizes = {"bodies": model.nbody - 1, "joints": model.njnt, "actuators": model.nu}
     measures = {"mass_kg": float(model.body_mass.sum()), "timestep_s": model.opt.timestep}
-    return {"faults": faults, "sizes": sizes | measures}
+    faults = _bad_numbers(model)
+    if not (model.nv or model.nmocap):
+        needed = f"nothing in it moves ({sizes['bodies']} bodies, no joints); it needs a body with a joint"
+        faults.append("; ".join([needed, *notes]))
+    faults = faults or _random_control(model, time_limit_s, control_s)
+    return {"faults": faults, "sizes": sizes | measures, "notes": notes}
+
+
+def _package_remedy(fault: str) -> str:
+    """Return what helps where MuJoCo looked for a file of a ROS package."""
+    compiler = '<mujoco><compiler strippath="true" meshdir="../meshes"/></mujoco>'
+    remedy = (
+        f"; MuJoCo resolves no package:// or other URI; add {compiler} to <robot> with the meshes' folder"
+    )
+    return remedy if re.search("'(package|model|file):", fault) else ""
+
+
+def _welded_links(path: Path) -> list[str]:
+    """Return a note for each root link of a URDF: MuJoCo welds it to the world."""
+    robot = ElementTree.parse(path).getroot()
+    free = {"floating", "planar"} & {joint.get("type") for joint in robot.iterfind("joint")}
+    if robot.tag != "robot" or free:
+        return []
+    roots = {link.get("name", "") for link in robot.iterfind("link")}
+    roots -= {child.get("link", "") for child in robot.iterfind("joint/child")}
+    return [
+        f"its root link '{name}' is welded to the world, as MuJoCo does with every URDF, and its mass has no "
+        "effect; for a free base, join it to a root link without mass by a joint of type floating"
+        for name in sorted(roots)
+    ]
 
 
 def _child(path: str, time_limit_s: str) -> None:

@@ -20,15 +20,25 @@ from srs_twin.recordings.body.floor import on_floor
 from srs_twin.recordings.body.markers import body_order, forward_distance
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
-from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.csv_table import CLOCK, Meaning, RecordedFile, laid_out, read_file, read_table
 from srs_twin.recordings.facts import plain_facts
-from srs_twin.recordings.formats import identify, mcap, plain_csv, read_markers
-from srs_twin.recordings.formats.base import axis_columns
+from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_topics
+from srs_twin.recordings.formats.base import axis_columns, start_of
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_strangers
-from srs_twin.recordings.recording_map import LOG_NAME, RecordingMap
+from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap
 from srs_twin.recordings.signals.gaps import LEAST_FRAMES, FrameGrid, at_frames, frame_grid, runs
-from srs_twin.recordings.signals.units import PRESSURES
+from srs_twin.recordings.signals.units import (
+    ABSOLUTE,
+    ANGLES,
+    PRESSURES,
+    bracketed,
+    clean,
+    looks_absolute,
+    stated_unit,
+    symbol,
+)
 from srs_twin.robot.spec import RobotSpec
 
 _SOLID = 0.2  # of the frames a marker is seen on: less is no marker of a robot
@@ -40,7 +50,6 @@ _CARRIER = 10.0  # openings a second: more are no gait's
 _MOST_SIGNALS = 200
 _MILLIMETRES = 2.0  # m between neighbours: more is a unit that was mistaken
 _FROM = re.compile(r"(?:converted from|given:) (?:.*, )?(mm|cm|in|ft|px)\b")
-_UNIT = ("_pa", "_kpa", "_bar", "_psi")
 
 
 @dataclass(frozen=True)
@@ -67,27 +76,43 @@ def inspect_file(
     Raises:
         InputError: it cannot be read; says why.
     """
-    kind = identify(path)
+    start = start_of(path, map.dialect)
+    timed = {clean(name) for name in map.meanings(["time"])} & set(start.table.names)
+    kind = plain_csv.NAME if timed else identify(path, map.dialect)
     if kind == plain_csv.NAME:
-        file = read_file(path)
-        (cells,) = file.head(1)
-        if not axis_columns(cells) and not any(cell.strip().lower().startswith("x_1") for cell in cells):
-            return _whole(_log_facts(file, cells, map)), None
-    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
+        file = laid_out(read_file(path), map.dialect)
+        if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
+            return _whole(_log_facts(file, map)), None
+    topics = read_topics(path)
+    if topics is not None and topics.markers is None and topics.signals:
+        return _whole(_topics_facts(topics, kind, map)), None
+    table = topics.markers if topics is not None else None
+    if table is None:
+        table = read_markers(
+            path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect
+        )
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts["robot"] = _beside_robot(path, map, spec)
-    if kind == mcap.NAME:
-        facts["signals"] = [
-            {"name": name, **_signal_facts(name, time, values)}
-            for name, (time, values) in list(mcap.read_topics(path).signals.items())[:_MOST_SIGNALS]
-        ]
+    if topics is not None:
+        facts["signals"] = _topics_facts(topics, kind, map)["signals"]
     return _whole(facts), scene
 
 
 def _whole(facts: Mapping[str, Any]) -> dict[str, Any]:
     """Return facts with the map that they propose, in plain types."""
     return plain_facts({**facts, "proposals": proposed_map([facts]).splitlines()})
+
+
+def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> dict[str, Any]:
+    """Return the facts of the signals of a bag."""
+    signals = list(topics.signals.items())[:_MOST_SIGNALS]
+    time = max((each for _, (each, _) in signals), key=len, default=np.zeros(0))
+    return {
+        "file": topics.name, "format": kind, "content": "log", "sha256": topics.sha256,
+        "signals": [{"name": name, **_signal_facts(name, *series, map)} for name, series in signals],
+        "notes": list(topics.notes), **_clock_facts(time),
+    }  # fmt: skip
 
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
@@ -149,7 +174,7 @@ def _chain_facts(
         return None
     near = float(np.median(nearest[np.isfinite(nearest)]))
     if near > _MILLIMETRES:
-        facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give units")
+        facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
     tracks, origin, dropped = follow(slots, columns, max(1, round(_GAP / frames.period)), 2 * near)
     tracks, origin, _, notes = without_strangers(tracks, origin, table)
     facts["notes"] += notes
@@ -250,57 +275,60 @@ def _beside_robot(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSp
     }  # fmt: skip
 
 
-def _log_facts(file: RecordedFile, cells: Sequence[str], map: RecordingMap) -> dict[str, Any]:
+def _log_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
     """Return the facts of a table of numbers over time."""
+    given = map.meanings(QUANTITIES)
+    timed = {name: each for name, each in given.items() if each.name == "time" and clean(name) in file.names}
+    clock = next(iter(read_table(file, CLOCK, timed).columns), None)
+    notes, time, beginning = [*file.notes], None, 0.0
+    if clock is not None:
+        rows = file.timed(clock.place, clock.unit, [])
+        time, beginning = rows.time, (rows.epoch_ns or 0) / 1e9
+        notes += rows.notes
     signals: list[dict[str, Any]] = []
-    notes: list[str] = []
-    time: np.ndarray | None = None
-    for k, cell in enumerate(cells[:_MOST_SIGNALS]):
+    for k, name in enumerate(file.names[:_MOST_SIGNALS]):
+        if clock is not None and k == clock.place:
+            continue
         try:
-            values, said = file.rows(1, [k], len(cells))
+            values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
         except InputError as error:
             if "is no number" not in str(error):
                 raise
-            signals.append({"name": cell.strip(), "looks_like": "text", "understood": False})
+            signals.append({"name": name, "looks_like": "text", "understood": False})
             continue
-        if k == 0:
-            notes += said
-        if (
-            time is None
-            and cell.strip().lower().startswith(("time", "t_", "stamp", "sec"))
-            or cell.strip().lower() == "t"
-        ):
-            time = values[:, 0]
-            if cell.strip().lower().endswith(("ms", "ms)", "ms]")):
-                time = time / 1e3
-            continue
-        clock = np.arange(len(values), dtype=float) if time is None else time
-        signals.append(
-            {"name": cell.strip(), **_signal_facts(cell.strip(), clock, values[:, 0], timed=time is not None)}
-        )
+        when = np.arange(len(values), dtype=float) if time is None else time
+        signals.append({"name": name, **_signal_facts(name, when, values, map, timed=time is not None)})
+    unit = "no time" if clock is None else f"time in {clock.unit}" if clock.unit else "time without a unit"
+    notes.insert(0, f"a log of {len(signals)} signals, {unit}")
     facts: dict[str, Any] = {
         "file": file.name, "format": plain_csv.NAME, "content": "log", "sha256": file.sha256,
         "signals": signals, "notes": notes,
     }  # fmt: skip
-    if time is not None and len(time) > 1:
-        step = np.diff(time)
-        facts |= {
-            "starts_s": float(time[0]), "duration_s": float(time[-1] - time[0]), "rows": len(time),
-            "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
-            "steps_back": int((step < 0).sum()),
-        }  # fmt: skip
-    return facts
+    return facts if time is None else facts | _clock_facts(time, beginning)
 
 
-def _signal_facts(name: str, time: np.ndarray, values: np.ndarray, *, timed: bool = True) -> dict[str, Any]:
+def _clock_facts(time: np.ndarray, beginning: float = 0.0) -> dict[str, Any]:
+    """Return begin, duration, rate and number of rows of a log; nothing of a single one."""
+    if len(time) < 2:
+        return {}
+    step = np.diff(time)
+    return {
+        "starts_s": beginning + float(time[0]), "duration_s": float(np.ptp(time)), "rows": len(time),
+        "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
+        "steps_back": int((step < 0).sum()),
+    }  # fmt: skip
+
+
+def _signal_facts(
+    name: str, time: np.ndarray, values: np.ndarray, map: RecordingMap, *, timed: bool = True
+) -> dict[str, Any]:
     """Return range, guess and switching of one signal."""
     known = values[np.isfinite(values)]
     if not known.size:
         return {"looks_like": "nothing", "understood": False}
     facts: dict[str, Any] = {
         "low": float(known.min()), "high": float(known.max()), "distinct": len(np.unique(known)),
-        "looks_like": _looks_like(name, known),
-        "understood": bool(LOG_NAME.fullmatch(_canonical(name))) or name.lower().startswith("bend_"),
+        "looks_like": _looks_like(name, known, map), "understood": bool(LOG_NAME.fullmatch(_canonical(name))),
     }  # fmt: skip
     if facts["distinct"] <= 3 and timed:
         opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
@@ -312,29 +340,48 @@ def _signal_facts(name: str, time: np.ndarray, values: np.ndarray, *, timed: boo
 
 
 def _canonical(name: str) -> str:
-    """Return pressure_kpa_plus_1 for pressure_plus_1_kpa, as a map's key."""
-    for unit in _UNIT:
-        if name.lower().endswith(unit):
-            kind, _, rest = name[: -len(unit)].partition("_")
-            return f"{kind}{unit}_{rest}".lower()
-    return name.lower()
+    """Return pressure_plus_1 for pressure_plus_1_kpa: a map's key, the unit is left to the column."""
+    match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
+    return match[1] if match else name.lower()
 
 
-def _looks_like(name: str, values: np.ndarray) -> str:
+def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
+    """Return a guess of a signal's quantity: by a unit in the map or its name, else by its range."""
     distinct, low, high, said = set(np.unique(values)[:4].tolist()), values.min(), values.max(), name.lower()
-    if distinct <= {-1.0, 0.0, 1.0}:
+    meaning = map.meanings(QUANTITIES).get(name, Meaning(""))
+    units = {
+        kind: _unit(name, table, meaning) for kind, table in (("pressure", PRESSURES), ("angle", ANGLES))
+    }
+    if units["pressure"]:
+        return _pressure(units["pressure"], "", low, high, map)
+    if units["angle"]:
+        return f"angle, {units['angle']}"
+    pressure = "press" in said or "setpoint" in said
+    if distinct <= {-1.0, 0.0, 1.0} and not pressure:
         return "valve states" if -1.0 in distinct else "valve states, 0 venting"
-    if low >= 0 and high <= 1:
+    if low >= 0 and high <= 1 and not pressure:
         return "duty"
     if low >= 0 and high <= 100 and any(word in said for word in ("duty", "pwm", "%")):
         return "duty, per cent"
-    if any(word in said for word in ("bend", "angle", "rad", "deg", "theta")) or (
-        low < 0 and np.abs(values).max() < 7
-    ):
+    if any(word in said for word in ("bend", "angle", "theta")) or (low < 0 and np.abs(values).max() < 7):
         return "angle" + (", degrees" if np.abs(values).max() > 7 else ", rad")
-    if low > -100 and (high > 2 or any(unit in said for unit in PRESSURES)):
-        return "pressure, " + ("bar" if high < 8 else "kPa" if high < 2e3 else "Pa") + " by its range"
+    if pressure or (low > -100 and high > 2):
+        return _pressure(
+            "bar" if high < 8 else "kPa" if high < 2e3 else "Pa", " by its range", low, high, map
+        )
     return "a number"
+
+
+def _unit(name: str, units: Mapping[str, float], meaning: Meaning) -> str:
+    """Return the unit of a signal as a map or its name says; empty where neither does."""
+    return stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
+
+
+def _pressure(unit: str, why: str, low: float, high: float, map: RecordingMap) -> str:
+    """Return words on a pressure in a unit, with what it is in kPa."""
+    least, most = (PRESSURES[unit] * each for each in (low, high))
+    absolute = "; " + ABSOLUTE if not map.ambient and looks_absolute(np.array([least])) else ""
+    return f"pressure, {unit}{why}: {least / 1e3:g} to {most / 1e3:g} kPa{absolute}"
 
 
 def proposed_map(facts: Sequence[Mapping[str, Any]]) -> str:

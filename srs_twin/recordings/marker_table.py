@@ -27,6 +27,7 @@ class MarkerTable:
         header_frames: how many frames the header announces; None where it does not.
         rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
             shape (frames, columns, 4); None for markers alone.
+        epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
     """
 
     name: str
@@ -39,6 +40,7 @@ class MarkerTable:
     places: tuple[tuple[int, str], ...] = ()
     header_frames: int | None = None
     rotations: np.ndarray | None = None
+    epoch_ns: int | None = None
 
 
 def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -62,19 +62,22 @@ class Recording:
             of a log of bends only the last of these.
         summary: what was made of the file.
         valves: what was commanded or measured of the air, on the clock of the trajectory; None at first.
+        epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
     """
 
     trajectory: Trajectory
     summary: LogSummary
     valves: ValveLog | None = None
+    epoch_ns: int | None = None
 
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Put a file's name before the messages of a block; names that are unknown are not the file's fault."""
+    """Put a file's name before the messages of a block."""
     try:
         yield
-    except UnknownNameError:
+    except UnknownNameError as error:
+        error.args = (f"{file}: {error}",)
         raise
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
@@ -117,7 +120,7 @@ def read_motion(
     one_of("fill", fill, WAYS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
-    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m)
+    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect)
     up = map.up if map.up and up == "auto" else up
     with named_in_errors(table.name):
         table = bodies_as_pairs(map.applied(table))
@@ -142,7 +145,7 @@ def read_motion(
             raise InputError(
                 f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps "
                 f"up to {longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all "
-                f"markers seen on {together:.0f} % of them); give longest_gap_s"
+                f"markers seen on {together:.0f} % of them); give --longest-gap"
             )
         time = frames.time[kept]
         origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
@@ -151,7 +154,8 @@ def read_motion(
         markers = likeliest_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
         summary = _summary(frames, floor, markers, body, notes)
-        return Recording(body_trajectory(body, markers, spec, summary, gait_frequency_hz), summary)
+        trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
+        return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
 
 
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,14 +13,23 @@ from pydantic import Field
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.validation import Strict, load_model, validate
+from srs_twin.recordings.csv_table import Dialect, Meaning
 from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, symbol
 
 LOG_NAME = re.compile(
-    r"(valve|duty|pressure(?:_(?:pa|kpa|bar|psi))?|setpoint(?:_(?:pa|kpa|bar|psi))?)_(plus|minus)_(\d{1,3})"
+    r"(?:(valve|duty|pressure|setpoint)(?:_([^\W_]+))?_(plus|minus)|(bend)(?:_([a-z]+))?)_(\d{1,3})"
 )
-"""Keys of a log: valve_plus_1, duty_minus_2, pressure_kpa_plus_1, setpoint_kpa_plus_1."""
+"""Keys of a log: valve_plus_1, duty_minus_2, pressure_kpa_plus_1, setpoint_kpa_plus_1, bend_deg_1."""
 
-_IN_A_LOG = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1 or setpoint_kpa_plus_1"
+QUANTITIES: dict[str, dict[str, float]] = {
+    "time": TIMES, "valve": {}, "duty": SHARES, "pressure": PRESSURES, "setpoint": PRESSURES, "bend": ANGLES,
+}  # fmt: skip
+"""Quantities of a log and their units."""
+
+_NUMBERS = ("carrier_hz", "ambient_kpa")
+_IN_A_LOG = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or bend_1"
+_SEPARATORS = {"tab": "\t", "space": " "}
 _PLACE = re.compile(r"(connector|middle) (\d{1,3})(?: (ahead|behind|left|right))?")
 
 
@@ -41,6 +50,15 @@ class MarkerPlace(Strict):
         return at, self.side or ""
 
 
+class LogColumn(Strict):
+    """A column of a log, or a signal, and its unit."""
+
+    column: str
+    """Name of the column."""
+    unit: str = ""
+    """Unit, where the name states none: s, ms, kPa, bar, deg, …"""
+
+
 class RecordingMap(Strict):
     """What is what in the files of a recording (docs/logs.md#a-map)."""
 
@@ -57,19 +75,32 @@ class RecordingMap(Strict):
     has a place."""
     bodies: dict[str, MarkerPlace | Literal["ignore"]] = {}
     """Rigid body → as markers; its rotation gives a heading."""
-    log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)]] = {}
-    """Log: valve_plus_1, duty_plus_1, pressure_kpa_plus_1 or setpoint_kpa_plus_1 → column; time → its column;
-    carrier_hz → frequency of the duties' carrier."""
+    log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
+    """Log: valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1 or bend_1 → column, or
+    {column: P1, unit: bar}; time → its column; carrier_hz → frequency of the duties' carrier; ambient_kpa →
+    pressure to subtract from absolute pressures."""
+    columns: list[str] = []
+    """Names of the columns of a plain file whose first line has none."""
+    separator: Literal[",", ";", "|", "tab", "space"] | None = None
+    """Separator of the cells of a plain file (default: found)."""
+    decimal: Literal[".", ","] | None = None
+    """Decimal mark of a plain file (default: found)."""
 
     def contradictions(self) -> list[tuple[tuple[str, ...], str]]:
         """Report keys that a log has not, and places that are none or two."""
         found: list[tuple[tuple[str, ...], str]] = []
         for key, value in self.log.items():
-            if key not in ("carrier_hz", "time") and not LOG_NAME.fullmatch(key):
+            kind, name, default = log_meaning(key)
+            if key not in _NUMBERS and not name:
                 found.append((("log", key), f"a log has {_IN_A_LOG}"))
-            elif (key == "carrier_hz") == isinstance(value, str):
-                wanted = "a number" if key == "carrier_hz" else "a column's name"
+                continue
+            if (key in _NUMBERS) != isinstance(value, float):
+                wanted = "a number" if key in _NUMBERS else "a column's name"
                 found.append((("log", key), f"{wanted} is wanted"))
+            units, allowed = QUANTITIES.get(kind, {}), ", ".join(QUANTITIES.get(kind, {})) or "none"
+            for each in filter(None, (default, value.unit if isinstance(value, LogColumn) else "")):
+                if not symbol(each, units):
+                    found.append((("log", key), f"unit '{each}' is not known; allowed: {allowed}"))
         for block, places in (("markers", self.markers), ("bodies", self.bodies)):
             for name, place in places.items():
                 if isinstance(place, MarkerPlace) and (place.connector is None) == (place.middle is None):
@@ -85,17 +116,26 @@ class RecordingMap(Strict):
         return found if isinstance(found, float) else None
 
     @property
-    def columns(self) -> dict[str, str]:
-        """Column of a log → what it holds, as `valve_plus_1` or `pressure_plus_1_kpa`."""
-        named = {}
-        for key, column in self.log.items():
-            if isinstance(column, str):
-                match = LOG_NAME.fullmatch(key)
-                name, _, unit = match[1].partition("_") if match else (key, "", "")
-                named[column] = (
-                    "_".join([name, match[2], match[3], *([unit] if unit else [])]) if match else key
-                )
-        return named
+    def ambient(self) -> float:
+        """Pressure to subtract from absolute pressures, Pa; 0 where they are gauge pressures."""
+        found = self.log.get("ambient_kpa")
+        return 1e3 * found if isinstance(found, float) else 0.0
+
+    @property
+    def dialect(self) -> Dialect:
+        """Layout of plain files."""
+        separator = self.separator or ""
+        return Dialect(tuple(self.columns), _SEPARATORS.get(separator, separator), self.decimal or "")
+
+    def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
+        """Return column → meaning of the columns of a log that are of these quantities."""
+        found = {}
+        for key, value in self.log.items():
+            kind, name, default = log_meaning(key)
+            if kind in kinds and not isinstance(value, float):
+                column = value if isinstance(value, LogColumn) else LogColumn(column=value)
+                found[column.column] = Meaning(name, default, column.unit)
+        return found
 
     def applied(self, table: MarkerTable) -> MarkerTable:
         """Return the markers that have a place, with it; all but those to be ignored where none has.
@@ -127,6 +167,17 @@ class RecordingMap(Strict):
 NO_MAP = RecordingMap()
 
 
+def log_meaning(key: str) -> tuple[str, str, str]:
+    """Return quantity, name and unit of a log's key: pressure_kpa_plus_1 is pressure_plus_1 in kpa."""
+    if key == "time":
+        return key, key, ""
+    match = LOG_NAME.fullmatch(key)
+    if match is None:
+        return "", "", ""
+    kind, unit, side = match[1] or match[4], match[2] or match[5] or "", match[3]
+    return kind, "_".join(filter(None, [kind, side, match[6]])), unit
+
+
 def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[str]) -> dict[str, Any] | None:
     """Return a map as plain data, of a file and of options, which go before it; None where nothing is given.
 
@@ -143,6 +194,11 @@ def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[st
         load_model(RecordingMap, Path(path))
         data = dict(load_yaml(Path(path)).data)
     data |= {key: value for key, value in options.items() if value is not None}
+    named = {mark: name for name, mark in _SEPARATORS.items()}
+    if data.get("separator") in named:
+        data["separator"] = named[data["separator"]]
+    if isinstance(data.get("columns"), str):
+        data["columns"] = [name.strip() for name in data["columns"].split(",")]
     for each in markers:
         name, _, place = each.rpartition("=")
         match = _PLACE.fullmatch(place.strip())

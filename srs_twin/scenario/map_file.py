@@ -1,28 +1,99 @@
-"""Maps of other programs: occupancy grids as ROS has them, and lists of circles.
+"""Obstacles from files of other programs: ROS occupancy maps and lists of circles.
 
-A map is a YAML file that names a picture (PGM or PNG) with its resolution and the pose of its lower left
-corner. A pixel of value v is occupied with probability (255 − v)/255, or v/255 where the map says `negate`;
-above `occupied_thresh` it is occupied, below `free_thresh` free. What is between them is not known, and is
-taken for occupied: a snake is not to be sent there.
+A map is a YAML file of ROS's ``map_server`` that names a picture, its resolution and the pose of its lower
+left corner. With the mean c of the colour channels and white w (255, 65535 or a PGM's maxval), the occupancy
+of a pixel is (w − c)/w, or c/w with `negate`. A cell is free
+
+- in mode ``trinary`` if occupancy < `free_thresh`. In a picture with transparency c is the mean of red,
+  green, blue and alpha, as in ROS;
+- in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` − `free_thresh`) rounds to 0 or
+  less, and the pixel is opaque.
+
+All other cells are obstacles, unknown ones included: the snake must not be sent there.
 """
 
 from __future__ import annotations
 
 import csv
+import io
 import math
+import re
+import struct
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Field, field_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import load_yaml
-from srs_twin.io.files import read_text, shown
+from srs_twin.io.files import existing, read_text, shown
+from srs_twin.io.validation import Strict, validate
 from srs_twin.world import Circle, Polygon
 
-_MODES = ("trinary", "scale")
-_MOST_PIXELS = 25_000_000
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
+MAX_PIXELS = 25_000_000
+"""250 m by 250 m at 0.05 m."""
+MAX_RECTANGLES = 20_000
+"""A plan takes 1 ms for each, a run of the twin 2 ms and 40 kB."""
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PGM = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"(?:#[^\r\n]*)?\s")
+_OTHERS = re.compile(
+    rb"(?P<PBM>P[14]\s)|(?P<PPM>P[36]\s)|(?P<JPEG>\xff\xd8\xff)|(?P<BMP>BM)|(?P<GIF>GIF8)|(?P<PDF>%PDF)|"
+    rb"(?P<TIFF>II\*\0|MM\0\*)|(?P<EPS>%!PS|\xc5\xd0\xd3\xc6)|(?P<WebP>RIFF.{4}WEBP)",
+    re.DOTALL,
+)
+_BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
+_BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
+
+
+class MapFile(Strict):
+    """YAML file of an occupancy map; other keys are ignored, as in ROS."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    image: Annotated[str, Field(min_length=1, max_length=1000)]  # path from the folder of the YAML file
+    resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # side of a pixel, m
+    # x and y of the lower left corner, m, and rotation, rad
+    origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
+    mode: Literal["trinary", "scale"] = "trinary"
+    negate: bool = False
+    occupied_thresh: Annotated[float, Field(ge=0.0, le=1.0)] = 0.65
+    free_thresh: Annotated[float, Field(ge=0.0, le=1.0)] = 0.196
+
+    @field_validator("mode", mode="before")
+    @classmethod
+    def _any_case(cls, mode: Any) -> Any:
+        return mode.lower() if isinstance(mode, str) else mode
+
+    @field_validator("negate", mode="before")
+    @classmethod
+    def _boolean(cls, given: Any) -> bool:
+        """Read YAML 1.1 booleans, quoted or not, as ROS does."""
+        if (value := _BOOLEANS.get(str(given).lower())) is None:
+            raise ValueError(f"must be true, yes, on, 1 or false, no, off, 0, not {given!r:.50}")
+        return value
+
+    def contradictions(self) -> Iterator[tuple[tuple[str], str]]:
+        """Yield path and message of what is wrong beyond types and ranges."""
+        if (count := len(self.origin)) != 3:
+            yield ("origin",), f"must be a list of 3 numbers, x, y and rotation, not a list of {count}"
+        if self.free_thresh >= self.occupied_thresh:
+            yield ("free_thresh",), f"must be below occupied_thresh, {self.occupied_thresh:g}"
+
+    def blocked(self, colour: np.ndarray, alpha: np.ndarray | None, white: int) -> np.ndarray:
+        """Return which cells are not surely free, from a picture as `_picture` returns it."""
+        whole = 3 * white
+        if self.mode == "trinary" and alpha is not None:
+            colour, whole = colour + alpha, 4 * white
+        levels = np.arange(whole + 1)
+        above = (levels if self.negate else whole - levels) / whole - self.free_thresh
+        if self.mode == "trinary":
+            return (above >= 0)[colour]
+        wall = (200 * above > self.occupied_thresh - self.free_thresh)[colour]  # not rounded to 0 %
+        return wall if alpha is None else wall | (alpha < white)
 
 
 def read_map(path: Path) -> tuple[Polygon, ...]:
@@ -32,29 +103,21 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
         path: of the map's YAML file.
 
     Raises:
-        InputFileError: it cannot be read as YAML.
-        InputError: it says something that a map cannot, or its picture cannot be read.
+        InputFileError: a value is not allowed, or the picture cannot be read.
+        InputError: the file cannot be read.
     """
     document = load_yaml(path)
+    rectangles: list[list[int]] = []
+    if given := validate(MapFile, document, document.data):
+        with document.reporting("image"):
+            rectangles = _rectangles(given.blocked(*_picture(path.parent / given.image))[::-1])
     document.finish()
-    given, name = document.data, shown(path)
-    if not isinstance(given, dict) or "image" not in given:
-        raise InputError(f"{name}: no map: it needs image, resolution and origin")
-    if (mode := given.get("mode", "trinary")) not in _MODES:
-        raise InputError(f"{name}: mode {mode!r} is not read; trinary and scale are")
-    size = _numbers(given, "resolution", 1, name)[0]
-    x, y, turn = _numbers(given, "origin", 3, name)
-    free, occupied = (_numbers(given, key, 1, name)[0] for key in ("free_thresh", "occupied_thresh"))
-    if not (0 < size <= 100 and 0 <= free <= occupied <= 1):
-        raise InputError(
-            f"{name}: resolution {size:g} m must be above 0, and 0 <= free_thresh <= occupied_thresh <= 1"
-        )
-    grey = _picture(path.parent / str(given["image"])) / 255
-    chance = grey if given.get("negate", 0) else 1 - grey
+    assert given is not None, "a map without a problem was checked"
+    size, (x, y, turn) = given.resolution, given.origin
     c, s = math.cos(turn), math.sin(turn)
     polygons = []
-    for column, row, wide, high in _rectangles(chance[::-1] >= free):
-        corners = ((column, row), (column + wide, row), (column + wide, row + high), (column, row + high))
+    for column, row, right, top in rectangles:
+        corners = ((column, row), (right, row), (right, top), (column, top))
         places = ((size * u, size * v) for u, v in corners)
         polygons.append(Polygon(tuple((x + c * u - s * v, y + s * u + c * v) for u, v in places)))
     return tuple(polygons)
@@ -90,40 +153,114 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     return tuple(found)
 
 
-def _numbers(given: dict[str, Any], key: str, count: int, name: str) -> list[float]:
-    value = given.get(key, {"free_thresh": 0.196, "occupied_thresh": 0.65}.get(key))
-    values = list(value) if isinstance(value, list) else [value]
-    numbers = [each for each in values if isinstance(each, int | float) and math.isfinite(each)]
-    if len(values) != count or len(numbers) != count:
-        raise InputError(f"{name}: {key}: {count} finite number{'s' * (count > 1)} needed, not {value!r}")
-    return [float(each) for each in numbers]
+def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
+    """Return red + green + blue, alpha (None: opaque), both (rows, columns), and the value of white.
 
-
-def _picture(path: Path) -> np.ndarray:
-    """Return the grey values of a picture, 0 to 255, shape (rows, columns), the upper row first."""
-    from PIL import Image, UnidentifiedImageError
-
+    Raises:
+        InputError: it is not PNG or PGM, damaged or too large.
+    """
+    name = shown(existing(path, suffix=".png" if path.suffix == ".png" else ".pgm"))
+    header = None
     try:
-        with Image.open(path) as picture:
-            if picture.width * picture.height > _MOST_PIXELS:
-                raise InputError(f"{shown(path)}: over {_MOST_PIXELS} pixels")
-            # What is transparent is taken for what its colour says.
-            return np.asarray(picture.convert("L"), dtype=float)
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
-        raise InputError(f"{shown(path)}: no picture that can be read (PGM or PNG): {error}") from None
+        with path.open("rb") as stream:
+            raw = stream.read(2**16)
+            if raw.startswith(_PNG):
+                width, height = struct.unpack_from(">II", raw.ljust(24, b"\0"), 16)
+            elif header := _PGM.match(raw):
+                width, height = int(header[2]), int(header[3])
+            else:
+                other = _OTHERS.match(raw)
+                what = f"{other.lastgroup} is not read" if other else "neither PNG nor PGM"
+                raise InputError(f"{name}: {what}; save it as PNG or PGM")
+            if not 0 < width * height <= MAX_PIXELS:
+                allowed = f"1 to {MAX_PIXELS:,} are allowed; crop it or reduce its size"
+                raise InputError(f"{name}: {width} x {height} pixels; {allowed}")
+            # A pixel has up to 8 bytes in a PNG; in a PGM of text 5 digits and some blanks.
+            raw += stream.read(12 * width * height + 2**24)
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+    try:
+        values, white = _decoded_pgm(raw, header) if header else _decoded_png(raw, (width, height))
+    except Exception as error:  # of a damaged file decoders raise errors of many kinds
+        reason = re.sub(" <.*", "", str(error))  # Pillow names the stream
+        raise InputError(f"{name}: damaged ({reason}); save it again as PNG or PGM") from error
+    channels = values.shape[2]
+    colour = values[..., : 3 if channels > 2 else 1].sum(axis=2, dtype=np.uint32)
+    return colour * (1 if channels > 2 else 3), None if channels % 2 else values[..., -1], white
 
 
-def _rectangles(full: np.ndarray) -> list[tuple[int, int, int, int]]:
-    """Return column, row, width and height of rectangles that cover the full cells, each once."""
-    open_runs: dict[tuple[int, int], int] = {}
-    found = []
-    for row in range(len(full) + 1):
-        cells = full[row] if row < len(full) else np.zeros(full.shape[1], dtype=bool)
-        edges = np.flatnonzero(np.diff(np.r_[False, cells, False].astype(np.int8)))
-        runs = set(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-        for run in [each for each in open_runs if each not in runs]:
-            begin = open_runs.pop(run)
-            found.append((run[0], begin, run[1] - run[0], row - begin))
-        for run in runs:
-            open_runs.setdefault(run, row)
-    return sorted(found)
+def _decoded_pgm(raw: bytes, header: re.Match[bytes]) -> tuple[np.ndarray, int]:
+    """Return pixels (rows, columns, 1) and maxval; Pillow would round the grey levels."""
+    width, height, white = (int(each) for each in header.groups()[1:])
+    if not 0 < white < 65536:
+        raise ValueError(f"maxval {white}; 1 to 65535 is allowed")
+    if header[1] == b"5":
+        grey = np.frombuffer(raw, ">u2" if white > 255 else "u1", width * height, header.end())
+    else:
+        text = re.sub(rb"#[^\r\n]*", b"", raw[header.end() :])
+        if text.translate(None, b"0123456789 \t\n\v\f\r"):
+            raise ValueError("not all pixels are numbers")
+        grey = np.fromstring(text, np.int64, sep=" ")[: width * height]
+    if (highest := grey.max(initial=0)) > white:
+        raise ValueError(f"grey level {highest} above maxval {white}")
+    return grey.reshape(height, width, 1), white
+
+
+def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
+    """Return pixels (rows, columns, channels: grey, grey and alpha, RGB or RGBA) and the value of white."""
+    from PIL import Image
+
+    def opened(raw_mode: str = "") -> Image.Image:
+        picture = Image.open(io.BytesIO(raw), formats=["PNG"])
+        if picture.size != size:
+            raise ValueError("two headers")
+        if raw_mode:
+            picture.tile = [each._replace(args=raw_mode) for each in picture.tile]
+        return picture
+
+    depth, kind = raw[24:26]
+    picture = opened()
+    if depth in (2, 4) and kind == 0 and "transparency" in picture.info:
+        picture.info["transparency"] *= 255 // (2**depth - 1)  # Pillow scales the pixels only
+    if depth < 16:
+        return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB")), 255
+    # Of 16-bit colours Pillow gives the upper bytes; taking them for little-endian gives the lower ones.
+    if kind == 0:
+        values = np.asarray(picture)[..., None]
+    elif kind == 4:
+        values = np.asarray(opened("RGBA")).view(">u2")
+    else:
+        lower = np.asarray(opened("RGBA;16L" if kind == 6 else "RGB;16L"))
+        values = np.asarray(picture).astype(np.uint16) << 8 | lower
+    if "transparency" in picture.info:  # one colour is
+        clear = (values == np.array(picture.info["transparency"])).all(axis=2)
+        values = np.dstack([values, np.where(clear, 0, 65535)])
+    return values, 65535
+
+
+def _rectangles(full: np.ndarray) -> list[list[int]]:
+    """Return left, bottom, right and top of rectangles that cover the full cells, each once.
+
+    A rectangle is a run of full cells in a row, with the equal runs in the rows that follow.
+
+    Raises:
+        InputError: there are more than `MAX_RECTANGLES`.
+    """
+    width = full.shape[1] + 1
+    edges = np.flatnonzero(np.diff(np.pad(full, ((0, 0), (0, 1))).ravel(), prepend=False))
+    begin, end = edges[::2], edges[1::2]
+
+    def has_equal(shift: int) -> np.ndarray:
+        at = np.minimum(np.searchsorted(begin, begin + shift), len(begin) - 1)
+        return (begin[at] == begin + shift) & (end[at] == end + shift)
+
+    first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
+    if len(first) > MAX_RECTANGLES:
+        raise InputError(
+            f"{len(first):,} rectangles cover its occupied cells; {MAX_RECTANGLES:,} are allowed: "
+            "remove specks (median filter), crop it or reduce its size"
+        )
+    # Of rectangles with the same columns, one ends before the next begins.
+    first, last = (x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last))
+    left, bottom = begin[first] % width, begin[first] // width
+    return np.transpose([left, bottom, end[first] % width, begin[last] // width + 1]).tolist()

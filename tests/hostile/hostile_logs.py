@@ -142,9 +142,9 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
 
 PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed("words", b"just text\n", ":1: no motion recording that is read: its first line is"),
-    Malformed("no names", PLAIN.split(b"\n", 1)[1], ":1: no motion recording that is read: its first line is"),
-    Malformed("semicolons", PLAIN.replace(b",", b";"), ":1: cells are separated by semicolons; save it with commas"),
-    Malformed("tabs", PLAIN.replace(b",", b"\t"), ":1: cells are separated by tabs"),
+    Malformed("no names", PLAIN.split(b"\n", 1)[1], ":1: 11 numbers and no names of columns: give --columns"),
+    Malformed("decimal commas and points", PLAIN.replace(b",", b";").replace(b".", b",", 50), " is no number"),
+    Malformed("decimal commas between commas", PLAIN.replace(b".", b","), " cells where the header has 11"),
     Malformed("a y too few", _edited(PLAIN, "y_3_mm", "q_3_mm"), ":1:6: x_3_mm: y_3 is missing"),
     Malformed("a connector too few", _edited(PLAIN, "x_2_mm,y_2_mm", "x_7_mm,y_7_mm"), ":1: x_2 is missing; connectors are numbered"),
     Malformed("one name twice", _edited(PLAIN, "x_2_mm", "x_1_mm"), ":1:4: x_1_mm: the same as column 'x_1_mm'"),

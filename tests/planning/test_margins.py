@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from srs_twin.control.following import ENDINGS
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint import load_footprint_file, save_footprint
 from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, margin, quantile
+from srs_twin.scenario import load_scenario
+from srs_twin.uncertainty import excursions
 
 CONDITIONS = {
     "plant": "twin", "follower": "path", "gain_spread": 0.1, "turn_share": 0.5, "delay_s": 0.1,
@@ -77,3 +82,22 @@ def test_shipped_footprints_keep_a_hundred_runs_on_each_plant(name):
     assert {each.conditions.plant for each in kept} == {"analytical", "twin"}
     for each in kept:
         assert len(each.path_m) == 100 and each.path_m == sorted(each.path_m)
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_only_runs_that_reach_the_goal_count_by_their_excursion(monkeypatch, ending):
+    """The run-up ends at 1 s, and the largest excursions before and after it are separate results."""
+    time = np.linspace(0.0, 2.0, 9)
+    out = np.where(time < 1.0, 0.02, 0.05) * np.sin(time) ** 2
+    driven = SimpleNamespace(time=time)
+    monkeypatch.setattr(excursions, "rollout", lambda *given, **named: driven)
+    monkeypatch.setattr(excursions, "beyond", lambda run: out)
+    about = {"plans": [{"time": 0.0}, {"time": 1.0}], "ending": ending}
+    monkeypatch.setattr(excursions, "following", lambda run: about)
+    document = load_scenario("follow_fig56").document
+    straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0, "footprint": "gen2_gait"}
+    run = excursions.Tried({**document, "planner": straight, "world": {}, "expect": []}, 0.4, "analytical", 0)
+    before, after = run.run()
+    assert before == pytest.approx(0.02 * np.sin(0.75) ** 2)
+    arrived = ending == "goal_reached"
+    assert after == (pytest.approx(0.05 * np.sin(1.5) ** 2) if arrived else LOST_M)

@@ -166,6 +166,15 @@ def test_a_time_budget_ends_the_search():
     assert answer.outcome is Outcome.BUDGET_SPENT and answer.expanded < 10**7
 
 
+def test_coarsest_cells_separate_the_children_of_a_node():
+    """A cell is half of the smallest change of heading wide and a third of an arc long, within a tenth."""
+    found = plan(fig54(0, 0), Settings(keep=True, levels=1))
+    moves = found.trees[0].search.moves
+    turn = np.diff(moves.curvatures[moves.arcs]).min() * moves.length
+    assert turn / found.cell[1] == pytest.approx(2, rel=0.1)
+    assert moves.length / found.cell[0] == pytest.approx(3, rel=0.1)
+
+
 def test_any_arrival_heading():
     goal = replace(FIG54_GOAL, heading=None)
     problem = replace(fig54(10, 2), goal=goal)

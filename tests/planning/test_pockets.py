@@ -123,3 +123,15 @@ def test_every_path_of_a_step_ends_in_the_box_of_its_turn(tight, turn, shares):
     places = np.array(way)[:, :2]
     chord = np.linspace(0.0, 1.0, len(places))[:, None] * [x, y]
     assert np.hypot(*(places - chord).T).max() <= tight * step**2 / 8 + 1e-9
+
+
+@pytest.mark.parametrize(("tight", "turn", "parts"), [(4.5, 0.5, 6), (4.5, 0.5, 10), (12.0, 0.3, 8)])
+def test_boxes_reach_no_farther_aside_than_two_tightest_arcs(tight, turn, parts):
+    """A path with the largest turn Δ within two sectors turns left first, then right, as in θ_hi."""
+    step, sector = turn / tight, turn / parts
+    for turned, _, _, low, high in _moves(tight, step, sector):
+        for side, bound in ((1, high), (-1, -low)):
+            most = min((side * turned + 1) * sector, turn)
+            first = (step + most / tight) / 2
+            _, aside, _ = along(*along(0.0, 0.0, 0.0, tight, first), -tight, step - first)
+            assert aside <= bound <= aside + 3 * step / 64**2

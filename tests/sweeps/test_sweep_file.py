@@ -42,6 +42,12 @@ def test_periods_become_whole_ticks(tmp_path):
     assert durations == {7.16, 2.0}  # 5/0.7 = 7.1429 s, rounded up to ticks of 20 ms
 
 
+def test_a_sweep_may_have_one_point(tmp_path):
+    text = SMALL.replace("[2, 2.5]", "[2]").replace("{from: 41, to: 55, count: 4}", "[48]")
+    (point,) = load_sweep(write(tmp_path, text)).points
+    assert point.changes == {"controller.frequency_hz": 2, "supply.pressure_kpa": 48}
+
+
 def test_a_robots_number_keeps_its_unit(tmp_path):
     text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot.friction.mu_n: [0.3, 0.4]")
     sweep = load_sweep(write(tmp_path, text))

@@ -150,7 +150,7 @@ def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
         if across > 2 * spread[0] + 1e-3:
             raise InputError(
                 f"which way is up cannot be told, the markers spread {1e3 * spread[0]:.0f} mm and "
-                f"{1e3 * spread[1]:.0f} mm in two directions; give up=x, y or z"
+                f"{1e3 * spread[1]:.0f} mm in two directions; give --up x, y or z, or `up` in a map"
             )
         return usual, points, [f"up taken as {usual}, usual for such files: markers do not tell the plane"]
     normal = axes[:, 0] * np.sign(axes[axis, 0])
@@ -158,7 +158,7 @@ def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
     if tilt > _STEEPEST:
         raise InputError(
             f"the plane of the markers lies {np.degrees(tilt):.0f}° from all axes; turn the recording, or "
-            "give up=x, y or z"
+            "give --up x, y or z, or `up` in a map"
         )
     # On the floor's side of the markers lies the origin, where a calibration square lay.
     mean = float(np.median(seen[:, axis]))

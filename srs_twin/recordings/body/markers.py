@@ -85,7 +85,7 @@ def robot_markers(
         shares = ", ".join(f"{100 * each:.0f} %" for each in sorted(share, reverse=True)[:12])
         raise InputError(
             f"{len(solid)} markers that could be the robot's; {connectors} connectors carry {listed}. "
-            f"Seen on these shares of the frames: {shares}. Give layout, export without others, or say in "
+            f"Seen on these shares of the frames: {shares}. Give --layout, export without others, or say in "
             "a map where each is (--map)"
         )
     return fitting, np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
@@ -137,7 +137,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(
             f"no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} %); "
-            "are there two at each connector? Give layout"
+            "are there two at each connector? Give --layout"
         )
     return np.array(pairs)
 
@@ -417,7 +417,7 @@ def _head_first(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> 
         found, _ = _likeliest([partial(_explained, markers, spec, way) for way in ways])
         if found is None:
             raise InputError(
-                f"which end has the second marker of the head cannot be told; give head, its name ({ends})"
+                f"which end has the second marker of the head cannot be told; give --head, its name ({ends})"
             )
         return ways[found], "the end with a second marker"
     centres = np.stack([markers.points[:, list(group)].mean(axis=1) for group in groups], axis=1)
@@ -426,7 +426,7 @@ def _head_first(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> 
     if abs(crawled) < least:
         raise InputError(
             f"which end is the head cannot be told, the body crawled {1e3 * abs(crawled):.3g} mm along "
-            f"itself, less than {1e3 * least:.3g} mm; give head, the name of a marker there ({ends})"
+            f"itself, less than {1e3 * least:.3g} mm; give --head, the name of a marker there ({ends})"
         )
     return ways[crawled < 0], f"the end towards which it crawled ({abs(crawled):.3g} m)"
 
@@ -446,7 +446,7 @@ def likeliest_layout(
     found, said = _likeliest([lambda way=way: tracked_body(way, spec, head).shape for way in ways])  # type: ignore[misc]
     if found is None:
         listed = "; ".join(f"{layout}: {why}" for layout, why in zip(layouts, said, strict=True))
-        raise InputError(f"the layout of the markers cannot be told ({listed}); give layout")
+        raise InputError(f"the layout of the markers cannot be told ({listed}); give --layout")
     return replace(markers, layout=layouts[found])
 
 

@@ -5,24 +5,32 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
-from srs_twin.io.files import existing, printable, shown
-from srs_twin.recordings.csv_table import RecordedFile
-from srs_twin.recordings.signals.units import LENGTHS
+from srs_twin.io.files import printable, shown
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile, laid_out, recording_file
+from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 _PEEK = 1 << 16  # bytes that tell a format
-_UNIT = r"(?:[ _]*[\[(]?(?P<unit>mm|cm|m|in|ft)[\])]?)?"
-_AXIS_LAST = re.compile(r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?" + _UNIT, re.IGNORECASE)
-_AXIS_FIRST = re.compile(r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)" + _UNIT, re.IGNORECASE)
+_UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
+_AXIS_LAST = re.compile(
+    r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?(?:[ _]*" + _UNIT + ")?", re.IGNORECASE
+)
+_AXIS_FIRST = re.compile(r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)(?:[ _]+" + _UNIT + ")?", re.IGNORECASE)
+_NO_PLACE = set(
+    "rot rotation orientation orient quat quaternion q euler angle angles ang angular acc accel acceleration "
+    "gyro gyr gyroscope mag magnetometer magnetic vel velocity speed omega force moment torque momentum jerk "
+    "twist wrench dir direction normal std sd var cov err error residual imu".split()
+)
+"""Words in names of columns with axes that hold something else than places."""
 
 
 class Unstated(NamedTuple):
@@ -32,11 +40,13 @@ class Unstated(NamedTuple):
         rate_hz: frames a second.
         unit: of lengths.
         scale_m: size of a pixel, m.
+        dialect: layout of a plain table.
     """
 
     rate_hz: float | None = None
     unit: str | None = None
     scale_m: float | None = None
+    dialect: Dialect = AS_FOUND
 
 
 @dataclass(frozen=True)
@@ -46,10 +56,17 @@ class Start:
     Attributes:
         name: of the file, as messages show it.
         raw: its first bytes, with a byte order mark where it has one.
+        dialect: layout of a plain table, where it is not found.
     """
 
     name: str
     raw: bytes
+    dialect: Dialect = AS_FOUND
+
+    @cached_property
+    def table(self) -> RecordedFile:
+        """The start as a plain table."""
+        return laid_out(RecordedFile(self.name, self.raw), self.dialect)
 
     @cached_property
     def line(self) -> str:
@@ -64,23 +81,18 @@ class Start:
         """The first cell of that line."""
         return re.split(r"[,\t]", self.line)[0].strip(' "')
 
-    @property
-    def cells(self) -> list[str]:
-        """The cells of that line."""
-        return re.split(r"[,;\t]", self.line)
 
-
-def start_of(path: str | os.PathLike[str]) -> Start:
+def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Start:
     """Read the start of a file.
 
     Raises:
         InputError: it is missing or cannot be read.
     """
-    place = existing(Path(path), suffix=".csv")
+    place = recording_file(path)
     name = shown(place)
     try:
         with place.open("rb") as stream:
-            return Start(name, stream.read(_PEEK))
+            return Start(name, stream.read(_PEEK), dialect)
     except OSError as error:
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
 
@@ -88,14 +100,23 @@ def start_of(path: str | os.PathLike[str]) -> Start:
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
     """Return marker → axis → column and unit of a header whose names end or begin with x, y or z.
 
-    As ``base_x,base_y``, ``Tip X (mm)``, ``x_LED1``. Markers without x and y are left out.
+    As ``base_x,base_y``, ``Tip X (mm)``, ``x_LED1``. Markers without x and y are left out, and rotations,
+    velocities, accelerations and forces (``c1_rot_x``), or what is in another unit than one of length.
     """
     found: dict[str, dict[str, tuple[int, str]]] = {}
     for place, cell in enumerate(cells):
-        match = _AXIS_LAST.fullmatch(cell.strip(' "')) or _AXIS_FIRST.fullmatch(cell.strip(' "'))
-        if match:
+        bare, bracket = bracketed(clean(cell.strip(' "')))
+        unit = symbol(bracket, LENGTHS)
+        if bracket and not unit:
+            if bracket.lower() not in "xyz":
+                continue
+            bare = f"{bare} {bracket}"
+        match = _AXIS_LAST.fullmatch(bare) or _AXIS_FIRST.fullmatch(bare)
+        if match and not _NO_PLACE & {
+            word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"])
+        }:
             found.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
-                match["axis"].lower(), (place, (match["unit"] or "").lower())
+                match["axis"].lower(), (place, unit or symbol(match["unit"] or "", LENGTHS))
             )
     return {name: axes for name, axes in found.items() if {"x", "y"} <= axes.keys()}
 
@@ -118,7 +139,7 @@ def length_unit(file: RecordedFile, unit: str, line: int | None = None, column: 
     Raises:
         InputError: it is not known.
     """
-    factor = LENGTHS.get(unit.strip().lower())
+    factor = LENGTHS.get(symbol(unit, LENGTHS))
     if factor is None:
         hint, allowed = did_you_mean(unit, LENGTHS), ", ".join(LENGTHS)
         what = printable(f"unit of length '{unit[:20]}' is not known")
@@ -141,11 +162,41 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
     return rate
 
 
-def numbered(file: RecordedFile, numbers: np.ndarray, header_lines: int, what: str) -> np.ndarray:
-    """Return a column of which no cell may be blank."""
+def numbered(
+    file: RecordedFile, numbers: np.ndarray, header_lines: int, what: str, column: int = 1
+) -> np.ndarray:
+    """Return a column, counted from 1, of which no cell may be blank."""
     if (missing := np.isnan(numbers)).any():
-        raise file.error(f"a row without a {what}", header_lines + 1 + int(missing.argmax()), 1)
+        raise file.error(f"a row without a {what}", header_lines + 1 + int(missing.argmax()), column)
     return numbers
+
+
+def announced(text: str) -> int | None:
+    """Return the number of frames that a header announces; None where it is no number."""
+    return int(text) if text.isdecimal() and len(text) < 10 else None
+
+
+def converted(units: Iterable[str]) -> list[str]:
+    """Return that lengths were converted, in words; empty where all are m."""
+    others = ", ".join(sorted({*units} - {"m"}))
+    return [f"lengths converted from {others} to m"] if others else []
+
+
+def marker_table(
+    file: RecordedFile, kind: str, time: np.ndarray, points: np.ndarray, names: Sequence[str],
+    notes: Sequence[str], *, frames: int | None = None, rotations: np.ndarray | None = None,
+    epoch_ns: int | None = None,
+) -> MarkerTable:  # fmt: skip
+    """Return markers as a reader found them, without implausible points and with printable names."""
+    points, implausible = plausible(points)
+    if rotations is not None:
+        rotations = np.where(
+            np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True)), np.nan, rotations
+        )
+    labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
+    corrections = (*notes, *implausible)
+    about = file.name, file.sha256, kind
+    return MarkerTable(*about, time, points, labels, corrections, (), frames, rotations, epoch_ns)
 
 
 @contextmanager

@@ -6,10 +6,9 @@ import os
 
 import numpy as np
 
-from srs_twin.io.files import printable
 from srs_twin.recordings.csv_table import read_file
-from srs_twin.recordings.formats.base import Start, Unstated, frame_rate, length_unit, numbered
-from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.recordings.formats.base import Start, Unstated, frame_rate, length_unit, marker_table, numbered
+from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "DeepLabCut CSV"
 LEAST_LIKELIHOOD = 0.6
@@ -33,7 +32,7 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         InputError: rate or scale are not given, or the file is damaged; with line and column.
     """
     file = read_file(path)
-    rate_hz, unit, scale_m = unstated
+    rate_hz, unit, scale_m, _ = unstated
     missing = [] if rate_hz else ["`rate_hz` (frames a second of the video)"]
     pixels = unit in (None, "px")
     if pixels and not scale_m:
@@ -58,7 +57,6 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     points = samples[..., :2] * [factor, -factor]
     unlikely = ~(samples[..., 2] >= LEAST_LIKELIHOOD) & np.isfinite(points).all(axis=-1)
     points[unlikely] = np.nan
-    points, implausible = plausible(points)
     notes += [
         f"{int(unlikely.sum())} samples of likelihood below {LEAST_LIKELIHOOD} taken as not seen",
         "y flipped: it runs down in pictures",
@@ -68,5 +66,4 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     if len(parts) != width or (animals and len(animals) != width):
         raise file.error(f"rows of the header have other than {width} cells", rows)
     names = (f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in range(1, width, 3))
-    labels = tuple(printable(name) for name in names)
-    return MarkerTable(file.name, file.sha256, NAME, frame / rate, points, labels, (*notes, *implausible))
+    return marker_table(file, NAME, frame / rate, points, list(names), notes)

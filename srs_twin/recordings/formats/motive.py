@@ -10,15 +10,25 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import did_you_mean
+from srs_twin.errors import InputError, did_you_mean
 from srs_twin.recordings.csv_table import RecordedFile, read_file
-from srs_twin.recordings.formats.base import Start, Unstated, counted_times
-from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.recordings.formats.base import (
+    Start,
+    Unstated,
+    announced,
+    converted,
+    counted_times,
+    frame_rate,
+    marker_table,
+    numbered,
+)
+from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
 
 NAME = "Motive CSV"
@@ -83,26 +93,20 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     columns = [0, 1] + [each.column + axis for each in markers for axis in range(3)]
     columns += [turns[markers[k].name] + axis for k in turned for axis in range(4)]
     values, notes = file.rows(header.lines, columns, header.width)
-    if unit != "m":
-        notes.append(f"lengths converted from {unit} to m")
+    notes += converted([unit])
     skipped = sorted((other, count) for other, count in kinds.items() if other != kind)
     notes += [f"{count} columns of positions of type {other} skipped" for other, count in skipped]
     if kind != KINDS[0]:
         notes.append(f"no columns of type {KINDS[0]}: positions of type {kind} taken")
     end = 2 + 3 * len(markers)
-    points, implausible = plausible(values[:, 2:end].reshape(len(values), -1, 3) * LENGTHS[unit])
+    points = values[:, 2:end].reshape(len(values), -1, 3) * LENGTHS[unit]
     rotations = np.full((len(values), len(markers), 4), np.nan) if turned else None
     if rotations is not None:
         rotations[:, turned] = values[:, end:].reshape(len(values), -1, 4)
-        rotations[np.isnan(rotations).any(axis=-1) | np.isnan(points[..., 0])] = np.nan
     time = _times(file, header, values[:, 0], values[:, 1])
-    labels, corrections = tuple(each.name for each in markers), (*notes, *implausible)
-    announced = header.about.get("Total Exported Frames", "")
-    frames = int(announced) if announced.isdecimal() and len(announced) < 10 else None
-    version = f"{NAME} {header.version}"
-    return MarkerTable(
-        file.name, file.sha256, version, time, points, labels, corrections, (), frames, rotations
-    )
+    version, names = f"{NAME} {header.version}", [each.name for each in markers]
+    frames = announced(header.about.get("Total Exported Frames", ""))
+    return marker_table(file, version, time, points, names, notes, frames=frames, rotations=rotations)
 
 
 def _header(file: RecordedFile) -> _Header:
@@ -145,13 +149,8 @@ def _times(file: RecordedFile, header: _Header, frame: np.ndarray, time: np.ndar
     Raises:
         InputError: a row without a time.
     """
-    if (missing := np.isnan(time)).any():
-        raise file.error("a row without a time", header.lines + 1 + int(missing.argmax()), 2)
+    time = numbered(file, time, header.lines, "time", 2)
     for key in ("Export Frame Rate", "Capture Frame Rate"):
-        try:
-            rate = float(header.about.get(key, ""))
-        except ValueError:
-            continue
-        if 0 < rate < 1e6:
-            return counted_times(frame, time, rate)
+        with suppress(InputError):
+            return counted_times(frame, time, frame_rate(file, header.about.get(key, "")))
     return time

@@ -11,8 +11,16 @@ import numpy as np
 
 from srs_twin.io.files import printable
 from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, read_file
-from srs_twin.recordings.formats.base import Start, Unstated, counted_times, frame_rate, numbered
-from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.recordings.formats.base import (
+    Start,
+    Unstated,
+    announced,
+    counted_times,
+    frame_rate,
+    marker_table,
+    numbered,
+)
+from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
 
 NAME = "Qualisys TSV"
@@ -66,9 +74,6 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         time = counted_times(values[:, 0], time, frame_rate(file, given))
     points = values[:, first:].reshape(len(values), -1, 3) * LENGTHS["mm"]
     points[(points == 0).all(axis=-1)] = np.nan
-    points, implausible = plausible(points)
-    corrections = (*notes, "lengths converted from mm to m", "0,0,0 taken as not seen", *implausible)
-    count = "".join(about.get("NO_OF_FRAMES", [])[:1])
-    frames = int(count) if count.isdecimal() and len(count) < 10 else None
-    labels = tuple(printable(name) for name in names)
-    return MarkerTable(file.name, file.sha256, NAME, time, points, labels, corrections, (), frames)
+    notes += ["lengths converted from mm to m", "0,0,0 taken as not seen"]
+    frames = announced("".join(about.get("NO_OF_FRAMES", [])[:1]))
+    return marker_table(file, NAME, time, points, names, notes, frames=frames)

@@ -77,11 +77,11 @@ def estimate_offset(
         step = sum(spans) / _MOST
     least = int(LEAST_OVERLAP * min(spans) / step)
     if least < 8:
-        raise InputError("too short to find its offset; give offset")
+        raise InputError("too short to find its offset; give --offset")
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
-        raise InputError("nothing moves, so its offset cannot be found; give offset")
+        raise InputError("nothing moves, so its offset cannot be found; give --offset")
     loss, lags, count = _losses(bends, model, least)
     best = int(np.argmin(loss))
     explained = 1 - float(loss[best])
@@ -89,7 +89,7 @@ def estimate_offset(
     if explained < EXPLAINED:
         raise InputError(
             f"no offset explains the bends (the best {100 * explained:.0f} % of their variance, "
-            f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give offset"
+            f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give --offset"
         )
     _refuse_ambiguous(loss, lags * step + zero, best)
     error, shift = float("inf"), 0.0
@@ -150,8 +150,8 @@ def _refuse_ambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
         listed = ", ".join(f"{each:.4g}" for each in sorted(nearest))
         raise InputError(
             f"the offset of its clock is ambiguous, {len(rivals) + 1} fit about equally well ({listed} s, …)"
-            ": a gait repeats itself, and neither its start nor its end is in view; give offset, or a longer "
-            "recording"
+            ": a gait repeats itself, and neither its start nor its end is in view; give --offset, or a "
+            "longer recording"
         )
 
 
@@ -183,7 +183,8 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         recording: the motion.
         log: its valves or pressures.
         spec: the robot; its chambers turn valves into the bends that the offset is found from.
-        offset: what to add to the log's times, s; None: estimated by `estimate_offset`.
+        offset: what to add to the log's times, s; None: what times since 1970 tell where both files have them
+            and overlap, else estimated by `estimate_offset`. With such times in both it is added to theirs.
 
     Returns:
         The part of the motion that the log covers, with columns ``valve_plus_1…`` or ``pressure_plus_1…``,
@@ -197,7 +198,17 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         raise InputError(
             f"{log.source}: the log or the motion is not of {spec.name}'s {spec.segments} segments"
         )
-    if offset is None:
+    notes: list[str] = []
+    known = None
+    if recording.epoch_ns is not None and log.epoch_ns is not None:
+        known = (log.epoch_ns - recording.epoch_ns) / 1e9
+        begin, end = log.time[[0, -1]] + known
+        if offset is None and min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) <= 0:
+            notes.append(f"{log.source}: by times since 1970 it is {known:.6g} s away: these are not used")
+            known = None
+    if known is not None and (offset is None or np.isfinite(offset)):
+        found = Offset(known + (offset or 0.0), 0.0, 1.0, False)
+    elif offset is None:
         clock, driven = driven_bends(log, spec)
         with named_in_errors(log.source):
             found = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
@@ -222,7 +233,9 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     about = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, found)}
     joined = replace(trajectory, columns=columns, metadata=about)
     how = f"± {1e3 * found.error:.2g} ms, estimated" if found.estimated else "as given"
-    notes = [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
+    if known is not None:
+        how = "from times since 1970 in both files" + (f", and {offset:g} s as given" if offset else "")
+    notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
     if not covered.all():
         notes.append(f"{int((~covered).sum())} frames that the log does not cover left out")
     notes += [f"{log.source}: {each}" for each in log.corrections]
@@ -230,7 +243,7 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     summary = replace(
         recording.summary, frames_kept=len(joined), start=start, end=end, corrections=corrections
     )
-    return Recording(joined, summary, moved)
+    return Recording(joined, summary, moved, recording.epoch_ns)
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
@@ -252,7 +265,7 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     forgotten = 0.0 if empty else _FORGOTTEN * max(spec.actuator.tau_fill, spec.actuator.tau_vent)
     known = clock >= forgotten
     if known.sum() < LEAST_FRAMES:
-        raise InputError(f"{log.source}: {span:g} s are too short to find its offset; give offset")
+        raise InputError(f"{log.source}: {span:g} s are too short to find its offset; give --offset")
     return log.time[0] + clock[known], trace.bend[known]
 
 

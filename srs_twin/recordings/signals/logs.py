@@ -15,6 +15,8 @@ straight body lies whose centre of mass is at the origin.
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +25,20 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
-from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, first_line_names, read_file, read_table
-from srs_twin.recordings.formats import c3d, mcap
+from srs_twin.recordings.csv_table import (
+    CLOCK,
+    CsvColumn,
+    CsvTable,
+    Meaning,
+    laid_out,
+    read_file,
+    read_table,
+)
+from srs_twin.recordings.formats import read_topics
 from srs_twin.recordings.formats.base import start_of
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording import Recording, named_in_errors
-from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+from srs_twin.recordings.recording_map import NO_MAP, QUANTITIES, RecordingMap, log_meaning
 from srs_twin.recordings.signals.gaps import (
     LEAST_FRAMES,
     at_frames,
@@ -36,7 +47,7 @@ from srs_twin.recordings.signals.gaps import (
     longest_complete,
     time_order,
 )
-from srs_twin.recordings.signals.units import ANGLES, PRESSURES
+from srs_twin.recordings.signals.units import ABSOLUTE, PRESSURES, clean, looks_absolute, symbol
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
@@ -46,21 +57,25 @@ AIR = ("pressure", "setpoint")
 _LARGEST = 2 * np.pi  # rad: no segment is a full circle
 _HIGHEST = 2e6  # Pa: no chamber holds more
 _LOWEST = -1.1e5
+_ALLOWED = f"gauge pressures from {_LOWEST:g} to {_HIGHEST:g} Pa"
+_BEND = re.compile(r"bend_(?:[a-z]+_)?1(?!\d)")
 _LATEST = 1e9  # s
 _MOST_PERIODS = 1_000_000  # of a carrier
 _MOVED = 0.05  # of a segment's length
 _TURNED = np.radians(5.0)
 
 
-def is_bend_log(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file's first line names bends.
+def is_bend_log(path: str | os.PathLike[str], map: RecordingMap = NO_MAP) -> bool:
+    """Say whether a file's first line names bends, as they are or by a map.
 
     Raises:
         InputError: it cannot be read.
     """
-    start = start_of(path)
-    binary = mcap.recognizes(start) or c3d.recognizes(start)
-    return not binary and any(name.startswith("bend_1") for name in first_line_names(path))
+    start = start_of(path, map.dialect)
+    if "\0" in start.line:
+        return False
+    mapped = {clean(name).lower() for name in map.meanings(["bend"])}
+    return any(_BEND.match(name.lower()) or name.lower() in mapped for name in start.table.names)
 
 
 def read_bends(
@@ -69,6 +84,7 @@ def read_bends(
     *,
     longest_gap_s: float,
     gait_frequency_hz: float | None = None,
+    map: RecordingMap = NO_MAP,
 ) -> Recording:
     """Read a bend log.
 
@@ -77,6 +93,7 @@ def read_bends(
         spec: the robot whose sensors they were.
         longest_gap_s: longest gap that is filled, s.
         gait_frequency_hz: Hz; None: not periodic.
+        map: names of its columns, and layout of the file.
 
     Returns:
         The longest stretch in which all bends are known, with the head at the origin, heading along x.
@@ -84,10 +101,10 @@ def read_bends(
     Raises:
         InputError: the file cannot be used; says where and what would do.
     """
-    table = read_table(read_file(path), CLOCK | {"bend": ANGLES})
+    table = _table(path, map, ("bend",))
     clock = table.clock("no column 'time'; a bend log has time,bend_1,…")
     chosen = table.per_segment(["bend"], spec.name, spec.segments)
-    time, bend, notes = table.read_timed(clock, chosen)
+    time, bend, notes, epoch_ns = table.read_timed(clock, chosen)
     wrong = np.argwhere(np.abs(bend) > _LARGEST)
     if wrong.size:
         row, k = (int(each) for each in wrong[0])
@@ -102,7 +119,7 @@ def read_bends(
     kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
         raise table.file.error(
-            f"no {LEAST_FRAMES} rows on end in which all bends are known; give longest_gap_s"
+            f"no {LEAST_FRAMES} rows on end in which all bends are known; give --longest-gap"
         )
     kept_time, unknown = frames.time[kept], int(np.isnan(bend[kept]).sum())
     notes += frames.corrections
@@ -121,7 +138,21 @@ def read_bends(
         corrections=(*notes, *table.unused_columns()),
     )
     columns = _bent_body(kept_time, filled(kept_time, tracks[kept], "linear")[..., 0], spec)
-    return Recording(measured(columns, spec, summary, gait_frequency_hz), summary)
+    return Recording(measured(columns, spec, summary, gait_frequency_hz), summary, epoch_ns=epoch_ns)
+
+
+def _table(path: str | os.PathLike[str], map: RecordingMap, kinds: Sequence[str]) -> CsvTable:
+    """Return a table with a log's columns of these quantities, by their names or by a map."""
+    file = laid_out(read_file(path), map.dialect)
+    known = {
+        kind if kind == "bend" else f"{kind}_{side}": QUANTITIES[kind] for kind in kinds for side in SIDES
+    }
+    named = {name: log_meaning(name.lower()) for name in file.names}
+    units = {name: Meaning(key) for name, (kind, key, unit) in named.items() if kind in kinds and unit}
+    mapped = map.meanings([*kinds, "time"])
+    if kinds == ("bend",):  # the time may be that of another file
+        mapped = {name: each for name, each in mapped.items() if each.name != "time" or name in file.names}
+    return read_table(file, CLOCK | known, units | mapped)
 
 
 def _bent_body(time: np.ndarray, bend: np.ndarray, spec: RobotSpec) -> dict[str, np.ndarray]:
@@ -152,6 +183,7 @@ class ValveLog:
         source: name of the file.
         sha256: of the file.
         corrections: what was sorted, converted and assumed, in words.
+        epoch_ns: time since 1970 at 0 s, ns; None where its clock does not tell.
     """
 
     kind: str
@@ -160,6 +192,7 @@ class ValveLog:
     source: str
     sha256: str
     corrections: tuple[str, ...]
+    epoch_ns: int | None = None
 
     def shifted(self, offset: float) -> ValveLog:
         """Return the same log on a clock that shows `offset` (s) more."""
@@ -193,38 +226,45 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     """Read a log of valves, duties or pressures.
 
     Args:
-        path: of a plain CSV or an MCAP file.
+        path: of a plain CSV file or a bag.
         spec: the robot that it is of.
         map: which columns, or signals of topics, hold what; frequency of the duties' carrier.
 
     Raises:
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
-    if mcap.recognizes(start_of(path)):
-        return _mcap_log(path, spec, map)
-    air = {f"{kind}_{side}": PRESSURES for kind in AIR for side in SIDES}
-    valves: dict[str, dict[str, float]] = {
-        f"{kind}_{side}": {} for kind in ("valve", "duty") for side in SIDES
-    }
-    file = read_file(path)
-    with named_in_errors(file.name):
-        table = read_table(file, CLOCK | valves | air, map.columns)
+    if (topics := read_topics(path)) is not None:
+        return _topics_log(topics, spec, map)
+    table = _table(path, map, ("valve", "duty", *AIR))
+    file = table.file
     clock = table.clock("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures")
     kinds = sorted({each.name.partition("_")[0] for each in table.columns if "_" in each.name})
     if len(kinds) != 1:
         given = ", ".join(kinds) or "neither"
         wanted = "one of valve_plus_1,…, duty_plus_1,…, pressure_plus_1,…, setpoint_plus_1,…"
-        raise table.file.error(f"{wanted} is wanted (other names: --map); {given} given", 1)
+        raise file.error(f"{wanted} is wanted (other names: --map); {given} given", file.header_lines or 1)
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
-    time, values, notes = table.read_timed(clock, chosen)
+    time, values, notes, epoch_ns = table.read_timed(clock, chosen)
+    if kind in AIR:
+        values = _gauge(values, map, notes)
     if kind != "duty":
         _check_values(table, kind, chosen, values)
     if kind in AIR and not any(each.unit for each in chosen):
         notes.append("pressures without a unit taken as Pa")
     with named_in_errors(file.name):
         values = values.reshape(-1, spec.segments, 2)
-        return _log(file.name, file.sha256, kind, time, values, map, [*notes, *table.unused_columns()])
+        found = _log(file.name, file.sha256, kind, time, values, map, [*notes, *table.unused_columns()])
+        return replace(found, epoch_ns=epoch_ns)
+
+
+def _gauge(values: np.ndarray, map: RecordingMap, notes: list[str]) -> np.ndarray:
+    """Return gauge pressures; note what was subtracted, or that it looks as if it should be."""
+    if map.ambient:
+        notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
+    elif looks_absolute(values):
+        notes.append(f"pressures of {np.nanmin(values) / 1e3:.4g} kPa and more: {ABSOLUTE}")
+    return values - map.ambient
 
 
 def _log(
@@ -285,17 +325,13 @@ def _switched(
     return edges, np.where(filling, 1.0, -1.0)
 
 
-def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) -> ValveLog:
+def _topics_log(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
     """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
-    topics = mcap.read_topics(path)
     with named_in_errors(topics.name):
-        names = {what: signal for signal, what in map.columns.items()}
+        meanings = map.meanings(("valve", "duty", *AIR))
+        names = {meaning.name: signal for signal, meaning in meanings.items()}
         kinds = {what.partition("_")[0] for what in names}
-        units = {unit for what in names if (unit := what.rpartition("_")[2].lower()) in PRESSURES}
-        end = f"_{min(units)}" if units else ""
-        wanted = [
-            f"{kind}_{side}_{j + 1}{end}" for kind in kinds for j in range(spec.segments) for side in SIDES
-        ]
+        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
         if len(kinds) != 1 or sorted(wanted) != sorted(names):
             found = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
@@ -308,15 +344,24 @@ def _mcap_log(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap) 
         (kind,), series = kinds, [topics.signals[names[each]] for each in wanted]
         time = np.unique(np.concatenate([each for each, _ in series]))
         time = time[time >= max(each[0] for each, _ in series)]
+        notes = list(topics.notes)
         if kind in AIR:
-            factor = PRESSURES[min(units)] if units else 1.0
-            columns = [factor * np.interp(time, *each) for each in series]
+            given = [meanings[names[each]] for each in wanted]
+            units = [symbol(each.unit or each.default, PRESSURES) for each in given]
+            factors = [PRESSURES.get(unit, 1.0) for unit in units]
+            columns = [factor * np.interp(time, *own) for factor, own in zip(factors, series, strict=True)]
         else:
             columns = [values[np.searchsorted(own, time, side="right") - 1] for own, values in series]
         values = np.stack(columns, axis=1).reshape(-1, spec.segments, 2)
         if kind == "valve" and not np.isin(values, (-1, 0, 1)).all():
             raise InputError("valves are -1 (vent), 0 (hold) or 1 (fill)")
-        return _log(topics.name, topics.sha256, kind, time, values, map, list(topics.notes))
+        if kind in AIR:
+            values = _gauge(values, map, notes)
+            if not all(units):
+                notes.append("pressures without a unit taken as Pa")
+            if not ((values >= _LOWEST) & (values <= _HIGHEST)).all():
+                raise InputError(f"{_ALLOWED} are wanted; is the unit right?")
+        return _log(topics.name, topics.sha256, kind, time, values, map, notes)
 
 
 def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: np.ndarray) -> None:
@@ -325,7 +370,7 @@ def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: n
         allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
     else:
         allowed, unit = (values >= _LOWEST) & (values <= _HIGHEST), " Pa"
-        words = f"gauge pressures from {_LOWEST:g} to {_HIGHEST:g} Pa"
+        words = _ALLOWED
     wrong = np.argwhere(~allowed)
     if wrong.size:
         row, k = (int(each) for each in wrong[0])
@@ -349,7 +394,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     if moved > _MOVED * pitch or turned > _TURNED:
         raise InputError(
             f"{recording.summary.source}: the head moves by {1e3 * moved:.0f} mm and turns by "
-            f"{np.degrees(turned):.2g}°; on a bench it is held (is the other end held? Give head)"
+            f"{np.degrees(turned):.2g}°; on a bench it is held (is the other end held? Give --head)"
         )
     mass = spec.mass.array()
     # Turned by −heading about the clamp, which then lies ahead on the x axis.

@@ -1,8 +1,140 @@
-"""Units of recorded quantities: name → factor to SI."""
+"""Units of recorded quantities: symbol → factor to SI, other spellings, and units in names of columns."""
 
 from __future__ import annotations
 
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-ANGLES = {"rad": 1.0, "deg": 0.017453292519943295}
-PRESSURES = {"pa": 1.0, "kpa": 1e3, "bar": 1e5, "psi": 6894.757}
+import re
+import unicodedata
+from collections.abc import Mapping
+
+import numpy as np
+
+from srs_twin.errors import InputError
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "um": 1e-6}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+ANGLES = {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3}
+PRESSURES = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "psi": 6894.757, "MPa": 1e6, "mbar": 100.0, "hPa": 100.0}
+PRESSURES |= {"mPa": 1e-3, "atm": 101325.0, "mmHg": 133.322387415, "cmH2O": 98.0665, "kgf/cm2": 98066.5}
+"""Gauge pressures: absolute units (psia, bara) are not among them."""
+SHARES = {"1": 1.0, "%": 1e-2}
+
+_SPELLED = (
+    'm meter metre,cm centimeter centimetre,mm millimeter millimetre,in inch inche ",ft foot feet,um micron,'
+    "um micrometer micrometre,s sec second,min minute,ms msec milli millisecond,us usec micro microsecond,"
+    "ns nsec nano nanosecond,rad radian,deg degree °,mrad milliradian,pa pascal n/m2 pag pagauge,"
+    "bar barg bargauge,kpa kilopascal kn/m2 kpag kpagauge,mbar millibar mbarg,hpa hectopascal,% percent pct,"
+    "MPa n/mm2 mn/m2 megapascal,psi psig psigauge lbf/in2 lb/in2,atm atmosphere,mmhg torr,kgf/cm2 kg/cm2"
+)
+_SYMBOLS = {word: line.split()[0] for line in _SPELLED.split(",") for word in line.split()[1:]}
+_MEGA = ("mbar", "mm", "mrad")  # with a capital M they would be a million, which nothing here measures
+_AMBIENT = (7e4, 1.1e5)  # Pa: from 3000 m above the sea to a high at the sea
+_BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
+_WORD = re.compile(r"(?:[^\W\d_]|°)+(?:/[^\W_]+)?|%")
+_CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
+
+
+def clean(text: str) -> str:
+    """Return text with one code point per character and single spaces: µ, ², no-break spaces."""
+    return " ".join(unicodedata.normalize("NFKC", text).split())
+
+
+def symbol(text: str, units: Mapping[str, float]) -> str:
+    """Return the symbol of a unit in any spelling; empty where it is none of `units`, or may be two (mpa)."""
+    word = re.sub(r"[\s^]", "", clean(text).replace("μ", "u"))
+    if word in units:
+        return word
+    folded = word.lower()
+    if folded in _MEGA and word[0] == "M" and not word.isupper():
+        return ""
+    named = _SYMBOLS.get(folded) or _SYMBOLS.get(folded.removesuffix("s")) or folded
+    found = [each for each in units if named in (each, each.lower())]
+    return found[0] if len(found) == 1 else ""
+
+
+def bracketed(name: str) -> tuple[str, str]:
+    """Return a name without the brackets at its end, and what stands in them: P1 (bar), t[us]."""
+    match = _BRACKETS.fullmatch(name.strip())
+    return (match[1], match[2].strip(" -")) if match else (name, "")
+
+
+def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
+    """Return the unit in the name of a column: P1 (bar), time_ms, P1/bar, pressure_kpa_left, timeMs.
+
+    Empty where there is none. None where it is not known: brackets hold something else, or there are two.
+    """
+    name = clean(name)
+    bare, inside = bracketed(name)
+    if inside:
+        return symbol(inside, units) or None
+    words: list[str] = _WORD.findall(bare)
+    if [each.lower() for each in words] == ["pa"]:
+        return ""  # a chamber or port, next to pb
+    found = {each for word in words if (each := _in_word(word, units)) != ""}
+    return None if len(found) > 1 or None in found else next(iter(found), "")
+
+
+def _in_word(word: str, units: Mapping[str, float]) -> str | None:
+    """Return the unit that a word is or ends with; None where it may be two."""
+    camel = _CAMEL.search(word)
+    ends = [word, word.rpartition("/")[2], camel[0] if camel else ""]
+    # pbar, tms; units written with a capital inside
+    ends += [word[1:]] if len(word) > 2 and word[0] in ("pP" if "Pa" in units else "tT") else []
+    ends += [each for each in units if len(each) > 2 and not each.islower() and word.endswith(each)]
+    lower = [each.lower() for each in units]
+    for end in filter(None, ends):
+        if found := symbol(end, units):
+            return found
+        if lower.count(end.lower()) > 1:
+            return None
+    return ""
+
+
+def unit_of(column: str, units: Mapping[str, float], default: str = "", given: str = "") -> tuple[str, str]:
+    """Return the unit of a column, and what is to be noted of it.
+
+    Args:
+        column: its name, which may state the unit.
+        units: that it may have.
+        default: what the map's key says, for columns that state none.
+        given: what the map says of this column.
+
+    Raises:
+        InputError: the two differ, or a unit is not known.
+    """
+    allowed = f"allowed: {', '.join(units) or 'none'}"
+    for each in filter(None, (default, given)):
+        if not symbol(each, units):
+            raise InputError(f"unit '{each}' of column '{column}' is not known; {allowed}")
+    said, default, given = stated_unit(column, units), symbol(default, units), symbol(given, units)
+    if said is None and not given:
+        remedy = f"say it in the map: {{column: '{column}', unit: …}}"
+        raise InputError(f"the unit of column '{column}' is not known ({allowed}); {remedy}")
+    if said and given and units[said] != units[given]:
+        raise InputError(f"column '{column}' is in {said} by its name, in {given} by the map; correct one")
+    note = f"'{column}' read in {said}, as its name says; the map's key says {default}"
+    differs = said and default and not given and units[said] != units[default]
+    return said or given or default, note if differs else ""
+
+
+_CLOCK = {"time", "timestamp", "timestamps", "stamp", "t", "epoch", "elapsed"}
+_OF_A_CLOCK = {*_CLOCK, *"since start unix ros system host header field log relative absolute".split()}
+
+
+def is_clock(name: str) -> bool:
+    """Say whether a column is named as a time: time, t_ms, Time (s), timestamp [ns], millis."""
+    bare, inside = bracketed(clean(name))
+    words = [word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", bare.replace("Stamp", "stamp"))]
+    units = [word for word in words if symbol(word, TIMES)]
+    rest = [word for word in words if word not in units]
+    if re.search(r"\d", bare) or not set(rest) <= _OF_A_CLOCK:
+        return False
+    return bool(_CLOCK & set(rest)) or (not rest and len("".join(units)) > 1 and units != ["min"])
+
+
+def looks_absolute(pressures: np.ndarray) -> bool:
+    """Say whether pressures (Pa) never fall below the least ambient pressure, as absolute ones do."""
+    return bool(_AMBIENT[0] <= np.nanmin(pressures, initial=np.inf) <= _AMBIENT[1])
+
+
+ABSOLUTE = "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a map)"
+"""Hint for pressures of which `looks_absolute` is true."""

@@ -1,0 +1,86 @@
+"""ROS 1 bag (V2.0): the messages of a file, in its order. No index is needed, so cut bags are read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+from srs_twin.recordings.csv_table import RecordedFile, read_bytes
+from srs_twin.recordings.formats.base import Start, Unstated
+from srs_twin.recordings.formats.topics import (
+    CutError,
+    Message,
+    Topic,
+    check_unpacked,
+    read_markers,
+    unpacked,
+)
+from srs_twin.recordings.marker_table import MarkerTable
+
+NAME = "ROS 1 bag"
+_MAGIC = b"#ROSBAG V2.0\n"
+_MESSAGE, _CHUNK, _CONNECTION = b"\2", b"\5", b"\7"
+
+
+def recognizes(start: Start) -> bool:
+    """Say whether a file starts with the magic line of bags."""
+    return start.raw.startswith(_MAGIC)
+
+
+def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+    """Read the topics with positions; see `topics.read_markers`."""
+    return read_markers(read_bytes(path), NAME, messages)
+
+
+def messages(file: RecordedFile) -> Iterator[Message]:
+    """Yield the messages of a bag in its order.
+
+    Raises:
+        InputError: its chunks unpack to more than is read.
+        ChunkError: it is damaged; a `CutError` where it ends in a record.
+    """
+    data, connections = memoryview(file.data)[len(_MAGIC) :], dict[str, Topic]()
+    sizes = (_number(fields["size"]) for fields, _ in _records(data) if fields["op"] == _CHUNK)
+    check_unpacked(file, sizes)
+    for outer, packed in _records(data):
+        inside = iter([(outer, packed)])
+        if outer["op"] == _CHUNK:
+            how = outer["compression"].decode().replace("none", "")
+            inside = _records(memoryview(unpacked(packed, how, _number(outer["size"]))))
+        for fields, content in inside:
+            if fields["op"] == _CONNECTION:
+                name, kind = fields["topic"].decode("utf-8", "replace"), _fields(content)["type"].decode()
+                connections[fields["conn"].hex()] = Topic(name, kind, "ros1")
+            elif fields["op"] == _MESSAGE:
+                time = _number(fields["time"][:4]) * 10**9 + _number(fields["time"][4:])
+                yield Message(connections[fields["conn"].hex()], time, content)
+
+
+def _records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
+    """Yield the fields of the header, and the content, of records that follow each other."""
+    blocks = _blocks(data)
+    for header in blocks:
+        content = next(blocks, None)
+        if content is None:
+            raise CutError("the file ends in a record")
+        yield _fields(header), content
+
+
+def _fields(header: memoryview) -> dict[str, bytes]:
+    """Return the fields NAME=VALUE of a header."""
+    pairs = (bytes(field).partition(b"=") for field in _blocks(header))
+    return {name.decode("utf-8", "replace"): value for name, _, value in pairs}
+
+
+def _blocks(data: memoryview) -> Iterator[memoryview]:
+    """Yield blocks, each of which follows its length."""
+    while data:
+        end = 4 + _number(data[:4])
+        if end > len(data):
+            raise CutError("the file ends in a record")
+        yield data[4:end]
+        data = data[end:]
+
+
+def _number(data: bytes | memoryview) -> int:
+    return int.from_bytes(data, "little")

@@ -1,0 +1,112 @@
+"""Bags of ROS 1 and ROS 2 as rosbags and mcap write them, with messages of any kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+RATE = 100.0
+ORIGIN = 1_700_000_000_123_456_789  # ns
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+TURN = np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)])
+
+
+class Maker:
+    """Makes messages of ROS 1 or 2."""
+
+    def __init__(self, ros1):
+        self.store, self.ros1 = (ROS1, True) if ros1 else (ROS2, False)
+
+    def __call__(self, kind, **fields):
+        return self.store.types[kind.replace("/", "/msg/")](**fields)
+
+    def header(self, k, frame="world"):
+        stamp = self("builtin_interfaces/Time", sec=ns(k) // 10**9, nanosec=ns(k) % 10**9)
+        return self("std_msgs/Header", stamp=stamp, frame_id=frame, **({"seq": k} if self.ros1 else {}))
+
+    def point(self, place, kind="Point"):
+        return self(f"geometry_msgs/{kind}", **dict(zip("xyz", map(float, place), strict=True)))
+
+    def pose(self, place):
+        turn = self("geometry_msgs/Quaternion", **dict(zip("xyzw", map(float, TURN), strict=True)))
+        return self("geometry_msgs/Pose", position=self.point(place), orientation=turn)
+
+    def covariant(self, place):
+        spread = np.zeros(36)
+        return self("geometry_msgs/PoseWithCovariance", pose=self.pose(place), covariance=spread)
+
+    def transform(self, k, place, child, frame="world"):
+        pose = self.pose(place)
+        moved = self.point(place, "Vector3")
+        moved = self("geometry_msgs/Transform", translation=moved, rotation=pose.orientation)
+        header = self.header(k, frame)
+        return self("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=moved)
+
+    def twist(self):
+        none = self.point(np.zeros(3), "Vector3")
+        twist = self("geometry_msgs/Twist", linear=none, angular=none)
+        return self("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+
+    def array(self, kind, values, dtype):
+        layout = self("std_msgs/MultiArrayLayout", dim=[], data_offset=0)
+        return self(f"std_msgs/{kind}", layout=layout, data=np.array(values, dtype=dtype))
+
+    def serialized(self, message, kind):
+        name = kind.replace("/", "/msg/")
+        write = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        return bytes(write(message, name))
+
+
+def ns(k):
+    return ORIGIN + round(k / RATE * 1e9)
+
+
+def written(folder: Path, container: str, messages) -> Path:
+    """Write (topic, kind, time in ns, message of a Maker) with the library of the container."""
+    how, _, compression = container.partition(" ")
+    make = Maker("bag" in container or "ros1" in container)
+    rows = [
+        (topic, kind, time, make.serialized(message, kind)) for topic, kind, time, message in messages(make)
+    ]
+    if how == "mcap":
+        return by_mcap(folder / "walk.mcap", rows, make, compression)
+    path = folder / "walk.bag" if how == "bag" else folder / "walk"
+    writer = Writer1(path) if how == "bag" else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    if how == "bag" and compression:
+        writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+    elif compression:
+        writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connections = {}
+        for topic, kind, time, data in rows:
+            name = kind.replace("/", "/msg/")
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=make.store)
+            writer.write(connections[topic], time, data)
+    return path if how == "bag" else path / "walk.db3"
+
+
+def by_mcap(path, rows, make, compression):
+    how = CompressionType[(compression.removeprefix("ros1").strip() or "none").upper()]
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=how, chunk_size=4096)
+        writer.start(profile="ros1" if make.ros1 else "ros2")
+        channels = {}
+        for topic, kind, time, data in rows:
+            if topic not in channels:
+                name = kind if make.ros1 else kind.replace("/", "/msg/")
+                text = make.store.generate_msgdef(kind.replace("/", "/msg/"), ros_version=2 - make.ros1)[0]
+                schema = writer.register_schema(name, "ros1msg" if make.ros1 else "ros2msg", text.encode())
+                channels[topic] = writer.register_channel(topic, "ros1" if make.ros1 else "cdr", schema)
+            writer.add_message(channels[topic], time, data, time)
+        writer.finish()
+    return path

@@ -1,0 +1,245 @@
+"""C3D files as other programs write them: positions, rate and frames come back."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import struct
+import warnings
+
+import c3d
+import ezc3d
+import numpy as np
+import pytest
+
+from srs_twin import InputError
+from srs_twin.cli import main
+from srs_twin.recordings.formats import read_markers
+
+RATE = 100.0
+FLOAT_STEP = 2.0**-24  # relative, of single precision
+
+
+def walk(frames=60, markers=4, scale=300.0):
+    """Return positions in mm, shape (frames, markers, 3)."""
+    rng = np.random.default_rng(frames + markers)
+    return rng.normal(size=(1, markers, 3)) * scale + np.cumsum(rng.normal(size=(frames, markers, 3)), axis=0)
+
+
+def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate=RATE):
+    file = ezc3d.c3d()
+    count = points.shape[1]
+    file["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    file["parameters"]["POINT"]["LABELS"]["value"] = [f"m{k}" for k in range(count)]
+    file["parameters"]["POINT"]["UNITS"]["value"] = list(units)
+    if kinds:
+        file.add_parameter("POINT", "ANGLES", kinds)
+    file["header"]["points"]["first_frame"] = first
+    file["data"]["points"] = np.concatenate([points.transpose(2, 1, 0), np.ones((1, count, len(points)))])
+    if analog:
+        file["parameters"]["ANALOG"]["RATE"]["value"] = [10 * rate]
+        file["parameters"]["ANALOG"]["LABELS"]["value"] = [f"a{k}" for k in range(analog)]
+        file["data"]["analogs"] = np.random.default_rng(0).normal(size=(1, analog, 10 * len(points)))
+    file.write(str(path))
+
+
+def by_c3d(path, points, *, first=1, step=None, analog=0):
+    """Write with the library c3d; step: of integers, mm."""
+    count = points.shape[1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scales = {"point_scale": step or -1.0, "point_units": "mm"}
+        writer = c3d.Writer(point_rate=RATE, analog_rate=10 * RATE if analog else 0.0, **scales)
+        writer.set_point_labels([f"m{k}" for k in range(count)])
+        if analog:
+            writer.set_analog_labels([f"a{k}" for k in range(analog)])
+        channels = np.zeros((analog, 10)) if analog else np.zeros((0, 0))
+        # The library cuts off where it should round.
+        shift = np.sign(points) * step / 2 if step else 0.0
+        rows = np.concatenate([points + shift, np.zeros((*points.shape[:2], 2))], axis=-1).astype(np.float32)
+        writer.add_frames([(row, channels) for row in rows])
+        writer.set_start_frame(first)
+        stream = io.BytesIO()
+        writer.write(stream)
+    path.write_bytes(stream.getvalue())
+
+
+def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more=(), counted=None):
+    """Return a file of a processor: 84 Intel, 85 DEC, 86 MIPS."""
+    order = ">" if processor == 86 else "<"
+    frames, count, _ = points.shape
+
+    def number(value):
+        if processor != 85:
+            return struct.pack(order + "f", value)
+        raw = struct.pack("<f", 4 * value)
+        return raw[2:] + raw[:2]
+
+    def word(value):
+        return struct.pack(order + "H", value % 65536)
+
+    def parameter(group, name, size, shape, data):
+        body = struct.pack("bB", size, len(shape)) + bytes(shape) + data + b"\0"
+        return struct.pack("bb", len(name), group) + name.encode() + word(len(body) + 2) + body
+
+    def named(group, name):
+        return struct.pack("bb", len(name), -group) + name.encode() + word(3) + b"\0"
+
+    scale = number(step or -1.0)
+    labels = "".join(f"m{k}".ljust(4) for k in range(count)).encode()
+    said = [
+        named(1, "POINT"), parameter(1, "USED", 2, [], word(count)), parameter(1, "SCALE", 4, [], scale),
+        parameter(1, "RATE", 4, [], number(RATE)), parameter(1, "LABELS", -1, [4, count], labels),
+    ]  # fmt: skip
+    if units:
+        said.append(parameter(1, "UNITS", -1, [len(units)], units.encode()))
+    if any(group == 2 for group, *_ in more):
+        said.append(named(2, "TRIAL"))
+    said += [
+        parameter(group, name, size, shape, make(number, word)) for group, name, size, shape, make in more
+    ]
+    said = b"".join(said) + b"\0\0"
+    blocks = -(-(4 + len(said)) // 512)
+    last = first + (counted or frames) - 1
+    head = struct.pack("BB", 2, 80) + b"".join(map(word, (count, analog, first, min(last, 65535), 10)))
+    head += scale + word(2 + blocks) + word(1) + number(RATE)
+    data = []
+    for frame in points:
+        for point in frame:
+            seen = np.isfinite(point).all()
+            row = [*(point if seen else (0.0, 0.0, 0.0)), 0.0 if seen else -1.0]
+            steps = [round(each / step) for each in row[:3]] + [int(row[3])] if step else row
+            data += [word(each) for each in steps] if step else [number(each) for each in steps]
+        data += [word(7) if step else number(7.0)] * analog
+    parameters = (bytes([0, 0, blocks, processor]) + said).ljust(512 * blocks, b"\0")
+    return head.ljust(512, b"\0") + parameters + b"".join(data)
+
+
+def same(path, points, *, step=None, first=0.0, unit=1e-3):
+    """Compare with positions in the file's unit; half the format's resolution is allowed."""
+    found = read_markers(path)
+    assert found.points.shape == points.shape and found.labels[-1].strip() == f"m{points.shape[1] - 1}"
+    assert (np.isnan(found.points) == np.isnan(points)).all()
+    most = step / 2 if step else np.nanmax(np.abs(points)) * FLOAT_STEP
+    assert np.nanmax(np.abs(found.points - unit * points)) <= unit * most * (1 + 1e-6) + 1e-9
+    assert np.abs(found.time - first - np.arange(len(points)) / RATE).max() < 1e-9
+    assert type(found.header_frames) is int and found.header_frames == len(points)
+    return found
+
+
+@pytest.mark.parametrize("analog", [0, 3])
+@pytest.mark.parametrize("first", [0, 1, 250])
+@pytest.mark.parametrize("units", [("mm",), ("mm",) * 4])
+def test_files_of_ezc3d(tmp_path, analog, first, units):
+    points = walk()
+    points[5:9, 1] = np.nan
+    by_ezc3d(tmp_path / "a.c3d", points, first=first, units=units, analog=analog)
+    same(tmp_path / "a.c3d", points, first=first / RATE)
+
+
+@pytest.mark.parametrize("analog", [0, 3])
+@pytest.mark.parametrize("step", [None, 0.05])
+@pytest.mark.parametrize("first", [0, 1, 250])
+def test_files_of_c3d(tmp_path, analog, step, first):
+    points = walk()
+    by_c3d(tmp_path / "a.c3d", points, first=first, step=step, analog=analog)
+    same(tmp_path / "a.c3d", points, step=step and 1.001 * step, first=max(first - 1, 0) / RATE)
+
+
+@pytest.mark.parametrize("processor", [84, 85, 86])
+@pytest.mark.parametrize("step", [None, 0.05])
+@pytest.mark.parametrize("analog", [0, 5])
+def test_processors_and_analog_channels_without_parameters(tmp_path, processor, step, analog):
+    points = walk()
+    points[5:9, 1] = np.nan
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, processor, step=step, analog=analog))
+    same(tmp_path / "a.c3d", points, step=step)
+
+
+@pytest.mark.parametrize("count", [65534, 65535, 65536, 70001])
+def test_takes_of_65535_frames_and_more(tmp_path, count):
+    points = walk(count, 1)
+    by_ezc3d(tmp_path / "a.c3d", points)
+    same(tmp_path / "a.c3d", points)
+
+
+@pytest.mark.parametrize(("processor", "key"), [(84, "TRIAL"), (86, "LONG_FRAMES")])
+def test_conventions_of_long_takes(tmp_path, processor, key):
+    """The header wraps round at 65,536; the parameters have the frames."""
+    points = walk(66000, 1)
+    more = {
+        "TRIAL": [
+            (2, "ACTUAL_START_FIELD", 2, [2], lambda number, word: word(1) + word(0)),
+            (2, "ACTUAL_END_FIELD", 2, [2], lambda number, word: word(66000) + word(66000 >> 16)),
+        ],
+        "LONG_FRAMES": [(1, "LONG_FRAMES", 4, [], lambda number, word: number(66000.0))],
+    }[key]
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, processor, more=more, counted=66000 - 65536))
+    same(tmp_path / "a.c3d", points)
+
+
+def test_parameters_that_contradict_the_file_are_not_believed(tmp_path):
+    points = walk()
+    stale = [(2, "ACTUAL_END_FIELD", 2, [2], lambda number, word: word(5000) + word(0))]
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, more=stale))
+    same(tmp_path / "a.c3d", points)
+
+
+@pytest.mark.parametrize(("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)])
+def test_frames_before_the_first(tmp_path, first, begins):
+    """Frame 1 is at 0 s; programs that count from 0 mean the same."""
+    points = walk()
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, first=first))
+    same(tmp_path / "a.c3d", points, first=begins)
+
+
+def test_units_of_points(tmp_path):
+    points = walk(20, 3)
+    by_ezc3d(tmp_path / "m.c3d", points / 1e3, units=("m",))
+    same(tmp_path / "m.c3d", points / 1e3, unit=1.0)
+    by_ezc3d(tmp_path / "mixed.c3d", points, units=("mm", "cm", "m"))
+    expected = points * [[1e-3], [1e-2], [1.0]]
+    assert np.abs(read_markers(tmp_path / "mixed.c3d").points - expected).max() < 1e-4
+    (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
+    assert "POINT:UNITS is not given: mm taken" in same(tmp_path / "none.c3d", points).corrections
+    by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
+    with pytest.raises(InputError, match="odd.c3d: unit of length 'furlong' is not known"):
+        read_markers(tmp_path / "odd.c3d")
+
+
+def test_a_scale_of_analog_channels_that_are_not_there(tmp_path, capsys):
+    """The library c3d cannot go through such files; `inspect --json` prints what is in them."""
+    points = walk(50, 3)
+    by_ezc3d(tmp_path / "a.c3d", points)
+    file = ezc3d.c3d(str(tmp_path / "a.c3d"))
+    file["parameters"]["ANALOG"]["SCALE"]["value"] = [-1.0]
+    file.write(str(tmp_path / "b.c3d"))
+    same(tmp_path / "b.c3d", points)
+    with pytest.raises(SystemExit) as left:
+        main(["inspect", str(tmp_path / "b.c3d"), "--json"])
+    (facts,) = json.loads(capsys.readouterr().out)
+    assert not left.value.code and facts["announced_frames"] == facts["frames"] == 50
+    assert len(facts["markers"]) == 3 and facts["rate_hz"] == pytest.approx(RATE)
+
+
+def test_angles_are_no_markers(tmp_path):
+    by_ezc3d(tmp_path / "a.c3d", walk(20, 4), kinds=["m1"])
+    found = read_markers(tmp_path / "a.c3d")
+    assert found.labels == ("m0", "m2", "m3")
+    assert "1 points that are angles, forces or the like skipped" in found.corrections
+
+
+def test_damaged_bytes_are_read_or_refused_within_bounds(tmp_path):
+    by_ezc3d(tmp_path / "a.c3d", walk(30, 3), analog=2)
+    content, rng = (tmp_path / "a.c3d").read_bytes(), random.Random(1)
+    for _ in range(300):
+        damaged = bytearray(content)
+        damaged[rng.randrange(2, 2048)] = rng.randrange(256)
+        (tmp_path / "b.c3d").write_bytes(damaged)
+        try:
+            found = read_markers(tmp_path / "b.c3d")
+        except InputError as error:
+            assert "b.c3d" in str(error) and "\n" not in str(error)
+        else:
+            assert found.points.nbytes < 40 * len(content)

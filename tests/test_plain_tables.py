@@ -1,0 +1,338 @@
+"""Plain tables of other programs: separators, decimal marks, comments, no names, times since 1970."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from recorded import SPEC, motion, plain_csv, recorded, valve_csv
+from synthetic_takes import Take
+
+from srs_twin import InputError, load_robot
+from srs_twin.cli import main
+from srs_twin.identification import join, read_motion, read_valves
+from srs_twin.recordings.csv_table import Dialect
+from srs_twin.recordings.formats import read_markers
+from srs_twin.recordings.formats.base import axis_columns
+from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
+from srs_twin.recordings.signals.gaps import frame_grid
+
+pytestmark = pytest.mark.fast
+
+MODULE = load_robot("gen4_module")
+FRAMES, RATE = 60, 100.0
+TIME = np.arange(FRAMES) / RATE
+ORIGIN_NS = 1_700_000_000_123_456_789
+NAMES = [f"c{k}_{axis}" for k in range(1, 6) for axis in "xyz"]
+
+
+def places():
+    """Return five markers that crawl, shape (frames, 5, 3), m."""
+    along = 0.09 * np.arange(5) + 0.04 * TIME[:, None]
+    across = 0.05 * np.sin(12 * along - 6 * TIME[:, None])
+    return np.stack([along, across, np.full_like(along, 0.03)], axis=-1)
+
+
+def frame():
+    return pd.DataFrame(places().reshape(FRAMES, -1), columns=NAMES)
+
+
+def check(path, digits, scale=1.0, **given):
+    """Compare a file with the motion: rate, duration, count, positions to half the last digit."""
+    table = read_markers(path, **given)
+    grid = frame_grid(table.time)
+    assert len(table.time) == FRAMES and table.time[0] == 0
+    assert 1 / grid.period == pytest.approx(RATE, rel=1e-4)
+    assert table.time == pytest.approx(TIME, abs=1e-6)
+    assert np.abs(table.points - places()).max() <= 0.5 * scale * 10.0**-digits + 1e-9
+    return table
+
+
+CLOCKS = {
+    "s": ("time", TIME),
+    "ms": ("time_ms", np.rint(1e3 * TIME).astype(int)),
+    "us": ("t [us]", np.rint(1e6 * TIME)),
+    "epoch_s": ("timestamp", 1.7e9 + TIME),
+    "epoch_ms": ("Time (ms)", 1_700_000_000_000 + np.rint(1e3 * TIME).astype(np.int64)),
+    "epoch_us": ("timestamp", 1_700_000_000_000_000 + np.rint(1e6 * TIME).astype(np.int64)),
+    "epoch_ns": ("timestamp", ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64)),
+    "dates in UTC": ("time", pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64), utc=True)),
+    "datetime": ("time", pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64))),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ".")]
+)
+@pytest.mark.parametrize("index", [True, False])
+def test_files_of_pandas(tmp_path, clock, separator, decimal, index):
+    name, time = CLOCKS[clock]
+    table = frame()
+    table.insert(0, name, time)
+    path, digits = tmp_path / "x.csv", 6 if index else 9
+    form = None if clock in ("epoch_s",) else f"%.{digits}f"
+    if clock == "dates in UTC" and decimal == ",":
+        table[name] = table[name].astype("int64")
+    table.to_csv(path, sep=separator, decimal=decimal, index=index, float_format=form)
+    found = check(path, digits)
+    since = {
+        "epoch_s": 1_700_000_000_000_000_000,
+        "epoch_ns": ORIGIN_NS,
+        "datetime": ORIGIN_NS,
+        "dates in UTC": ORIGIN_NS,
+    }
+    if clock in since:
+        assert found.epoch_ns == since[clock]
+    assert any("time since 1970 in" in note for note in found.corrections) == (
+        "epoch" in clock or "date" in clock
+    )
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_times_since_1970_keep_their_resolution(tmp_path, unit):
+    """Steps of one unit in the last digit at 1.7e9 s come back exactly."""
+    factor = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
+    steps_ns = np.cumsum(np.random.default_rng(1).integers(9_900_000, 10_100_000, FRAMES))
+    lines = []
+    for step, row in zip(steps_ns - steps_ns[0], places().reshape(FRAMES, -1), strict=True):
+        whole, rest = divmod(int(ORIGIN_NS + step), 10**9 // factor)
+        time = f"{whole}.{rest:0{len(str(10**9 // factor)) - 1}d}" if factor < 10**9 else f"{whole}"
+        lines.append(",".join([time, *(f"{v:.9f}" for v in row)]))
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join([",".join(["timestamp", *NAMES]), *lines, ""]))
+    found = read_markers(path)
+    assert found.epoch_ns == ORIGIN_NS
+    assert np.rint(found.time * 1e9).astype(int).tolist() == (steps_ns - steps_ns[0]).tolist()
+    note = next(each for each in found.corrections if "1970" in each)
+    assert note == f"time since 1970 in {unit}: 1700000000.123456789 s subtracted"
+
+
+def text(separator=",", point=".", header=True, comments="", end="\n", bom=""):
+    rows = [
+        ",".join([f"{t:.3f}", *(f"{v:.6f}" for v in row)])
+        for t, row in zip(TIME, places().reshape(FRAMES, -1), strict=True)
+    ]
+    lines = [",".join(["time", *NAMES])] if header else []
+    body = end.join([*lines, *rows, ""])
+    return bom + comments + body.replace(",", "\0").replace(".", point).replace("\0", separator)
+
+
+COLUMNS = ("time", *NAMES)
+
+
+@pytest.mark.parametrize(
+    ("content", "dialect"),
+    [
+        (text(), {}),
+        (text(";", ","), {}),
+        (text("\t", ","), {}),
+        (text("\t"), {}),
+        (text("  "), {}),
+        (text(" \t "), {}),
+        (text(comments="# take 1\n#\n"), {}),
+        (text(";", ",", comments="sep=;\n"), {}),
+        (text(";", ",", comments="# a; b\n\n"), {}),
+        (text(bom="\ufeff"), {}),
+        (text(";", ",", end="\r\n", bom="\ufeff", comments="# x\r\n"), {}),
+        (text(header=False), {"columns": COLUMNS}),
+        (text(";", ",", header=False), {"columns": COLUMNS}),
+        (text(" ", ",", header=False), {"columns": COLUMNS}),
+        (text("\t", header=False), {"columns": COLUMNS}),
+        (text(header=False, comments="# none\n"), {"columns": COLUMNS}),
+        (text(header=False, comments=f"# {','.join(COLUMNS)}\n"), {}),
+        (text(), {"columns": COLUMNS}),
+        (text("|", ","), {"separator": "|", "decimal": ","}),
+        (text(";", ","), {"separator": ";", "decimal": ","}),
+        (
+            text('","', ",").replace("\n", '"\n"').removesuffix('"').replace("time", '"time', 1),
+            {"decimal": ","},
+        ),
+    ],
+    ids=range(21),
+)
+def test_layouts_are_found_or_given(tmp_path, content, dialect):
+    path = tmp_path / "x.csv"
+    path.write_text(content, encoding="utf-8", newline="")
+    check(path, 6, dialect=Dialect(**dialect))
+    facts, _ = inspect_file(
+        path, RecordingMap(**{k: list(v) if k == "columns" else v for k, v in dialect.items()}), None
+    )
+    assert facts["frames"] == FRAMES and len(facts["markers"]) == 5
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (text(header=False), ":1: 16 numbers and no names of columns: give --columns time,x_1,y_1,…"),
+        (text(";", ",", header=False), ":1: 16 numbers and no names of columns: give --columns"),
+        (text(comments="# a\n", header=False), ":2: 16 numbers and no names"),
+        (text(",", ","), ":2: 32 cells where the header has 16"),
+        (text(";", ".").replace("0.030000", "1,030.5"), "may be decimal or of thousands: give --decimal"),
+        ("time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20, "may be decimal or of thousands: give --decimal"),
+        ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells where the header has 3"),
+        (text().replace("c2_x", "c1_x"), "c1_x: two columns have this name"),
+        (
+            text().replace("0.030000", '"0,030000"'),
+            "is no number; a number or nothing is wanted, --decimal ',' for",
+        ),
+    ],
+    ids=range(9),
+)
+def test_what_is_ambiguous_is_refused_with_the_remedy(tmp_path, content, says):
+    path = tmp_path / "x.csv"
+    path.write_text(content)
+    with pytest.raises(InputError) as refused:
+        read_markers(path)
+    assert says in str(refused.value)
+
+
+def test_options_of_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.csv").write_text(text(";", ",", header=False))
+    words = ["inspect", "x.csv", "--columns", ",".join(COLUMNS), "--separator", ";", "--decimal", ","]
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    said = capsys.readouterr().out
+    assert left.value.code == 0 and "60 frames, 100 Hz" in said
+    assert "note: cells separated by semicolons, decimal commas" in said
+    (tmp_path / "map.yaml").write_text(f"columns: [{', '.join(COLUMNS)}]\nseparator: ';'\ndecimal: ','\n")
+    with pytest.raises(SystemExit) as left:
+        main(["inspect", "x.csv", "--map", "map.yaml"])
+    assert left.value.code == 0 and "60 frames, 100 Hz" in capsys.readouterr().out
+
+
+def test_names_apply_to_files_without_names_only(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,valve_plus_1,valve_minus_1\n0,1,0\n1,0,1\n")
+    found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
+    assert found.values[0, 0].tolist() == [1, -1]
+    assert "columns are named by the file: those of --columns or the map are not used" in found.corrections
+    path.write_text("0;1;0\n1,5;0;1\n")
+    found = read_valves(path, MODULE, read_map({"columns": ["time", "valve_plus_1", "valve_minus_1"]}))
+    assert found.time.tolist() == [0.0, 1.5]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "c1_rot_{}",
+        "Rot {}",
+        "acc_{}",
+        "c1_acc2_{}",
+        "gyro_{}",
+        "q_{}",
+        "imu.angular_velocity.{}",
+        "orientation.{}",
+        "vel_{}",
+        "force_{}",
+        "{}_acc",
+        "linearAcceleration_{}",
+        "c1 Euler {} (deg)",
+        "v_{} (m/s)",
+        "c1_{} [m s^-1]",
+        "MagneticField_mag_{}",
+        "q{}",
+        "c9_{}_err",
+    ],
+)
+def test_rotations_and_rates_are_no_markers(tmp_path, names):
+    more = [names.format(axis) for axis in "xyz"] + ["roll"]
+    assert not axis_columns(more)
+    table = frame()
+    table.insert(0, "time", TIME)
+    for name in more:
+        table[name] = 0.5
+    path = tmp_path / "x.csv"
+    table.to_csv(path, index=False, float_format="%.6f")
+    found = check(path, 6)
+    assert found.labels == tuple(f"c{k}" for k in range(1, 6))
+    assert f"4 columns not used: {', '.join(more)}" in found.corrections
+
+
+def test_markers_called_like_none_stay_markers():
+    names = [f"{name}_{axis}" for name in ("Motor", "rotor", "accu") for axis in "xy"]
+    names += ["x_arm", "y_arm", "c1_xmm", "c1_ymm", "c2 X [cm]", "c2 Y [cm]", "c3[x] (mm)", "c3[y] (mm)"]
+    found = axis_columns(names)
+    assert list(found) == ["Motor", "rotor", "accu", "arm", "c1", "c2", "c3"]
+    assert [found[name]["x"][1] for name in ("arm", "c1", "c2", "c3")] == ["", "mm", "cm", "mm"]
+
+
+VALVES = "time,valve_plus_1,valve_minus_1\n"
+
+
+@pytest.mark.parametrize(
+    ("unit", "name"),
+    [(1, "time"), (1e3, "time"), (1e6, "t"), (1e9, "timestamp"), (1e3, "time_ms"), (1e9, "stamp [ns]")],
+)
+def test_logs_with_times_since_1970(tmp_path, unit, name):
+    path = tmp_path / "log.csv"
+    rows = [
+        f"{round((1_700_000_000 + 0.5 * k) * unit) if unit > 1 else 1.7e9 + 0.5 * k},{k % 2},0\n"
+        for k in range(9)
+    ]
+    path.write_text(VALVES.replace("time", name) + "".join(rows))
+    found = read_valves(path, MODULE)
+    assert found.time == pytest.approx(0.5 * np.arange(9), abs=1e-9)
+    assert found.epoch_ns == 1_700_000_000 * 10**9
+    assert inspect_file(path, NO_MAP, None)[0]["starts_s"] == 1.7e9
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        [1.2e9 + 1e7 * k for k in range(20)],  # ns since a start
+        [1.7e15 + 1e9 * k for k in range(20)],  # no unit fits
+        [5e9 + k for k in range(20)],
+    ],
+)
+def test_counters_are_not_taken_as_times_since_1970(tmp_path, times):
+    path = tmp_path / "log.csv"
+    path.write_text(VALVES + "".join(f"{t:.0f},1,0\n" for t in times))
+    with pytest.raises(InputError, match="is the unit right"):
+        read_valves(path, MODULE)
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory):
+    return recorded(tmp_path_factory.mktemp("take"), Take(layout="pair", lost=0.02))
+
+
+def since_1970(start, end, origin):
+    """Return a log of the motion's valves on a clock that counts from 1970."""
+    head, *rows = valve_csv(motion(), start, end, 0.0).splitlines()
+    cut = [row.split(",", 1) for row in rows]
+    return "\n".join([head, *(f"{origin + float(time):.3f},{rest}" for time, rest in cut), ""])
+
+
+def test_times_since_1970_in_both_files_give_the_offset(tmp_path, captured):
+    path = tmp_path / "valves.csv"
+    path.write_text(since_1970(1.0, 3.0, 1_700_000_000))
+    log = read_valves(path, SPEC)
+    assert log.epoch_ns == 1_700_000_001 * 10**9
+    body = replace(captured, epoch_ns=1_700_000_000 * 10**9)
+    for offset, expected in ((None, 1.0), (0.0, 1.0), (-0.25, 0.75)):
+        joined = join(body, log, SPEC, offset=offset)
+        about = joined.trajectory.metadata["valve_log"]
+        assert about["offset_s"] == pytest.approx(expected, abs=1e-6) and not about["offset_estimated"]
+        assert any("from times since 1970 in both files" in each for each in joined.summary.corrections)
+    # Clocks that are an hour apart: the bends tell.
+    path.write_text(since_1970(0.0, 4.0, 1_700_003_600))
+    joined = join(body, read_valves(path, SPEC), SPEC)
+    assert joined.trajectory.metadata["valve_log"]["offset_estimated"]
+    assert any("3600 s away: these are not used" in each for each in joined.summary.corrections)
+
+
+def test_epoch_of_a_motion_is_kept(tmp_path):
+    path = tmp_path / "plain.csv"
+    head, *rows = plain_csv(motion()).splitlines()
+    moved = [
+        f"{1_700_000_000_000 + round(1e3 * float(row.split(',')[0]))},{row.partition(',')[2]}" for row in rows
+    ]
+    path.write_text("\n".join([head.replace("time_m", "time").replace("time", "time_ms", 1), *moved, ""]))
+    found = read_motion(path, SPEC)
+    assert found.epoch_ns == 1_700_000_000 * 10**9
+    assert found.trajectory.time[0] == pytest.approx(0)
