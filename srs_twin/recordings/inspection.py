@@ -136,8 +136,10 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
     facts |= {"up": floor.up, "bodies": bodies}
     facts["notes"] += floor.corrections
     seen = at_frames(floor.points, frames)
+    owner = np.repeat(np.arange(len(table.labels)), [1 + (k in turned) for k in range(len(table.labels))])
     facts["markers"] = [
-        _marker_facts(name, seen[:, k], frames, name in bodies) for k, name in enumerate(whole.labels)
+        _marker_facts(name, seen[:, owner == k].mean(axis=1), frames, k in turned)
+        for k, name in enumerate(table.labels)
     ]
     scene = _chain_facts(whole, seen, frames, facts)
     return facts, scene
