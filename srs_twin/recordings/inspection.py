@@ -216,6 +216,7 @@ def _chain_facts(
     facts["distances"] = [
         {"markers": [names[a], names[b]], "median_mm": 1e3 * middle[a, b], "spread_mm": 1e3 * spread[a, b]}
         for a, b in zip(order, order[1:], strict=False)
+        if names[a] != names[b]  # two markers of ours stand for a rigid body
     ]
     count = len(solid)
     facts["layouts"] = {"single": count, "head": count - 1} | (
