@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -62,14 +63,20 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def blas_kernels() -> tuple[str, ...]:
-    """Return the names of the kernels of the BLAS libraries in this process, such as `SkylakeX`, sorted.
+    """Return the names of the kernels of NumPy's and SciPy's BLAS libraries, such as `SkylakeX`, sorted.
 
-    It is empty where no library reports one.
+    It is empty where no library reports one. Libraries that other packages bring (OpenCV) do not count.
     """
     import scipy.linalg  # noqa: F401  SciPy brings a second BLAS library
 
-    found = ThreadpoolController().select(user_api="blas").info()
-    return tuple(sorted({library["architecture"] for library in found if library.get("architecture")}))
+    packages = Path(np.__file__).parents[1]
+    kernels = set()
+    for library in ThreadpoolController().select(user_api="blas").info():
+        place = Path(library["filepath"])
+        inside = place.relative_to(packages).parts[0] if place.is_relative_to(packages) else ""
+        if inside.partition(".")[0] in ("", "numpy", "scipy") and library.get("architecture"):
+            kernels.add(library["architecture"])
+    return tuple(sorted(kernels))
 
 
 Record = TypeVar("Record")

@@ -134,7 +134,7 @@ def _words(value: Any) -> str:
 def schema(
     kind: Annotated[str, argument("KIND")] = "scenario",
 ) -> None:
-    """Print the JSON Schema of scenario, sweep or study files, or of the output of inspect --json.
+    """Print the JSON Schema of input files or results.
 
     Options:
         kind: Kind of document: scenario, sweep, study or inspect.

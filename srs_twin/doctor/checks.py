@@ -97,6 +97,7 @@ _MODULES = {
     "rerun-sdk": "rerun_bindings",
     "ruamel-yaml": "ruamel.yaml",
     "backports-zstd": "backports.zstd",
+    "pillow": "PIL",
 }
 
 

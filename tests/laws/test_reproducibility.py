@@ -100,6 +100,14 @@ def test_threads_that_build_twins_at_once_leave_the_number_of_blas_threads_as_it
     assert seen == [{1}, {1}] and blas_threads() == before
 
 
+def test_a_blas_library_of_another_package_does_not_change_the_arithmetic():
+    pytest.importorskip("cv2")
+    code = "from srs_twin.arrays import blas_kernels as b; print(b()); import cv2; print(b())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, after = done.stdout.splitlines()
+    assert before == after
+
+
 def test_running_a_plant_again_repeats_itself():
     for plant in (AnalyticalSnake(load_robot("gen2")), TwinSnake(load_robot("gen2"))):
         first = rollout(plant, Gait(2.0, 0.3), 0.4)
