@@ -122,6 +122,7 @@ def test_command_prints_tables_writes_json_and_says_what_it_leaves_out(monkeypat
     assert found["quick"] is True and "c" not in found and found["machine"]["cpus"] >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_twins_stepped_together_are_single_twins_to_the_bit(threads):
     document = load_scenario("gen2_straight").document

@@ -296,6 +296,7 @@ def test_the_gaits_frequency_is_not_its_carriers(carrier):
     assert repeats(ValveLog("valve", clock, always, "x", "", ())) is None
 
 
+@pytest.mark.slow
 def test_a_recording_becomes_a_run(tmp_path):
     truth = motion(4.0)
     path = tmp_path / "v.csv"

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fewer import default
 from snakes import chain
 from test_memory import go_on, same, scenario, started
 
@@ -44,7 +45,7 @@ def copies(thing: Any) -> dict[str, Any]:
     return {name: way(thing) for name, way in WAYS.items()}
 
 
-@pytest.mark.parametrize("case", CASES, ids="-".join)
+@pytest.mark.parametrize("case", default(4, map(pytest.param, CASES)), ids="-".join)
 def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
     plant, controller = started(scenario(*case), seed=5)
     go_on(plant, controller, 11)
@@ -120,6 +121,7 @@ for name in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_pickles_continue_with_the_same_bits_in_another_process(tmp_path):
     expected, names = [], []
     for case in (("loaded", "lag", "follow", "hall"), ("preloaded", "lag", "gait", "ideal")):

@@ -49,6 +49,7 @@ def straight_and_curved() -> list[GaitRun]:
     return runs(COMPLETE, truth, [(2.0, 0.0), (1.5, 0.2), (1.6, -0.2)], seconds=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("against", [pytest.param("averages", marks=pytest.mark.slow), "shapes"])
 def test_friction_and_gap_come_back_within_a_percent(against):
     found = fit_locomotion(

@@ -99,7 +99,7 @@ def test_curvature_has_no_jump(tmp_path, layout):
     assert np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max() < 1.5 * fastest + 0.1
 
 
-@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0, 240.0])
+@pytest.mark.parametrize("rate", default(1, [120.0, 30.0, 60.0, 240.0]))
 def test_any_frame_rate(tmp_path, rate):
     found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
     assert found.summary.rate_hz == pytest.approx(rate, rel=1e-6)

@@ -26,6 +26,7 @@ def twins(monkeypatch: pytest.MonkeyPatch, **options) -> tuple[TwinSnake, TwinSn
     return fast, slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"wheels": "skid"}, {"world": POSTS}])
 def test_long_twins_crawl_as_the_engine_alone_has_it(options, monkeypatch):
     runs = [rollout(twin, Gait(2.0, 0.2), 0.5) for twin in twins(monkeypatch, **options)]

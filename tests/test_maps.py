@@ -162,6 +162,7 @@ plants: {analytical: {}, twin: {}}
 """
 
 
+@pytest.mark.slow
 def test_a_scenario_plans_and_runs_in_a_map_and_knows_when_it_changes(tmp_path, monkeypatch):
     """The wall leaves a way above; both plants have the map about them, drawn pictures too."""
     grey = np.full((30, 40), 254)

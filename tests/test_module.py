@@ -242,6 +242,7 @@ def test_the_analytical_moment_is_that_of_lagrange():
 # Both benches
 
 
+@pytest.mark.slow
 @ways
 @pytest.mark.parametrize(
     ("reference", "duration"),

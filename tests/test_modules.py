@@ -69,6 +69,7 @@ def test_bends_flatten_towards_their_limit(x, limit):
     assert bent(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(
     st.floats(-3, 3), st.floats(0.5, 3) | st.just(np.inf), st.floats(0, 1),

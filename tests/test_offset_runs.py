@@ -161,6 +161,7 @@ def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
         assert abs(each.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("study", "offset"),
     [

@@ -178,6 +178,7 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
     return np.array(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", [name if "compressor" in name else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )

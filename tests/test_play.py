@@ -154,6 +154,7 @@ def test_without_a_display_it_says_so(srs_twin_process, tmp_path, display, words
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_not_there_is_told_first(srs_twin_process, tmp_path):
     done = srs_twin_process("play", "gen5", cwd=tmp_path, DISPLAY="")
     assert done.returncode == 2 and "unknown robot 'gen5'; did you mean gen" in done.stderr

@@ -516,6 +516,7 @@ scenarios = mappings(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(scenarios)
 def test_a_resolved_document_loads_as_an_equal_scenario(data):

@@ -148,6 +148,7 @@ LAWS: dict[str, Law] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("samples", [16, 100])
 def test_the_proposed_number_of_samples_is_enough(law, samples):

@@ -241,6 +241,7 @@ def short(tmp_path) -> Callable[..., Path]:
     return make
 
 
+@pytest.mark.slow
 def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_changes(
     srs_twin, short, tmp_path
 ):

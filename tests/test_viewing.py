@@ -274,6 +274,7 @@ ODD_RUNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

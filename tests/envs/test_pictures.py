@@ -26,6 +26,7 @@ def alike(picture: np.ndarray, color: tuple[int, int, int]) -> int:
     return int((np.abs(bright - np.array(color) / max(color)).max(axis=-1) < 0.12).sum())
 
 
+@pytest.mark.slow
 def test_an_episode_is_drawn_or_what_is_missing_is_told():
     env = SnakeEnv("GoTo", render_mode="rgb_array", width=320, height=240)
     with pytest.raises(InputError, match="reset the environment first"):

@@ -109,6 +109,7 @@ def test_generated_files_are_read_or_refused_and_nothing_else(parser: Parser, wa
     survives(parser, way, path_of(parser, tmp_path), max_examples=EXAMPLES[way])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parser", [p for p in PARSERS if p.identity], ids=lambda parser: parser.name)
 def test_what_is_written_is_read_back(parser: Parser, tmp_path: Path):
     path, identity = path_of(parser, tmp_path), parser.identity

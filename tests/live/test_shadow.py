@@ -75,6 +75,7 @@ def test_silence_is_said_and_survived():
     assert np.isfinite(shadow.take(moment.time + 5.1, back).bend).all()
 
 
+@pytest.mark.slow
 def test_what_was_learnt_survives_a_restart(tmp_path):
     kind = "stuck_valve:{j}{side}=closed"
     fault, part, _ = parts(kind, 4)

@@ -102,6 +102,7 @@ def test_few_runs_of_the_twin_find_its_optimum_that_the_cheap_model_misses(tmp_p
     assert speed(*asked.space.values(cheap.shares), "twin") < 0.9 * 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("most_f", "most_p"), [(0.5, 2.6), (2.8, 0.4)])
 def test_optimum_at_two_bounds_is_found(tmp_path, most_f, most_p):
     """Nine seeds came within 1 % of the ranges."""
@@ -139,6 +140,7 @@ def test_shares_map_to_both_bounds_and_back(scale, whole):
     assert middle[0] == pytest.approx({"linear": 4, "log": math.sqrt(7)}[scale], abs=0.5 if whole else 1e-5)
 
 
+@pytest.mark.slow
 def test_constraints_are_kept(tmp_path):
     """The fastest gait that costs 0.4 has f = sqrt 2."""
     asked = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=30)

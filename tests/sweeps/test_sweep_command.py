@@ -39,6 +39,7 @@ def test_what_a_sweep_leaves(srs_twin, tmp_path):
     assert copy["results_sha256"] == about["results_sha256"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

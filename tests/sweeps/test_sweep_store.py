@@ -124,6 +124,7 @@ def test_a_full_disk_leaves_the_rows_before(tmp_path, pages):
         assert len(store.keys(failed=True)) == len(added) + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "limit",
     [
