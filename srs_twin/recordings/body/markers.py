@@ -315,19 +315,15 @@ def _explain(
     markers: CapturedMarkers, spec: RobotSpec, places: Places
 ) -> tuple[Shape, np.ndarray, list[str]]:
     """Return the body that explains markers at these places, their stations, and what is to be said of it."""
-    geometry, notes, order = spec.geometry, [], list(places)
+    geometry, order = spec.geometry, list(places)
     points, missing = markers.points[:, order], markers.missing[:, order]
     station = np.array([places[marker][0] for marker in order])
-    arm, points, missing, turned = marker_arms(
-        points, missing, [places[marker] for marker in order], [markers.name(marker) for marker in order]
-    )
-    if turned:
-        notes.append(f"the markers of a pair had changed names {turned} times a frame and pair: set right")
+    arm = marker_arms(points, missing, list(places.values()), [markers.name(marker) for marker in order])
     way = determined(station, arm, geometry)
     if not way:
         raise InputError(_undetermined(station, spec))
     shape = fit_shape(markers.time, points, missing, Marks(station, arm, geometry), way)
-    notes += _length_notes(shape, spec, way)
+    notes = _length_notes(shape, spec, way)
     if way == "fixed":
         notes.append(
             "one marker a connector: near a straight body bends that alternate are known to 0.2 rad only"
