@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.recordings.body.floor import on_floor
-from srs_twin.recordings.body.markers import body_order, forward_distance
+from srs_twin.recordings.body.markers import SOLID, body_order, forward_distance, median_and_spread
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
 from srs_twin.recordings.csv_table import CLOCK, Meaning, RecordedFile, laid_out, read_file, read_table
@@ -41,7 +40,6 @@ from srs_twin.recordings.signals.units import (
 )
 from srs_twin.robot.spec import RobotSpec
 
-_SOLID = 0.2  # of the frames a marker is seen on: less is no marker of a robot
 _RIGID = 1.3  # times what noise gives: a distance that varies less is that of one rigid part
 _GAP = 0.2  # s, over which markers are followed
 _SAMPLED = 2000
@@ -117,32 +115,31 @@ def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> dict[
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
     frames = frame_grid(table.time)
-    rate = 1 / frames.period
     facts: dict[str, Any] = {
         "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
-        "rate_hz": rate, "duration_s": float(frames.time[-1] - frames.time[0]),
+        "rate_hz": 1 / frames.period, "duration_s": float(frames.time[-1] - frames.time[0]),
         "frames": int((frames.rows >= 0).sum()), "frames_missing": int((frames.rows < 0).sum()),
         "announced_frames": table.header_frames, "units": _length_unit(table),
         "notes": [*table.corrections, *frames.corrections],
     }  # fmt: skip
-    turned = () if table.rotations is None else np.flatnonzero(np.isfinite(table.rotations).any(axis=(0, 2)))
-    bodies = [table.labels[k] for k in turned]
+    turned = np.zeros(len(table.labels), dtype=bool)
+    if table.rotations is not None:
+        turned = np.isfinite(table.rotations).any(axis=(0, 2))
     whole = bodies_as_pairs(table)
     try:
         floor = on_floor(whole.points, map.up or "auto", "y" if table.kind.startswith("Motive") else "z")
     except InputError as error:
         facts["notes"].append(str(error))
         return facts, None
-    facts |= {"up": floor.up, "bodies": bodies}
+    facts |= {"up": floor.up, "bodies": [table.labels[k] for k in np.flatnonzero(turned)]}
     facts["notes"] += floor.corrections
     seen = at_frames(floor.points, frames)
-    owner = np.repeat(np.arange(len(table.labels)), [1 + (k in turned) for k in range(len(table.labels))])
+    owner = np.repeat(np.arange(len(turned)), 1 + turned)
     facts["markers"] = [
-        _marker_facts(name, seen[:, owner == k].mean(axis=1), frames, k in turned)
+        _marker_facts(name, seen[:, owner == k].mean(axis=1), frames, bool(turned[k]))
         for k, name in enumerate(table.labels)
     ]
-    scene = _chain_facts(whole, seen, frames, facts)
-    return facts, scene
+    return facts, _chain_facts(whole, seen, frames, facts)
 
 
 def _length_unit(table: MarkerTable) -> str:
@@ -154,8 +151,8 @@ def _length_unit(table: MarkerTable) -> str:
 def _marker_facts(name: str, place: np.ndarray, frames: FrameGrid, body: bool) -> dict[str, Any]:
     missing = np.isnan(place[:, 0])
     gaps = runs(missing)
-    inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(place))] if len(gaps) else gaps
-    longest = float(np.diff(inner, axis=1).max()) * frames.period if len(inner) else 0.0
+    inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(place))]
+    longest = float(np.diff(inner, axis=1).max(initial=0)) * frames.period
     noise = None if missing.all() else noise_of(place[:, None, :2])
     return {
         "name": name, "rigid_body": body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
@@ -169,19 +166,17 @@ def _chain_facts(
 ) -> Scene | None:
     """Add order, distances, layouts and head to the facts, as far as markers tell them."""
     slots, columns = in_slots(table, seen)
-    apart = distances(slots[..., :2], _SAMPLED)
-    nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=2)
-    if not np.isfinite(nearest).any():
+    nearest = np.fmin.reduce(distances(slots[..., :2], _SAMPLED), axis=2)
+    if np.isnan(nearest).all():
         facts["notes"].append("never two markers at once")
         return None
-    near = float(np.median(nearest[np.isfinite(nearest)]))
+    near = float(np.nanmedian(nearest))
     if near > _MILLIMETRES:
         facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
     tracks, origin, dropped = follow(slots, columns, max(1, round(_GAP / frames.period)), 2 * near)
     tracks, origin, _, notes = without_strangers(tracks, origin, table)
     facts["notes"] += notes
-    share = (~np.isnan(tracks[..., 0])).mean(axis=0)
-    solid = np.flatnonzero(share >= _SOLID)
+    solid = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= SOLID)
     names = _names(origin[:, solid], table.labels, facts)
     places = tracks[:, solid]
     facts |= {"tracks": len(solid), "positions_of_nothing": int(dropped)}
@@ -191,22 +186,14 @@ def _chain_facts(
         return Scene(places, names, (), (), facts["file"])
     whole = places[complete]
     noise = noise_of(places)
-    apart = distances(whole, _SAMPLED)
-    np.einsum("fkk->fk", apart)[:] = np.inf
-    with np.errstate(invalid="ignore"):
-        low, middle, top = np.quantile(apart, [0.25, 0.5, 0.75], axis=0)
-        spread = 0.74 * (top - low)
-    rigid = [
-        (a, b)
-        for a, b in zip(*np.triu_indices(len(solid), 1), strict=True)
-        if spread[a, b] < _RIGID * np.sqrt(2) * noise
-    ]
-    close = [(int(a), int(b)) for a, b in rigid if middle[a, b] <= 1.5 * np.nanmin(middle[[a, b]])]
+    middle, spread = median_and_spread(whole)
+    closest = np.nanmin(middle, axis=0)
+    rigid = (spread < _RIGID * np.sqrt(2) * noise) & (middle <= 1.5 * np.minimum.outer(closest, closest))
     # Of a body that bends little many distances hardly vary; a marker has one partner on a rigid part.
-    often = Counter(marker for pair in close for marker in pair)
-    pairs = tuple((a, b) for a, b in close if often[a] == often[b] == 1)
+    single = rigid.sum(axis=0) == 1
+    pairs = tuple((int(a), int(b)) for a, b in np.argwhere(np.triu(rigid & single & single[:, None])))
     try:
-        order = tuple(int(k) for k in body_order(whole))
+        order = tuple(body_order(whole).tolist())
     except InputError as error:
         facts["notes"].append(str(error))
         order = ()
@@ -248,18 +235,14 @@ def _head_facts(
     if len(order) < 3:
         return []
     found = []
-    ends = {"first": (order[0], order[1]), "last": (order[-1], order[-2])}
-    rigid = {frozenset(pair) for pair in pairs}
-    second = [end for end in ends.values() if frozenset(end) in rigid]
-    if len(second) == 1 and len(pairs) == 1:
-        found.append(
-            {"marker": names[second[0][0]], "why": "the only end with a second marker on a rigid part"}
-        )
+    for end, second in (order[:2], order[:-3:-1]):
+        if [{end, second}] == [set(pair) for pair in pairs]:
+            found.append((end, "the only end with a second marker on a rigid part"))
     crawled = forward_distance(period, whole[:, list(order)])
     if abs(crawled) > _CRAWLED * near:
         end = order[0] if crawled > 0 else order[-1]
-        found.append({"marker": names[end], "why": f"the body crawled {abs(crawled):.3g} m towards this end"})
-    return found
+        found.append((end, f"the body crawled {abs(crawled):.3g} m towards this end"))
+    return [{"marker": names[end], "why": why} for end, why in found]
 
 
 def _beside_robot(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> dict[str, Any]:
@@ -352,13 +335,14 @@ def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
     """Return a guess of a signal's quantity: by a unit in the map or its name, else by its range."""
     distinct, low, high, said = set(np.unique(values)[:4].tolist()), values.min(), values.max(), name.lower()
     meaning = map.meanings(QUANTITIES).get(name, Meaning(""))
-    units = {
-        kind: _unit(name, table, meaning) for kind, table in (("pressure", PRESSURES), ("angle", ANGLES))
-    }
-    if units["pressure"]:
-        return _pressure(units["pressure"], "", low, high, map)
-    if units["angle"]:
-        return f"angle, {units['angle']}"
+    pressure_unit, angle_unit = (
+        stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
+        for units in (PRESSURES, ANGLES)
+    )
+    if pressure_unit:
+        return _pressure(pressure_unit, "", low, high, map)
+    if angle_unit:
+        return f"angle, {angle_unit}"
     pressure = "press" in said or "setpoint" in said
     if distinct <= {-1.0, 0.0, 1.0} and not pressure:
         return "valve states" if -1.0 in distinct else "valve states, 0 venting"
@@ -369,15 +353,9 @@ def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
     if any(word in said for word in ("bend", "angle", "theta")) or (low < 0 and np.abs(values).max() < 7):
         return "angle" + (", degrees" if np.abs(values).max() > 7 else ", rad")
     if pressure or (low > -100 and high > 2):
-        return _pressure(
-            "bar" if high < 8 else "kPa" if high < 2e3 else "Pa", " by its range", low, high, map
-        )
+        unit = "bar" if high < 8 else "kPa" if high < 2e3 else "Pa"
+        return _pressure(unit, " by its range", low, high, map)
     return "a number"
-
-
-def _unit(name: str, units: Mapping[str, float], meaning: Meaning) -> str:
-    """Return the unit of a signal as a map or its name says; empty where neither does."""
-    return stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
 
 
 def _pressure(unit: str, why: str, low: float, high: float, map: RecordingMap) -> str:
@@ -393,24 +371,21 @@ def proposed_map(facts: Sequence[Mapping[str, Any]]) -> str:
 
     lines = ["# Proposed by srs-twin inspect: correct it, then give it as --map."]
     for each in (one for one in facts if one["content"] == "markers"):
-        lines += [f"# {each['file']}: {each['format']}, {each['rate_hz']:.4g} Hz"]
+        lines.append(f"# {each['file']}: {each['format']}, {each['rate_hz']:.4g} Hz")
         if "up" in each:
             lines.append(f"up: {json.dumps(each['up'])}")
         lines += _marker_lines(each)
-    logged = [
-        signal for each in facts for signal in each.get("signals", ()) if signal["looks_like"] != "text"
-    ]
-    if logged:
+    signals = (signal for each in facts for signal in each.get("signals", ()))
+    logged = [signal for signal in signals if signal["looks_like"] != "text"]
+    keys = [_canonical(signal["name"]) for signal in logged]
+    if any(map(LOG_NAME.fullmatch, keys)):
         lines.append("log:")
-        for signal in logged:
-            key = _canonical(signal["name"])
-            known = LOG_NAME.fullmatch(key)
-            said = f"{signal['looks_like']}, {signal.get('low', 0):g} to {signal.get('high', 0):g}"
-            lines.append(f"  {key if known else '# valve_plus_1'}: {json.dumps(signal['name'])}  # {said}")
-        if not any(LOG_NAME.fullmatch(_canonical(signal["name"])) for signal in logged):
-            lines[lines.index("log:")] = (
-                "# log:  # say which is valve_plus_1, pressure_kpa_plus_1, … of each segment"
-            )
+    elif logged:
+        lines.append("# log:  # say which is valve_plus_1, pressure_kpa_plus_1, … of each segment")
+    for key, signal in zip(keys, logged, strict=True):
+        key = key if LOG_NAME.fullmatch(key) else "# valve_plus_1"
+        said = f"{signal['looks_like']}, {signal.get('low', 0):g} to {signal.get('high', 0):g}"
+        lines.append(f"  {key}: {json.dumps(signal['name'])}  # {said}")
     return "\n".join(lines) + "\n"
 
 
@@ -418,44 +393,36 @@ def _marker_lines(facts: Mapping[str, Any]) -> list[str]:
     """Return the lines of markers, head first where it is known."""
     import json
 
-    order, heads = list(facts.get("order", ())), [each["marker"] for each in facts.get("head", ())]
-    pairs = {frozenset(pair) for pair in facts.get("rigid_pairs", ())}
-    if heads and order and heads[0] == order[-1]:
-        order.reverse()
-    why = (
-        facts["head"][0]["why"]
-        if heads
-        else "which end is the head is not known: turn the numbers round if need be"
-    )
+    order, heads = list(facts.get("order", ())), facts.get("head", ())
     if not order:
         return ["# markers: their order is not known; name their places: {connector: 1}, {middle: 1}, …"]
-    lines = [f"markers:  # head: {why}"]
-    twice = len(order) % 2 == 0 and all(
-        frozenset(pair) in pairs for pair in zip(order[::2], order[1::2], strict=True)
-    )
+    why = "which end is the head is not known: turn the numbers round if need be"
+    if heads:
+        why = heads[0]["why"]
+        if heads[0]["marker"] == order[-1]:
+            order.reverse()
+    if any(each["rigid_body"] for each in facts["markers"]):
+        named = enumerate(dict.fromkeys(order), start=1)
+        places = [f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in named]
+        return [f"bodies:  # head: {why}", *places]
+    pairs = {frozenset(pair) for pair in facts.get("rigid_pairs", ())}
+    twice = len(order) % 2 == 0 and pairs >= set(map(frozenset, zip(order[::2], order[1::2], strict=True)))
     ahead = not twice and len(order) > 2 and frozenset(order[:2]) in pairs
-    bodies = {each["name"] for each in facts["markers"] if each["rigid_body"]}
-    if bodies:
-        unique = list(dict.fromkeys(order))
-        return [lines[0].replace("markers:", "bodies:")] + [
-            f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in enumerate(unique, start=1)
-        ]
+    lines = [f"markers:  # head: {why}"]
     for k, name in enumerate(order):
-        place = f"connector: {k // 2 + 1}" if twice else f"connector: {max(1, k + 1 - ahead)}"
+        connector = k // 2 + 1 if twice else max(1, k + 1 - ahead)
         side = ", side: ahead" if ahead and k == 0 else ""
-        lines.append(f"  {json.dumps(name)}: {{{place}{side}}}")
-    return lines + [
-        f"  {json.dumps(each['name'])}: ignore" for each in facts["markers"] if each["name"] not in order
-    ]
+        lines.append(f"  {json.dumps(name)}: {{connector: {connector}{side}}}")
+    others = (each["name"] for each in facts["markers"] if each["name"] not in order)
+    return lines + [f"  {json.dumps(name)}: ignore" for name in others]
 
 
 def in_words(facts: Mapping[str, Any]) -> str:
     """Return the facts for people, a line each."""
     lines = [f"{facts['file']}: {facts['format']}, {facts['content']}"]
     if facts.get("rate_hz"):
-        rows = facts.get("frames", facts.get("rows"))
         what = "frames" if "frames" in facts else "rows"
-        lines.append(f"{rows} {what}, {facts['rate_hz']:.4g} Hz, {facts['duration_s']:.4g} s")
+        lines.append(f"{facts.get(what)} {what}, {facts['rate_hz']:.4g} Hz, {facts['duration_s']:.4g} s")
     if "up" in facts:
         noise = f"noise {facts['noise_mm']:.2g} mm; " if "noise_mm" in facts else ""
         lines.append(f"up: {facts['up']}; {noise}{facts.get('tracks', 0)} lasting markers")
@@ -465,27 +432,22 @@ def in_words(facts: Mapping[str, Any]) -> str:
             noise = f"noise {each['noise_mm']:.2g} mm, {each['height_mm']:.0f} mm high"
         noise += ", rigid body" if each["rigid_body"] else ""
         gaps = f"{each['gaps']} gaps up to {each['longest_gap_s']:.3g} s"
-        lines.append(
-            f"  {each['name']}: seen on {100 * each['coverage']:.1f} % of the frames, {gaps}, {noise}"
-        )
+        seen = f"seen on {100 * each['coverage']:.1f} % of the frames"
+        lines.append(f"  {each['name']}: {seen}, {gaps}, {noise}")
     for each in facts.get("distances", ()):
         a, b = each["markers"]
-        rigid = ", one rigid part" if [a, b] in facts["rigid_pairs"] or [b, a] in facts["rigid_pairs"] else ""
+        rigid = ", one rigid part" if {a, b} in [set(pair) for pair in facts["rigid_pairs"]] else ""
         lines.append(f"  {a} to {b}: {each['median_mm']:.1f} mm, varies by {each['spread_mm']:.2g} mm{rigid}")
     if "layouts" in facts:
-        fitting = ", ".join(
-            f"{name} of {count} connectors" for name, count in facts["layouts"].items() if count > 1
-        )
-        lines.append(f"layouts with this number of markers: {fitting}")
+        fitting = [f"{name} of {count} connectors" for name, count in facts["layouts"].items() if count > 1]
+        lines.append(f"layouts with this number of markers: {', '.join(fitting)}")
         heads = "; ".join(f"{each['marker']} ({each['why']})" for each in facts["head"])
         lines.append(f"head: {heads or 'not told by the markers; give --head'}")
     for each in facts.get("signals", ()):
         bounds = f", {each['low']:g} to {each['high']:g}" if "low" in each else ""
         rate = f", opens {each['openings_per_s']:.3g} times a second" if each.get("openings_per_s") else ""
-        lines.append(
-            f"  {each['name']}: {each['looks_like']}{bounds}{rate}"
-            + ("" if each["understood"] else " (needs a map)")
-        )
+        unknown = "" if each["understood"] else " (needs a map)"
+        lines.append(f"  {each['name']}: {each['looks_like']}{bounds}{rate}{unknown}")
     if (robot := facts.get("robot")) is not None:
         lines += [f"as a recording of {robot['name']}:", *(f"  {line}" for line in robot["says"].split("\n"))]
     return "\n".join([*lines, *(f"note: {each}" for each in facts["notes"])])

@@ -78,10 +78,8 @@ def on_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
     if flat:
         if up not in ("auto", "z", "-z"):
             raise InputError(f"a file with x and y alone has up z or -z (y runs down), not {up}")
-        up, points = (
-            up.replace("auto", "z"),
-            np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1),
-        )
+        up = up.replace("auto", "z")
+        points = np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1)
     elif up == "auto":
         up, points, notes = _found(points, usual)
     turned = np.stack([sign * points[..., axis] for axis, sign in MAPS[up]], axis=-1)
@@ -105,19 +103,18 @@ def strangers(tracks: np.ndarray) -> dict[int, str]:
     level = np.quantile(tracks[seen][:, 2], 0.5, method="lower") if seen.any() else 0.0
     heights = [tracks[seen[:, k], k, 2] for k in range(tracks.shape[1])]
     far = [k for k, each in enumerate(heights) if each.size and abs(np.median(each) - level) > _SAME_LEVEL]
-    robot, found = [k for k, each in enumerate(heights) if each.size and k not in far], {}
-    for k in far:
-        if (change := _range(heights[k])) > _STEADY:
-            found[k] = f"its height varies by {1e3 * change:.0f} mm"
-        else:
-            found[k] = "does not move with the others"
-    unsure = [k for k in far if _range(heights[k]) <= _STEADY]
+    robot = [k for k, each in enumerate(heights) if each.size and k not in far]
+    change = {k: _range(heights[k]) for k in far}
+    unsure = [k for k in far if change[k] <= _STEADY]
     while joined := [k for k in unsure if any(_together(tracks[:, [k, other], :2]) for other in robot)]:
         robot += joined
         unsure = [k for k in unsure if k not in joined]
-    return {
-        k: f"{1e3 * np.median(heights[k]):.0f} mm high, {why}" for k, why in found.items() if k not in robot
-    }
+    found = {}
+    for k in (k for k in far if k not in robot):
+        varies = f"its height varies by {1e3 * change[k]:.0f} mm"
+        why = varies if change[k] > _STEADY else "does not move with the others"
+        found[k] = f"{1e3 * np.median(heights[k]):.0f} mm high, {why}"
+    return found
 
 
 def _range(values: np.ndarray) -> float:

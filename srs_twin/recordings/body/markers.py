@@ -34,7 +34,7 @@ LAYOUTS = ("auto", "single", "head", "pair", "middles", "head_middles")
 Places = dict[int, tuple[int, str]]
 """Marker → its station (0, 2, … the connectors, head first; 1, 3, … the segments' middles) and side."""
 
-_SOLID = 0.2  # of the frames a marker of the robot is seen on, or more
+SOLID = 0.2  # of the frames a marker of the robot is seen on, or more
 _APART = 2.0  # times the length of a segment: farther from all others nothing is on the robot
 _TINY = 0.1  # of the body's length: no body curls up so far
 _FAR = 2.5  # times a segment's length: farther apart no two neighbours are
@@ -62,7 +62,7 @@ def robot_markers(
     """
     seen = ~np.isnan(points[..., 0])
     share = seen.mean(axis=0)
-    solid = np.flatnonzero(share >= _SOLID)
+    solid = np.flatnonzero(share >= SOLID)
     if len(solid) > connectors and not named:
         # Only those that have another one near on most frames they are seen on.
         near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
@@ -117,7 +117,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     Raises:
         InputError: no such pairs.
     """
-    mean, spread = _median_and_spread(points)
+    mean, spread = median_and_spread(points)
     score = spread + 0.02 * mean
     pairs: list[tuple[int, int]] = []
     free = set(range(points.shape[1]))
@@ -142,7 +142,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     return np.array(pairs)
 
 
-def _median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and spreads of the distances; a few frames that are wrong do not count."""
     apart = distances(points, _SAMPLED)
     # Of a marker from itself, or of two that were never seen at once.
@@ -315,19 +315,15 @@ def _explain(
     markers: CapturedMarkers, spec: RobotSpec, places: Places
 ) -> tuple[Shape, np.ndarray, list[str]]:
     """Return the body that explains markers at these places, their stations, and what is to be said of it."""
-    geometry, notes, order = spec.geometry, [], list(places)
+    geometry, order = spec.geometry, list(places)
     points, missing = markers.points[:, order], markers.missing[:, order]
     station = np.array([places[marker][0] for marker in order])
-    arm, points, missing, turned = marker_arms(
-        points, missing, [places[marker] for marker in order], [markers.name(marker) for marker in order]
-    )
-    if turned:
-        notes.append(f"the markers of a pair had changed names {turned} times a frame and pair: set right")
+    arm = marker_arms(points, missing, list(places.values()), [markers.name(marker) for marker in order])
     way = determined(station, arm, geometry)
     if not way:
         raise InputError(_undetermined(station, spec))
     shape = fit_shape(markers.time, points, missing, Marks(station, arm, geometry), way)
-    notes += _length_notes(shape, spec, way)
+    notes = _length_notes(shape, spec, way)
     if way == "fixed":
         notes.append(
             "one marker a connector: near a straight body bends that alternate are known to 0.2 rad only"

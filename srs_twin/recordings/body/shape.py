@@ -174,17 +174,19 @@ class _Prior:
     spread: float
     open: float | None
 
-    def information(self, width: int, bends: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrix over the state, and the state that it holds on to."""
-        matrix, aim = np.zeros((width, width)), np.zeros(width)
-        lengths = np.arange(3 + bends, width)
-        matrix[lengths, lengths] = self.spread**-2
-        matrix[np.arange(2, 3 + bends), np.arange(2, 3 + bends)] = _VAGUE**-2
-        aim[lengths] = self.mean
+    @property
+    def swing(self) -> np.ndarray:
+        """Derivatives of ε with respect to the bends, shape (segments,)."""
+        count = len(self.mean)
+        return np.asarray((-1.0) ** np.arange(count) / (2 * count))
+
+    def information(self) -> np.ndarray:
+        """Return the matrix over the state."""
+        count = len(self.mean)
+        matrix = np.diag(np.repeat([0.0, _VAGUE**-2, self.spread**-2], [2, 1 + count, count]))
         if self.open is not None:
-            swing = (-1.0) ** np.arange(bends) / (2 * bends)
-            matrix[3 : 3 + bends, 3 : 3 + bends] += np.outer(swing, swing) / self.open**2
-        return matrix, aim
+            matrix[3 : 3 + count, 3 : 3 + count] += np.outer(self.swing, self.swing) / self.open**2
+        return matrix
 
 
 def determined(station: np.ndarray, arm: np.ndarray, geometry: Geometry) -> str:
@@ -203,21 +205,18 @@ def determined(station: np.ndarray, arm: np.ndarray, geometry: Geometry) -> str:
     state[0, 3 : 3 + count] = 0.8 * np.cos(np.pi / 2 * np.arange(count) + 0.4)
     state[0, 3 + count :] = geometry.segment_length
     _, lever, _, _ = marks.places(state)
-    data = np.einsum("mu,mv->uv", lever[0].conj(), lever[0]).real / 2e-4**2
+    data = (lever[0].conj().T @ lever[0]).real / 2e-4**2
     for answer, spread in (("free", _LOOSE), ("fixed", 0.01)):
         prior = _Prior(2e-4, state[0, 3 + count :], spread * geometry.segment_length, None)
-        matrix, _ = prior.information(len(data), count)
-        if np.linalg.matrix_rank(data + matrix, tol=1e-3, hermitian=True) < len(data):
+        matrix = data + prior.information()
+        if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
-        error = np.sqrt(np.diag(np.linalg.inv(data + matrix))[3 : 3 + count])
+        error = np.sqrt(np.diag(np.linalg.inv(matrix))[3 : 3 + count])
         # With lengths alone the sign of an open number is found from several segments at once.
-        if error.max() < _TOLD and (answer == "free" or (count > 2 and _one_each(station, count))):
+        several = count > 2 and sorted(station) == list(range(0, 2 * count + 1, 2))
+        if error.max() < _TOLD and (answer == "free" or several):
             return answer
     return ""
-
-
-def _one_each(station: np.ndarray, segments: int) -> bool:
-    return sorted(station) == list(range(0, 2 * segments + 1, 2))
 
 
 def noise_of(points: np.ndarray) -> float:
@@ -278,12 +277,15 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
     good = np.flatnonzero(~missing.any(axis=1))
     torn = np.flatnonzero(missing.any(axis=1))
     if torn.size and len(good) >= 4:
-        near = _between(time, state, good)
+        from scipy.interpolate import CubicSpline
+
+        state[good, 2] = np.unwrap(state[good, 2])
+        near = CubicSpline(time[good], state[good])
 
         def mend(rows: np.ndarray) -> None:
             aim = near(time[rows])
             aim[:, bends] = np.clip(aim[:, bends], -np.pi, np.pi)
-            fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior, aim[:, bends])
+            fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior)
             state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
 
         _in_threads(mend, torn)
@@ -292,15 +294,6 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
     residual = np.sqrt(np.ma.masked_array(away**2, missing).mean(axis=1).filled(0.0))
     length, noise = state[:, bends.stop :], prior.noise * scale
     return Shape(node, theta, error * scale, length, prior.spread, noise, residual, missing)
-
-
-def _between(time: np.ndarray, state: np.ndarray, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the spline through the states of some frames."""
-    from scipy.interpolate import CubicSpline
-
-    turned = np.unwrap(state[rows, 2])
-    spline = CubicSpline(time[rows], np.column_stack([state[rows, :2], turned, state[rows, 3:]]))
-    return lambda at: np.asarray(spline(at))
 
 
 def _in_threads(work: Callable[[np.ndarray], Any], rows: np.ndarray) -> list[Any]:
@@ -330,7 +323,8 @@ def _fit(
     weight: np.ndarray,
     marks: Marks,
     prior: _Prior,
-    bends: np.ndarray | None = None,
+    *,
+    near: bool = False,
 ) -> _Fitted:
     """Return the states that explain frames.
 
@@ -340,17 +334,18 @@ def _fit(
         weight: of each, 1/m².
         marks: where they are on the body.
         prior: of what they do not tell.
-        bends: q̂, shape (frames, segments), rad; None: none.
+        near: hold the bends near those of `state`, q̂.
     """
-    count = len(prior.mean)
-    matrix, aim = prior.information(state.shape[1], count)
-    if bends is not None:
+    count, width = len(prior.mean), state.shape[1]
+    matrix, aim = prior.information(), np.zeros_like(state)
+    aim[:, 3 + count :] = prior.mean
+    if near:
         held = np.arange(3, 3 + count)
         matrix[held, held] += BENDS**-2
+        aim[:, held] = state[:, held]
     state, moving = state.copy(), np.arange(len(state))
-    limit = np.concatenate([[np.inf, np.inf], np.full(1 + count, _TURNS), np.full(count, np.inf)])
-    width = state.shape[1]
-    bound = np.concatenate([np.full(3, np.inf), np.full(count, 2 * np.pi), np.full(count, _LONGEST)])
+    limit = np.repeat([np.inf, _TURNS, np.inf], [2, 1 + count, count])
+    bound = np.repeat([np.inf, 2 * np.pi, _LONGEST], [3, count, count])
     data, away = np.empty((len(state), width, width)), np.empty(seen.shape, dtype=complex)
     for _ in range(_STEPS):
         mark, lever, _, _ = marks.places(state[moving])
@@ -360,10 +355,7 @@ def _fit(
         rows = parts.transpose(0, 1, 3, 2).reshape(len(moving), -1, width)
         weighed = (rows * np.repeat(weight[moving], 2, axis=1)[..., None]).transpose(0, 2, 1)
         data[moving] = inner = weighed @ rows
-        wanted = np.broadcast_to(aim, state[moving].shape).copy()
-        if bends is not None:
-            wanted[:, 3 : 3 + count] = bends[moving]
-        right = (weighed @ left.view(float)[..., None])[..., 0] + (wanted - state[moving]) @ matrix
+        right = (weighed @ left.view(float)[..., None])[..., 0] + (aim - state)[moving] @ matrix
         step = np.clip(np.linalg.solve(inner + matrix, right[..., None])[..., 0], -limit, limit)
         # Explanations that are wrong lead anywhere.
         state[moving] = np.clip(state[moving] + step, -bound, bound)
@@ -373,20 +365,13 @@ def _fit(
     inverse = np.linalg.inv(data + matrix)
     used = np.einsum("fuv,fvu->", inverse, data)
     missed = weight * np.abs(away) ** 2
-    off = np.broadcast_to(aim, state.shape) - state
-    if bends is not None:
-        off[:, 3 : 3 + count] = bends - state[:, 3 : 3 + count]
+    off = aim - state
     cost = missed.sum(axis=1) + np.einsum("fu,uv,fv->f", off, matrix, off)
     return _Fitted(state, inverse, np.abs(away), cost, np.array([missed.sum(), 2 * missed.size - used]))
 
 
 def _fit_torn(
-    state: np.ndarray,
-    seen: np.ndarray,
-    missing: np.ndarray,
-    marks: Marks,
-    prior: _Prior,
-    bends: np.ndarray,
+    state: np.ndarray, seen: np.ndarray, missing: np.ndarray, marks: Marks, prior: _Prior
 ) -> _Fitted:
     """Return the states of frames in which markers were not seen; arguments as `_fit`.
 
@@ -395,7 +380,7 @@ def _fit_torn(
 
     def fit(rows: np.ndarray, seen: np.ndarray, missing: np.ndarray) -> _Fitted:
         given = np.where(missing, HIDDEN**-2, prior.noise**-2)
-        return _fit(state[rows], seen, given, marks, prior, bends[rows])
+        return _fit(state[rows], seen, given, marks, prior, near=True)
 
     best = fit(np.arange(len(state)), seen, missing)
     for station in np.unique(marks.station):
@@ -410,14 +395,15 @@ def _fit_torn(
         changed[:, pair], hidden[:, pair] = changed[:, pair[::-1]], hidden[:, pair[::-1]]
         other = fit(rows, changed, hidden)
         won = other.cost < best.cost[rows]
-        for one, two in ((best.state, other.state), (best.inverse, other.inverse),
-                         (best.away, other.away), (best.cost, other.cost)):  # fmt: skip
-            one[rows[won]] = two[won]
+        for name in ("state", "inverse", "away", "cost"):
+            getattr(best, name)[rows[won]] = getattr(other, name)[won]
     return best
 
 
 def _start(seen: np.ndarray, marks: Marks) -> np.ndarray:
     """Return states near frames: headings between the directions from station to station."""
+    from scipy.interpolate import make_interp_spline
+
     geometry, count = marks.geometry, marks.geometry.connectors - 1
     stations = np.unique(marks.station)
     centre = np.empty((len(seen), len(stations)), dtype=complex)
@@ -434,10 +420,9 @@ def _start(seen: np.ndarray, marks: Marks) -> np.ndarray:
         known.append((float(station), np.angle(facing)))
     between = (stations[1:] + stations[:-1]) / 2
     directions = [(float(at), np.angle(each)) for at, each in zip(between, -np.diff(centre).T, strict=True)]
-    told = sorted(known + directions, key=lambda each: each[0])
-    at = np.array([each[0] for each in told])
-    angle = np.unwrap(np.stack([each[1] for each in told], axis=1), axis=1)
-    theta = np.stack([_line(at, angle, 2 * k) for k in range(count + 1)], axis=1)
+    at, angles = zip(*sorted(known + directions, key=lambda each: each[0]), strict=True)
+    heading = make_interp_spline(at, np.unwrap(angles, axis=0), k=1)  # beyond the last two goes on straight
+    theta = heading(2 * np.arange(count + 1)).T
     length = np.full((len(seen), count), geometry.segment_length)
     state = np.concatenate(
         [np.zeros((len(seen), 2)), theta[:, :1], theta[:, :-1] - theta[:, 1:], length], axis=1
@@ -448,19 +433,9 @@ def _start(seen: np.ndarray, marks: Marks) -> np.ndarray:
     return state
 
 
-def _line(at: np.ndarray, values: np.ndarray, where: float) -> np.ndarray:
-    """Return values between two points, or beyond the last two, shape (frames,)."""
-    if len(at) == 1:
-        return values[:, 0]
-    k = int(np.clip(np.searchsorted(at, where) - 1, 0, len(at) - 2))
-    share = (where - at[k]) / max(at[k + 1] - at[k], 1e-9)
-    return np.asarray(values[:, k] + share * (values[:, k + 1] - values[:, k]))
-
-
 def _learn(seen: np.ndarray, start: np.ndarray, marks: Marks, prior: _Prior) -> None:
     """Find noise, means and spread of the lengths, and σ_ε, by expectation-maximisation on some frames."""
-    count = len(prior.mean)
-    swing = (-1.0) ** np.arange(count) / (2 * count)
+    count, swing = len(prior.mean), prior.swing
     for turn in range(_ROUNDS):
         state = start if prior.open is None else _turned(start, seen, marks, prior)
         fitted = _fit(state, seen, np.full(seen.shape, prior.noise**-2), marks, prior)
@@ -486,9 +461,9 @@ def _turned(start: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior) ->
     count = len(prior.mean)
     sign = (-1.0) ** np.arange(count)
     order = np.argsort(marks.station)
-    apart = np.abs(np.diff(seen[:, order], axis=1))
-    assert apart.shape[1] == count, "one marker at each connector"
-    alpha = np.unwrap(np.angle(-np.diff(seen[:, order], axis=1)), axis=1)
+    span = -np.diff(seen[:, order], axis=1)
+    assert span.shape[1] == count and prior.open is not None, "one marker at each connector"
+    alpha = np.unwrap(np.angle(span), axis=1)
     theta = np.empty((len(seen), count + 1))
     theta[:, 0] = alpha[:, 0]
     for j in range(count):
@@ -499,12 +474,10 @@ def _turned(start: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior) ->
     heading = theta[:, :1] - swing / 2
     spread = 2 * prior.noise**2 + prior.spread**2
     costs = []
-    assert prior.open is not None
     for epsilon in _STARTS:
-        arc, _ = _mean_direction(bend + 2 * sign * epsilon)
-        cosine = np.cos((bend + 2 * sign * epsilon) / 2)
-        length = prior.mean * np.abs(arc) + marks.geometry.rigid_gap * cosine
-        costs.append(((length - apart) ** 2).sum(axis=1) / spread + (epsilon / prior.open) ** 2)
+        turn = bend + 2 * sign * epsilon
+        length = prior.mean * np.abs(_mean_direction(turn)[0]) + marks.geometry.rigid_gap * np.cos(turn / 2)
+        costs.append(((length - np.abs(span)) ** 2).sum(axis=1) / spread + (epsilon / prior.open) ** 2)
     best = _STARTS[np.argmin(costs, axis=0)][:, None]
     state = start.copy()
     first = seen[:, order[0]]
@@ -517,8 +490,8 @@ def _turned(start: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior) ->
 
 def marker_arms(
     points: np.ndarray, missing: np.ndarray, places: Sequence[tuple[int, str]], names: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Return the markers' arms, and `points` and `missing` with pairs that had changed names set right.
+) -> np.ndarray:
+    """Return the arms of markers, shape (markers,), complex, m.
 
     A marker alone at its station has no arm. Two without a side lie on both sides of it, along or across the
     body; two of one name, as of a rigid body with its rotation, in any direction.
@@ -529,58 +502,43 @@ def marker_arms(
         places: station and side of each marker.
         names: of each.
 
-    Returns:
-        Shape (markers,), complex, m; shape of `points`; of `missing`; how many frames and pairs.
-
     Raises:
         InputError: more than two at a station, one side twice, or a pair askew.
     """
-    found, turned = np.zeros(len(places), dtype=complex), 0
-    points, missing = points.copy(), missing.copy()
-    stations = sorted({each for each, _ in places})
-    members = {station: [k for k, (at, _) in enumerate(places) if at == station] for station in stations}
-    centre = np.stack([points[:, members[station]].mean(axis=1) for station in stations], axis=1) @ [1, 1j]
-    for place, station in enumerate(stations):
-        which = members[station]
+    arms, place = np.zeros(len(places), dtype=complex), points @ [1, 1j]
+    members: dict[int, list[int]] = {station: [] for station in sorted({each for each, _ in places})}
+    for k, (station, _) in enumerate(places):
+        members[station].append(k)
+    centres = [place[:, which].mean(axis=1) for which in members.values()]
+    for k, which in enumerate(members.values()):
         if len(which) == 1:
             continue
         if len(which) > 2:
-            listed = ", ".join(names[k] for k in which)
+            listed = ", ".join(names[each] for each in which)
             raise InputError(
                 f"{len(which)} markers at one place of the body ({listed}); at most two are used"
             )
         a, b = which
-        apart = float(np.median(np.linalg.norm(points[:, a] - points[:, b], axis=-1)))
-        sides = [SIDES[places[k][1]] for k in which]
+        line = place[:, a] - place[:, b]
+        apart = float(np.median(np.abs(line)))
+        sides = [SIDES[places[each][1]] for each in which]
         if any(sides):
             if sides[0] == sides[1]:
                 raise InputError(f"{names[a]} and {names[b]} are on the same side of one connector")
             wide = abs(sides[0] - sides[1]) if all(sides) else 1
-            found[a], found[b] = (apart * side / wide for side in sides)
+            arms[which] = [apart * side / wide for side in sides]
             continue
-        body = centre[:, max(place - 1, 0)] - centre[:, min(place + 1, len(stations) - 1)]
-        line = (points[:, a] - points[:, b]) @ [1, 1j]
-        angle, both = np.angle(line / body), np.nonzero(~missing[:, which].any(axis=1))[0]
-        if both.size:
-            # Where one was not seen the names are those of the last frame before on which both were.
-            angle = angle[both[np.maximum(np.searchsorted(both, np.arange(len(angle)), "right") - 1, 0)]]
-        if names[a] == names[b]:
-            mean = float(np.angle(np.exp(1j * angle).mean()))
-        else:
-            # Of doubled angles: a line has no front end.
-            mean = float(np.angle(np.exp(2j * angle).mean()) / 2)
-            quarter = np.pi / 2 * np.rint(mean / (np.pi / 2))
-            if abs(mean - quarter) > _ASKEW:
+        turn = line / (centres[max(k - 1, 0)] - centres[min(k + 1, len(centres) - 1)])
+        both = ~missing[:, which].any(axis=1)
+        turn = turn[both] if both.any() else turn
+        angle = float(np.angle(np.exp(1j * np.angle(turn)).mean()))
+        if names[a] != names[b]:
+            quarter = np.pi / 2 * np.rint(angle / (np.pi / 2))
+            if abs(angle - quarter) > _ASKEW:
                 raise InputError(
-                    f"{names[a]} and {names[b]} lie {np.degrees(mean):.0f}° from the body; along it or "
+                    f"{names[a]} and {names[b]} lie {np.degrees(angle):.0f}° from the body; along it or "
                     "across it is wanted"
                 )
-            mean = float(quarter)
-            off = np.abs((angle - mean + np.pi) % (2 * np.pi) - np.pi) > np.pi / 2
-            if off.mean() > 0.5:
-                mean, off = mean + np.pi, ~off
-            for each in (points, missing):
-                each[off, a], each[off, b] = each[off, b], each[off, a].copy()
-            turned += int(off.sum())
-        found[a], found[b] = apart / 2 * np.exp(1j * mean), -apart / 2 * np.exp(1j * mean)
-    return found, points, missing, turned
+            angle = quarter
+        arms[which] = apart / 2 * np.exp(1j * angle) * np.array([1, -1])
+    return arms

@@ -65,8 +65,7 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     rows, ordered = order[kept], ordered[kept]
     if len(rows) < LEAST_FRAMES:
         raise InputError(f"{len(rows)} frames; a recording has {LEAST_FRAMES} or more")
-    ordered, rows = _on_grid(ordered, rows, period, notes)
-    return FrameGrid(ordered, rows, period, tuple(notes))
+    return FrameGrid(*_on_grid(ordered, rows, period, notes), period, tuple(notes))
 
 
 def _on_grid(
@@ -202,8 +201,7 @@ def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
         missing = np.isnan(points[:, track, 0])
         if not missing.any():
             continue
-        seen = ~missing
-        known = points[seen, track]
+        seen, known = ~missing, points[~missing, track]
         if way == "spline" and seen.sum() > 3:
             from scipy.interpolate import CubicSpline
 
