@@ -239,6 +239,7 @@ def convex(curve, noise: float = 0.004) -> StaticTable:
     return StaticTable("convex", fingerprint(bend), pressure, bend, np.full(bend.shape, noise))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "curve",
     [

@@ -228,6 +228,7 @@ def test_a_valve_that_sticks_comes_back_with_the_state():
     assert whole.pneumatics.stuck == stuck.pneumatics.stuck
 
 
+@pytest.mark.slow
 def test_a_state_that_unpacks_to_far_more_is_refused(tmp_path):
     np.savez_compressed(tmp_path / "state.npz", state="{}", zeros=np.zeros(1 << 26))
     assert (tmp_path / "state.npz").stat().st_size < 1 << 20

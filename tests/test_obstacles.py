@@ -54,6 +54,7 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
         assert reach < 0.2 - twin.spec.geometry.width / 2 + 0.001
 
 
+@pytest.mark.slow
 @met
 @pytest.mark.parametrize("wheels", ["rolling", "skid"])
 def test_floor_and_obstacles_together_move_the_centre_of_mass(name, wheels):

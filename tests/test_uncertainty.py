@@ -52,6 +52,7 @@ def test_numbers_follow_the_distribution_that_the_file_says(spread, expected):
     assert prior.at(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
 
 
+@pytest.mark.slow
 @given(sd=st.floats(1e-4, 10.0), share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
 def test_normal_numbers_stay_where_files_allow_them_and_rise_with_their_share(sd, share, more):
     (prior,) = Priors.of(robot(friction__mu_t={"kind": "normal", "sd": sd})).each
@@ -347,6 +348,7 @@ def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
     assert best["width"] < 0.9 * best["width_now"]
 
 
+@pytest.mark.slow
 def test_the_command_states_samples_errors_and_the_remedy(srs_twin, short, tmp_path):
     words = ("uncertainty", str(short()), "--samples", "16", "--workers", "1")
     shown = srs_twin(*words, cwd=tmp_path)

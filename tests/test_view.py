@@ -65,6 +65,7 @@ def test_side_by_side_holds_all_of_each(recordings, tmp_path):
         assert len(ours) > 20
 
 
+@pytest.mark.slow
 def test_the_viewer_shows_them_side_by_side(recordings, tmp_path):
     path = tmp_path / "both.rrd"
     write_side_by_side(path, recordings)

@@ -256,6 +256,7 @@ def killed_at_rename(number, call):
     return status != 0
 
 
+@pytest.mark.slow
 def test_a_changed_sweep_that_is_killed_leaves_files_of_one_sweep(tmp_path):
     """Where sweep.json marks a complete set, all of its files are of the same sweep."""
     sweeps = [
