@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fewer import default
 from snakes import chain
+from subsets import first_by_default
 from test_memory import go_on, same, scenario, started
 
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot
@@ -45,7 +45,7 @@ def copies(thing: Any) -> dict[str, Any]:
     return {name: way(thing) for name, way in WAYS.items()}
 
 
-@pytest.mark.parametrize("case", default(4, map(pytest.param, CASES)), ids="-".join)
+@pytest.mark.parametrize("case", first_by_default(4, map(pytest.param, CASES)), ids="-".join)
 def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
     plant, controller = started(scenario(*case), seed=5)
     go_on(plant, controller, 11)

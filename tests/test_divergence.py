@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fewer import default
 from snakes import robot, vented
+from subsets import first_by_default
 
 from srs_twin import (
     AnalyticalSnake,
@@ -272,7 +272,7 @@ def test_a_person_who_commands_one_tick_is_told_what_is_possible(value):
             plant.step(with_one(value))
 
 
-@pytest.mark.parametrize("spoil", default(4, [*TWIN, *LAG]))
+@pytest.mark.parametrize("spoil", first_by_default(4, [*TWIN, *LAG]))
 def test_a_spoilt_twin_ends_alone_in_its_batch(spoil):
     batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
     sound = run_batch(batch, lambda state: np.stack([vented(SPEC)] * 3), 0.2)

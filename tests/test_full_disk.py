@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from fewer import default
+from subsets import first_by_default
 
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
@@ -160,8 +160,8 @@ def test_two_runs_in_one_folder_do_not_disturb_each_other(tmp_path):
     }
 
 
-@pytest.mark.parametrize("words", default(1, [["schema"], ["--version"], ["--help"]]))
-@pytest.mark.parametrize("buffered", default(1, ["", "1"]))
+@pytest.mark.parametrize("words", first_by_default(1, [["schema"], ["--version"], ["--help"]]))
+@pytest.mark.parametrize("buffered", first_by_default(1, ["", "1"]))
 def test_a_full_disk_behind_stdout_is_no_fault_of_ours(words, buffered, tmp_path):
     script = Path(sys.executable).with_name("srs-twin")
     with open("/dev/full", "wb") as full:

@@ -93,9 +93,12 @@ def test_every_point_is_that_of_the_explicit_simulation(name):
 
 @pytest.mark.slow
 def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
-    twin, explicit = crawled("gen3_tail", 4, contact="loaded"), simulate(POINTS["gen3_tail"], 4)
+    """Speeds converge to it to first order in the step: 1 ms is 1.6 % too fast, half a millisecond 0.8 %."""
+    explicit = simulate(POINTS["gen3_tail"], 4)
+    twin, fine = (crawled("gen3_tail", 4, step, contact="loaded") for step in (0.001, 0.0005))
     assert twin.air > 0.05
-    assert twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.01)
+    assert 2 * fine.speed_mm_s - twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.005)
+    assert abs(fine.speed_mm_s - explicit.speed_mm_s) < 0.6 * abs(twin.speed_mm_s - explicit.speed_mm_s)
     assert abs(twin.air - explicit.air) < 0.02
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fewer import default
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
 from snakes import chain
+from subsets import first_by_default
 from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
@@ -59,7 +59,7 @@ def test_noise_is_all_that_noise_adds(tmp_path, layout):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", default(1, range(4)))
+@pytest.mark.parametrize("seed", first_by_default(1, range(4)))
 def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
     """Every sample that was measured is its own marker's; what is filled is flagged."""
     take = Take(layout=layout, swaps=30, lost=0.05, spikes=4, seed=seed)
@@ -73,7 +73,7 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", default(1, range(3)))
+@pytest.mark.parametrize("seed", first_by_default(1, range(3)))
 def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
     found = recorded(tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed))
     place, _, _, measured = errors(found, motion())
@@ -99,7 +99,7 @@ def test_curvature_has_no_jump(tmp_path, layout):
     assert np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max() < 1.5 * fastest + 0.1
 
 
-@pytest.mark.parametrize("rate", default(1, [120.0, 30.0, 60.0, 240.0]))
+@pytest.mark.parametrize("rate", first_by_default(1, [120.0, 30.0, 60.0, 240.0]))
 def test_any_frame_rate(tmp_path, rate):
     found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
     assert found.summary.rate_hz == pytest.approx(rate, rel=1e-6)
@@ -110,7 +110,7 @@ def test_any_frame_rate(tmp_path, rate):
 
 
 @pytest.mark.parametrize("up", MAPS)
-@pytest.mark.parametrize("unit", default(1, ["mm", "cm", "m", "in", "ft"]))
+@pytest.mark.parametrize("unit", first_by_default(1, ["mm", "cm", "m", "in", "ft"]))
 def test_axes_and_units_make_no_difference(tmp_path, up, unit):
     """Found, not given: every map is a rotation, so no bend changes its sign."""
     found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))

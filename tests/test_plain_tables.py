@@ -336,3 +336,13 @@ def test_epoch_of_a_motion_is_kept(tmp_path):
     found = read_motion(path, SPEC)
     assert found.epoch_ns == 1_700_000_000 * 10**9
     assert found.trajectory.time[0] == pytest.approx(0)
+
+
+def test_positions_in_pixels_are_scaled_or_their_scale_is_asked_for(tmp_path):
+    path = tmp_path / "video.csv"
+    rows = "".join(f"{k / 50},{10 + k},20,{110 + k},20\n" for k in range(50))
+    path.write_text("time,a_x,a_y,b_x,b_y\n" + rows)
+    found = read_markers(path, unit="px", scale_m=0.001)
+    assert found.points[0].tolist() == [[0.01, 0.02], [0.11, 0.02]]
+    with pytest.raises(InputError, match=r"video\.csv: units px need scale_m"):
+        read_markers(path, unit="px")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fewer import default
 from recorded import RATE, SPEC, motion, recorded, true_at
 from snakes import chain
+from subsets import first_by_default
 from synthetic_takes import Take, markers, stretched
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
@@ -58,7 +58,7 @@ def test_markers_by_anybodys_names(tmp_path):
 
 
 @pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
-@pytest.mark.parametrize("share", default(1, [0.25, 0.0]))
+@pytest.mark.parametrize("share", first_by_default(1, [0.25, 0.0]))
 def test_segments_that_stretch(tmp_path, layout, share):
     truth = stretched(motion(), share)
     found = recorded(tmp_path, Take(layout=layout), truth)

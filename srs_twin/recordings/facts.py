@@ -35,12 +35,12 @@ class _Facts(Strict):
 
 
 class MarkerFacts(_Facts):
-    """A column of positions, as detected: whether it is of the robot is not decided here."""
+    """A marker or a rigid body as it was detected, on the robot or not."""
 
     name: str
     """Name of the column."""
     rigid_body: bool
-    """Whether it is the end of an axis of a rigid body, which has two."""
+    """Whether it is a rigid body with a rotation; the position is then that of the body."""
     coverage: Ratio
     """Share of the frames on which it was detected."""
     gaps: Count

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from fewer import default
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plan_sampling import TOUCH, deepest, misses
+from subsets import first_by_default
 from witnessed_worlds import bodies, walls
 
 from srs_twin.planning import load_footprint, plan
@@ -90,7 +90,7 @@ def test_an_arc_of_the_search_is_as_wide_as_the_checker_has_it(seed, one, other,
             break
 
 
-@pytest.mark.parametrize("ratio", default(1, [1.05, 1.3]))
+@pytest.mark.parametrize("ratio", first_by_default(1, [1.05, 1.3]))
 @pytest.mark.parametrize("name", bodies())
 def test_ways_through_narrow_gaps_are_found(name, ratio):
     """Two walls from bound to bound, each with one gap, 1.05 or 1.3 times as wide as the straight body."""

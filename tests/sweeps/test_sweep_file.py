@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from conftest import ROOT
-from fewer import default
 from small import SMALL, write
+from subsets import first_by_default
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import shipped_names
@@ -22,7 +22,7 @@ def test_a_grid_of_documents(tmp_path):
     assert scenario.robot == load_scenario("gen2_straight").robot
 
 
-@pytest.mark.parametrize("name", default(5, shipped_names("sweep")))
+@pytest.mark.parametrize("name", first_by_default(5, shipped_names("sweep")))
 def test_shipped_sweeps_load(name):
     assert len(load_sweep(name).points) > 1
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from conftest import ROOT
-from fewer import default
 from small import SMALL, execute, write
+from subsets import first_by_default
 
 import srs_twin
 from srs_twin.errors import InputError
@@ -130,7 +130,7 @@ def test_an_edited_source_is_named_and_its_rows_are_run_again(tmp_path):
     assert again.returncode == 0 and "2 of 2 rows are there already" in again.stderr
 
 
-@pytest.mark.parametrize("name", default(2, READ_BY_A_RUN))
+@pytest.mark.parametrize("name", first_by_default(2, READ_BY_A_RUN))
 def test_all_that_a_run_reads_and_calls_is_in_its_key(name):
     """Seen while it runs: the files that it opens and the sources of the functions that it calls."""
     document = {**({} if name == "replay" else load_scenario(name).document), **READ_BY_A_RUN[name]}

@@ -57,8 +57,11 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         values, notes = table.read(chosen)
         time = np.arange(len(values)) / float(rate_hz or 1.0)
         notes.append(f"frames counted, {rate_hz:g} a second")
+    if unit == "px" and not unstated.scale_m:
+        raise file.error("units px need scale_m, the size of a pixel in m")
     if unit:
-        values = values * np.array([1.0 if each.unit else LENGTHS[unit] for each in chosen])
+        factor = unstated.scale_m if unit == "px" else LENGTHS[unit]
+        values = values * np.array([1.0 if each.unit else factor for each in chosen])
     timed = [clock] if clock is not None else []
     units = sorted({each.unit or unit or "" for each in [*timed, *chosen]} - {"", "m", "s"})
     if units:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 
-def default(count: int, values: Iterable[Any]) -> list[Any]:
+def first_by_default(count: int, values: Iterable[Any]) -> list[Any]:
     """Return the values, marked slow after the first `count`; a tuple holds several arguments."""
     values = list(values)
     return values[:count] + [_slow(value) for value in values[count:]]
