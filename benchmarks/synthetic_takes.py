@@ -40,7 +40,7 @@ class Take:
         spikes: how many positions are far off.
         fragments: a marker that was lost comes back in a column of its own, as Motive does it.
         labeled: columns are named after connectors; otherwise they are unlabeled and in any order.
-        unit: of length, one of `LENGTHS`.
+        unit: of length, one that Motive exports.
         up: axis that points up, one of `floor.MAPS`.
         digits: after the point.
         seed: of all that is random.
@@ -68,7 +68,7 @@ class Take:
     def __post_init__(self) -> None:
         for name, value, allowed in (
             ("layout", self.layout, LAYOUTS[1:]),
-            ("unit", self.unit, tuple(LENGTHS)),
+            ("unit", self.unit, tuple(MOTIVE_LENGTHS.values())),
             ("up", self.up, tuple(MAPS)),
         ):
             one_of(name, value, allowed)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from grid import table
 from scipy.interpolate import CubicSpline
-from synthetic_takes import LENGTHS, MAPS, Take, stretched, write_motive
+from synthetic_takes import MAPS, MOTIVE_LENGTHS, Take, stretched, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, TwinSnake, load_robot, rollout
 from srs_twin.identification import read_motion
@@ -68,7 +68,7 @@ def draw(seed: int, noise: float, plant: str) -> Drawn:
         layout=layout, apart=random.uniform(0.015, 0.03), across=random.random() < 0.5, noise=noise,
         rate_hz=float(random.integers(60, 361)), swaps=int(random.integers(0, 20)),
         lost=random.uniform(0, 0.05), spikes=int(random.integers(0, 6)),
-        unit=str(random.choice(list(LENGTHS))), up=str(random.choice(list(MAPS))), digits=7,
+        unit=str(random.choice(list(MOTIVE_LENGTHS.values()))), up=str(random.choice(list(MAPS))), digits=7,
         seed=seed, labeled=random.random() < 0.3,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:

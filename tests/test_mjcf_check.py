@@ -315,7 +315,8 @@ def test_a_mesh_of_a_package_is_refused_with_the_remedy(tmp_path):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("robt.urdf", "unknown robot or model file 'robt.urdf'; did you mean robot.urdf? (available: gen1, "),
+        ("robt.urdf", "robt.urdf: no such file; did you mean robot.urdf?"),
+        ("robot", "unknown robot or model file 'robot'; did you mean robot.urdf? (available: gen1, "),
         ("gen22", "unknown robot or model file 'gen22'; did you mean gen2? (available: gen1, "),
         ("./robt.urdf", "robt.urdf: no such file; did you mean robot.urdf?"),
         ("nothing_alike", "unknown robot or model file 'nothing_alike' (available: gen1, "),

@@ -104,7 +104,7 @@ def _find(model: str) -> tuple[Path, str | None]:
     names = shipped_names("robot")
     if model in names:
         return data_root() / "models" / model / "scene.xml", model
-    if "/" not in model and not os.path.lexists(model):
+    if not (Path(model).suffix in MODEL_SUFFIXES or "/" in model or os.path.lexists(model)):
         files = [path.name for path in Path().glob("*") if path.suffix in MODEL_SUFFIXES]
         raise UnknownNameError("robot or model file", model, [*names, *files])
     return Path(model), None

@@ -38,7 +38,7 @@ TYPED = [
     ("diff a b", "a: no such file"),
     ("models export gen7", "unknown robot 'gen7'; did you mean gen"),
     ("models export gen2 --contact loaded", "no MJCF file carries"),
-    ("models check model.xml", "unknown robot or model file 'model.xml' (available: gen1"),
+    ("models check model.xml", "model.xml: no such file; give an MJCF or URDF file"),
     ("models check ./model.xml", "give an MJCF or URDF file, or the name of a shipped robot"),
     ("play gen22", "unknown robot 'gen22'; did you mean gen2?"),
     ("play gen2 --set controller.offset=0.1", "play has no scenario; set a field of robot"),

@@ -165,8 +165,9 @@ def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
     if abs(mean) <= 1e-3:
         notes.append(f"markers lie at height 0: that {up} points up, not down, is assumed")
     # Too few columns to have quantiles: the highest and the lowest.
-    heights = np.nanmedian(points @ normal, axis=0) if points.ndim > 2 else np.zeros(1)
-    if tilt > _LEVEL or tilt * np.nanmax(heights) - tilt * np.nanmin(heights) > _SHIFT:
+    ever = np.isfinite(points).any(axis=(0, -1))
+    heights = np.nanmedian(points[:, ever] @ normal, axis=0) if points.ndim > 2 else np.zeros(1)
+    if tilt > _LEVEL or tilt * np.ptp(heights) > _SHIFT:
         points = (points - centre) @ _turn(normal, axis).T + centre
         notes.append(f"levelled by {np.degrees(tilt):.1f}°")
     return up, points, notes
