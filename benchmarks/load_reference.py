@@ -26,7 +26,6 @@ import yaml
 
 ROBOTS = Path(__file__).parents[1] / "calibration/robots"
 G = 9.81
-GYRATION_M = 0.005
 SLIP_M_S = 0.0003
 AXLE_M_S = 0.00006
 HINGES, LINK_SHARE = 2, 0.02
@@ -129,6 +128,9 @@ def numbers(point: Point) -> dict[str, Any]:
         found["connectors_kg"] = [found["connectors_kg"]] * found["connectors"]
     if point.stiffness is not None:
         found["stiffness_nm_per_rad"] = point.stiffness
+    found.setdefault(
+        "gyration_m", math.sqrt((found["rigid_gap_m"] ** 2 + 4 * found["half_track_m"] ** 2) / 12)
+    )
     # Axles: place in the list of connectors, how far behind, mass they carry.
     found["tail"], found["axles"] = point.tail, [(i, 0.0, m) for i, m in enumerate(found["connectors_kg"])]
     if point.tail is not None:
@@ -145,7 +147,7 @@ def mjcf(n: dict[str, Any], step: float) -> str:
     wheel, link = n["wheel_kg"], LINK_SHARE * min(n["connectors_kg"])
 
     def inertial(x: float, mass: float, wheels: float = 0.0) -> str:
-        about = mass * GYRATION_M**2
+        about = mass * n["gyration_m"] ** 2
         across = about + wheels * (track**2 + radius**2 / 4)
         return f'<inertial pos="{x} 0 0" mass="{mass + wheels}" diaginertia="{across} {about} {across}"/>'
 

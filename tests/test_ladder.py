@@ -123,8 +123,9 @@ def test_lumped_inertia_is_the_texts(inertia):
     spec = chain(MASSES, mu_t=0.0, mu_n=0.0)
     own = {
         "point": np.zeros(5),
-        # A compact body of 5 mm gyration and two wheels of 1.5 g and 8 mm at ± 15 mm.
-        "connector": (np.array(MASSES) - 0.003) * 0.005**2 + 0.003 * (0.015**2 + 0.008**2 / 4),
+        # A block of 18 mm by 30 mm and two wheels of 1.5 g and 8 mm at ± 15 mm.
+        "connector": (np.array(MASSES) - 0.003) * (0.018**2 + 0.03**2) / 12
+        + 0.003 * (0.015**2 + 0.008**2 / 4),
         "lumped": np.array([0.03, 2 * 0.05, 2 * 0.02, 2 * 0.04, 0.1]) * 0.055**2 / 3,
     }
     wave = Wave(spec, bias=0.3)

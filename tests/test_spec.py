@@ -219,3 +219,17 @@ def test_derived_quantities():
     assert robot.mass.total == pytest.approx(0.15)
     assert robot.bending.damping == pytest.approx(robot.bending.stiffness * robot.actuator.tau_mode)
     assert robot.friction == Friction(mu_t=0.043, mu_n=0.57)
+
+
+def test_a_connector_turns_like_a_block_unless_its_gyration_is_given():
+    spec = load_robot("gen2")
+    g = spec.geometry
+    assert spec.connector_gyration == pytest.approx(math.sqrt((g.rigid_gap**2 + 4 * g.half_track**2) / 12))
+    given = dataclasses.replace(spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005))
+    assert given.connector_gyration == 0.005
+    assert (given.yaw_inertia() < spec.yaw_inertia()).all()
+
+
+def test_a_robot_file_may_give_the_connectors_gyration(write):
+    number = {"value": 0.007, "unit": "m", "status": "measured", "source": "a swing"}
+    assert load_robot(write({"mass.connector_gyration_m": number})).connector_gyration == 0.007

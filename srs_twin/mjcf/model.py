@@ -23,7 +23,7 @@ from srs_twin.mjcf.classes import add_classes, drawn_height
 from srs_twin.mjcf.numerics import Numerics, hinge_stations
 from srs_twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
 from srs_twin.mjcf.wheels import add_contacts, add_drag, add_feet, add_preload, add_wheels, fixed_inertia
-from srs_twin.robot.spec import GRAVITY, GYRATION, RobotSpec
+from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.world import World
 
 
@@ -131,11 +131,13 @@ def _set_options(mj: MjSpec, numerics: Numerics) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _set_inertia(body: MjsBody, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0) -> None:
-    """Give a body a compact mass at x (m), and the mass and inertia of what is fixed to it there."""
+def _set_inertia(
+    body: MjsBody, spec: RobotSpec, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0
+) -> None:
+    """Give a body a mass with a connector's gyration at x (m), and what is fixed to it there (kg, kg·m²)."""
     body.mass = mass + extra[0]
     body.ipos = [x, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
-    body.inertia = np.full(3, mass * GYRATION**2) + extra[1]
+    body.inertia = np.full(3, mass * spec.connector_gyration**2) + extra[1]
     body.explicitinertial = True
 
 
@@ -154,7 +156,7 @@ def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics:
         body.mass, body.inertia = mass - links, np.full(3, mass * spec.tail.gyration**2)
         body.ipos, body.explicitinertial = [-spec.tail.com, 0, spec.tail.com_height - g.com_height], True
     else:
-        _set_inertia(body, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, numerics))
+        _set_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, numerics))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
     if numerics.base == "free":
         add_wheels(mj, body, spec, i, numerics)
@@ -190,7 +192,7 @@ def _add_segment(
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
         else:
             end = ahead * (hinges[k + 1] - hinges[k])
-            _set_inertia(body, _link_mass(spec, numerics), x=end / 2)
+            _set_inertia(body, spec, _link_mass(spec, numerics), x=end / 2)
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", 0.0, end)
     return body
 

@@ -160,6 +160,9 @@ class MassFile(Records):
     """Mass at a connector with its wheels and its share of the body; one for all, or a list, head first."""
     wheel_kg: Number = number(1e-6, 100.0)
     """Mass of one wheel, part of its connector's."""
+    connector_gyration_m: Number | None = number(1e-4, 1.0, optional=True)
+    """Radius of gyration of a connector without its wheels (default: of a uniform block as long as the rigid gap and
+    as wide as the track)."""
 
 
 class FrictionFile(Records):
@@ -306,7 +309,7 @@ class RobotFile(Strict):
             name=self.name,
             title=self.title,
             geometry=Geometry(**self.geometry.in_si()),
-            mass=Mass(connectors=tuple(self.masses()), wheel=self.mass.wheel_kg.value),
+            mass=Mass(**self.mass.in_si() | {"connectors": tuple(self.masses())}),
             friction=Friction(**self.friction.in_si()),
             bending=Bending(**self.bending.in_si()),
             actuator=Actuator(**{"bend_limit": math.inf, "onset_share": float(zone)} | actuator, gain=gain),

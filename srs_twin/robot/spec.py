@@ -144,9 +144,6 @@ class Geometry:
         return self.segments * self.pitch
 
 
-GYRATION = 0.005
-"""Radius of gyration of a connector without its wheels, m: near the text's point mass."""
-
 WHEEL_SHARE = 0.9
 """Most of a connector's mass that its two wheels may make up."""
 
@@ -158,13 +155,16 @@ class Mass:
     Attributes:
         connectors: mass at each connector with its wheels, head first, shape (N,), kg.
         wheel: mass of one wheel, part of its connector's mass, kg.
+        connector_gyration: radius of gyration of a connector without its wheels, m; None: derived, see
+            `RobotSpec.connector_gyration`.
     """
 
     connectors: tuple[float, ...]
     wheel: float
+    connector_gyration: float | None = None
 
     def __post_init__(self) -> None:
-        _positive(self, "wheel")
+        _positive(self, "wheel", *(["connector_gyration"] if self.connector_gyration is not None else []))
         for i, mass in enumerate(self.connectors, start=1):
             _require(math.isfinite(mass) and mass > 0, f"mass of connector {i}", mass, "it must be above 0")
             heaviest = WHEEL_SHARE * mass / 2
@@ -390,11 +390,22 @@ class RobotSpec:
             each += [last._replace(mass=share * last.mass, behind=self.tail.axle)]
         return tuple(each)
 
+    @property
+    def connector_gyration(self) -> float:
+        """Radius of gyration of a connector without its wheels, m.
+
+        Where the robot file gives none, that of a uniform block as long as the rigid gap and as wide as the
+        track: √((L_o² + (2 w)²)/12).
+        """
+        g = self.geometry
+        derived = math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
+        return derived if self.mass.connector_gyration is None else self.mass.connector_gyration
+
     def yaw_inertia(self) -> np.ndarray:
         """Return each connector's moment of inertia about its own vertical, wheels included, (N,), kg·m²."""
         wheel, g = self.mass.wheel, self.geometry
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
-        inertia: np.ndarray = (self.mass.array() - 2 * wheel) * GYRATION**2 + wheels
+        inertia: np.ndarray = (self.mass.array() - 2 * wheel) * self.connector_gyration**2 + wheels
         return inertia
 
 
