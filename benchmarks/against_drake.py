@@ -151,7 +151,7 @@ class Snake:
         neighbours, drop = 1 if i in (0, n["connectors"] - 1) else 2, n["com_height_m"] - radius
         links = neighbours / 2 * reference.LINK_SHARE * min(n["connectors_kg"])
         mass = n["connectors_kg"][i] - 2 * wheel - links
-        about, disc = mass * n["gyration_m"] ** 2, wheel * radius**2 / 4
+        about, disc = mass * n["connector_gyration_m"] ** 2, wheel * radius**2 / 4
         across = about + 2 * (wheel * track**2 + disc)
         if axles:  # what the wheels, which hang lower, leave of the same connector
             rise = 2 * wheel / mass * drop
@@ -177,7 +177,9 @@ class Snake:
         length, gap = n["segment_length_m"], n["rigid_gap_m"]
         half, front, rear = (length + gap) / 2, gap / 2 + length * edge, gap / 2 + length * (1 - edge)
         mass = reference.LINK_SHARE * min(n["connectors_kg"])
-        link = self._body(f"l{i}", mass, (mass * n["gyration_m"] ** 2,) * 3, ((front - rear) / 2, 0, 0))
+        link = self._body(
+            f"l{i}", mass, (mass * n["connector_gyration_m"] ** 2,) * 3, ((front - rear) / 2, 0, 0)
+        )
         bent, pitched = (self.plant.AddRigidBody(f"{name}{i}") for name in ("bent", "pitched"))
         bend = (0, 0, -1), reference.HINGES * n["stiffness_nm_per_rad"], n["damping_time_s"]
         pitch, roll = n["pitch_stiffness_nm_per_rad"], n["roll_stiffness_nm_per_rad"]

@@ -129,7 +129,7 @@ def numbers(point: Point) -> dict[str, Any]:
     if point.stiffness is not None:
         found["stiffness_nm_per_rad"] = point.stiffness
     found.setdefault(
-        "gyration_m", math.sqrt((found["rigid_gap_m"] ** 2 + 4 * found["half_track_m"] ** 2) / 12)
+        "connector_gyration_m", math.sqrt((found["rigid_gap_m"] ** 2 + 4 * found["half_track_m"] ** 2) / 12)
     )
     # Axles: place in the list of connectors, how far behind, mass they carry.
     found["tail"], found["axles"] = point.tail, [(i, 0.0, m) for i, m in enumerate(found["connectors_kg"])]
@@ -147,7 +147,7 @@ def mjcf(n: dict[str, Any], step: float) -> str:
     wheel, link = n["wheel_kg"], LINK_SHARE * min(n["connectors_kg"])
 
     def inertial(x: float, mass: float, wheels: float = 0.0) -> str:
-        about = mass * n["gyration_m"] ** 2
+        about = mass * n["connector_gyration_m"] ** 2
         across = about + wheels * (track**2 + radius**2 / 4)
         return f'<inertial pos="{x} 0 0" mass="{mass + wheels}" diaginertia="{across} {about} {across}"/>'
 

@@ -161,8 +161,8 @@ class MassFile(Records):
     wheel_kg: Number = number(1e-6, 100.0)
     """Mass of one wheel, part of its connector's."""
     connector_gyration_m: Number | None = number(1e-4, 1.0, optional=True)
-    """Radius of gyration of a connector without its wheels (default: of a uniform block as long as the rigid gap and
-    as wide as the track)."""
+    """Radius of gyration of a connector without its wheels (default: of a uniform block as long as the rigid
+    gap and as wide as the track)."""
 
 
 class FrictionFile(Records):
