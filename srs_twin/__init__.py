@@ -13,6 +13,9 @@ __version__ = "0.1.0"
 _HOME = {
     "AnalyticalSnake": "srs_twin.plants.analytical",
     "TwinSnake": "srs_twin.plants.twin",
+    "LoadedContact": "srs_twin.mjcf.numerics",
+    "PreloadedContact": "srs_twin.mjcf.numerics",
+    "Numerics": "srs_twin.mjcf.numerics",
     "TwinBatch": "srs_twin.plants.batch",
     "Plant": "srs_twin.plants.base",
     "SnakeState": "srs_twin.plants.base",

@@ -25,7 +25,7 @@ import numpy as np
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.mjcf.numerics import LAW_OF, PRELOAD, LawOnLoads, Numerics
+from srs_twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, Wheels
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, rollout, run_many
@@ -137,7 +137,7 @@ class Ladder:
 
     def _all_switches(self) -> list[Switch]:
         model, twin, spec = self._model, self._twin, self._scenario.robot
-        law, lag = self._law, spec.bending.damping_time
+        law, lag = self._twin.law, spec.bending.damping_time
         point = model.friction not in LAW_OF.values()
         springs = model.model != "compliant"
         damped = springs and lag != spec.actuator.tau_mode
@@ -160,53 +160,56 @@ class Ladder:
 
     def _contact_refinements(self) -> list[Refinement]:
         """Return those of how the floor holds the twin."""
-        if self._twin.contact == "preloaded":
-            numerics = Numerics(wheels=self._twin.wheels, preload=PRELOAD[self._twin.wheels])
-            softness = {
-                "slip_time": numerics.slip_time / 2,
-                "axle_time": numerics.axle_time / 2,
-                "preload": 2 * numerics.preload,
-            }
-            return [Refinement("contact softness", "contacts that slip before they hold", softness, 2.0)]
-        shared = {"load": "across" if self._model.load == "momentary" else "static"}
+        contact = self._twin.build_contact()
+        if isinstance(contact, PreloadedContact):
+            stiffer = replace(
+                contact,
+                slip_time=contact.slip_time / 2,
+                axle_time=contact.axle_time / 2,
+                preload=2 * contact.pressed,
+            )
+            title = "contacts that slip before they hold"
+            return [Refinement("contact softness", title, {"contact": stiffer}, 2.0)]
+        models = "across" if self._model.load == "momentary" else "static"
+        shared = {"contact": replace(contact, load=models)}
         loads = Refinement(
             "loads that follow the motion",
             "friction on what presses a wheel, not on the model's loads",
             shared,
             1.0,
         )
-        bodies = {law: wheels for wheels, law in LAW_OF.items()}.get(self._law)
-        if bodies is None or self._scenario.world.uneven:
+        bodies: dict[str, Wheels] = {"wheel": "rolling", "ellipse": "skid"}
+        if contact.law not in bodies or self._scenario.world.uneven:
             return [loads]
-        static = {"load": "static"}
-        pressed = {"contact": "preloaded", "friction": None, "wheels": bodies}
+        static = {"contact": replace(contact, load="static")}
+        pressed = {"contact": PreloadedContact(bodies[contact.law])}
         solver = Refinement(
             "friction solver", "a law that holds, against MuJoCo's own friction", pressed, 1.0, base=static
         )
         return [loads, solver]
 
-    @property
-    def _law(self) -> LawOnLoads:
-        """Return the twin's friction law."""
-        return self._twin.friction or LAW_OF[self._twin.wheels]
-
     def _refinements(self) -> list[Refinement]:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
-        arcs = {"constant_curvature": True}
+        arcs = {"numerics": Numerics(constant_curvature=True)}
         model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
         finer = arcs | {"hinges_per_segment": 2 * hinges}
-        lighter = {"link_share": Numerics.link_share / 2}
+        lighter = {"numerics": Numerics(link_share=Numerics.link_share / 2)}
         # Axles need inertia, and the preloaded twin is of first order in its step; the loaded one is neither.
         loaded = self._twin.contact == "loaded"
-        less, most = ({"wheel_spin": 0.0}, 1.0) if loaded else ({"wheel_spin": 0.25}, 4 / 3)
-        spin = Refinement("wheel inertia", "wheels' inertia about their axles", less, most)
+        left, most = (0.0, 1.0) if loaded else (0.25, 4 / 3)
+        spin = Refinement(
+            "wheel inertia",
+            "wheels' inertia about their axles",
+            {"numerics": Numerics(wheel_spin=left)},
+            most,
+        )
         rigid = Refinement("out-of-plane motion", "segments that pitch and roll", {}, 4 / 3)
         hinged = f"{hinges} hinges a segment for an arc"
         model_step = "the model's time step and slip speed"
         return [
             Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
             Refinement("bending discretisation", hinged, finer, 4 / 3, base=arcs),
-            *([spin] if self._law != "ellipse" else []),
+            *([spin] if self._twin.law != "ellipse" else []),
             *self._contact_refinements(),
             replace(rigid, change=_stiffer_out_of_plane),
             Refinement("link mass", "mass between the hinges", lighter, 2.0),
@@ -366,7 +369,8 @@ def _variants(ladder: Ladder, sets: Sequence[frozenset[str]]) -> dict[str, Calla
 def _key(switched: frozenset[str] | Mapping[str, Any]) -> str:
     """Return a name for the model with these switches on, or for the twin with these arguments."""
     plant = "model" if isinstance(switched, frozenset) else "twin"
-    return f"{plant} with {', '.join(sorted(switched))}"
+    names = switched if isinstance(switched, frozenset) else map(str, switched.items())
+    return f"{plant} with {', '.join(sorted(names))}"
 
 
 def _run_all(

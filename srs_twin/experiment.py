@@ -192,8 +192,8 @@ class PreparedRun:
         if cause is not None:
             metrics["cause"] = cause
         twin = scenario.file.plants.twin
-        if "twin" in trajectories and twin and twin.other_than_reference:
-            metrics["preset"] = twin.other_than_reference
+        if "twin" in trajectories and twin and twin.searched_with:
+            metrics["preset"] = twin.searched_with
         # What was said of a plant that the scenario names and nobody asked to run is not missed.
         there = {*trajectories, *(["comparison"] if comparison else ())}
         asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]

@@ -33,11 +33,10 @@ def export(
     """
     from srs_twin.io.files import open_folder, printable, shipped_names
     from srs_twin.mjcf.export import SCENE, export_robot
-    from srs_twin.mjcf.numerics import CONTACTS
+    from srs_twin.mjcf.numerics import as_contact
     from srs_twin.robot.spec import load_robot
 
-    one_of("--contact", contact, CONTACTS)
-    if contact != "preloaded":
+    if as_contact(contact).name != "preloaded":
         raise InputError(
             "--contact loaded is not allowed: its friction is a law of srs_twin's own, which no MJCF file "
             "carries; without it the snake would slide freely. Only preloaded can be written"

@@ -11,7 +11,7 @@ import numpy as np
 
 from srs_twin.comparison.sampling import segment_lengths
 from srs_twin.geometry import chord
-from srs_twin.mjcf.numerics import Numerics, hinge_stations
+from srs_twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
@@ -84,7 +84,7 @@ def hull_lines(trajectory: Trajectory) -> np.ndarray:
         InputError: the lengths are not there.
     """
     theta, position = trajectory.stack("theta"), trajectory.position
-    hinges = trajectory.metadata.get("hinges_per_segment", Numerics.hinges_per_segment)
+    hinges = trajectory.metadata.get("hinges_per_segment", ModelSettings.hinges_per_segment)
     length, gap = segment_lengths(trajectory)
     pieces = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
     part = np.linspace(0.0, 1.0, hinges + 1)

@@ -14,7 +14,7 @@ import mujoco
 
 from srs_twin.io.file_sets import replaced
 from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
-from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.numerics import ModelSettings, PreloadedContact
 from srs_twin.robot.spec import RobotSpec
 
 SCENE = "scene.xml"
@@ -50,8 +50,8 @@ def robot_files(spec: RobotSpec) -> dict[str, str]:
     """Return the text of a robot's MJCF files by file name."""
     # A chain of one segment does not crawl: it is a module on a bench.
     bench = spec.segments == 1
-    numerics = Numerics(base="clamped" if bench else "free")
-    robot, scene = robot_mjcf(spec, numerics), scene_mjcf(spec, numerics)
+    settings = ModelSettings(contact=PreloadedContact(), base="clamped" if bench else "free")
+    robot, scene = robot_mjcf(spec, settings), scene_mjcf(spec, settings)
     robot.comment = _comment(
         f"{spec.title}.",
         f"Generated from the robot '{spec.name}' (shipped ones: calibration/robots) by",

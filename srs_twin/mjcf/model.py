@@ -6,8 +6,8 @@ with two real hinge wheels or two skids (`wheels`); a segment is a chain of n eq
 that the floor's load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
 ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose length is the segment's bend q_j.
 
-On a bench (`Numerics.base` "clamped") the head is fixed to the world and there is no floor: no wheels, no
-preload, no hinges out of the plane, in which gravity does no work.
+On a bench (`ModelSettings.base` "clamped") the head is fixed to the world and there is no floor: no wheels,
+no preload, no hinges out of the plane, in which gravity does no work.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mujoco import MjsBody, MjsJoint, MjSpec
 
 from srs_twin.errors import InputError
 from srs_twin.mjcf.classes import add_classes, drawn_height
-from srs_twin.mjcf.numerics import Numerics, hinge_stations
+from srs_twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact, hinge_stations
 from srs_twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
 from srs_twin.mjcf.wheels import add_contacts, add_drag, add_feet, add_preload, add_wheels, fixed_inertia
 from srs_twin.robot.spec import GRAVITY, RobotSpec
@@ -28,13 +28,13 @@ from srs_twin.world import World
 
 
 def robot_mjcf(
-    spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None, hull: bool = False
+    spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, hull: bool = False
 ) -> MjSpec:
     """Build the robot: bodies, joints, tendons and actuators, no floor.
 
     Args:
         spec: the robot.
-        numerics: time step, discretisation, contact.
+        settings: time step, discretisation, contact.
         supply_pa: upper end of the controls' range, Pa; no less than what a chamber may hold.
         hull: whether it has a body that touches obstacles (`surroundings`).
 
@@ -42,42 +42,42 @@ def robot_mjcf(
         InputError: the time step is too long for the robot's damping time, or its tail has two axles and the
             contact is not "loaded".
     """
-    if spec.tail is not None and numerics.contact != "loaded":
+    if spec.tail is not None and not isinstance(settings.contact, LoadedContact):
         raise InputError("a tail on two axles needs contact 'loaded': pressed down it could not lift")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
-    if not numerics.timestep < shortest:
+    if not settings.timestep < shortest:
         raise InputError(
-            f"time step {numerics.timestep:g} s is too long for segments with a damping time c/k of "
+            f"time step {settings.timestep:g} s is too long for segments with a damping time c/k of "
             f"{shortest:g} s; it must be shorter"
         )
     mj = MjSpec()
     mj.modelname = spec.name
     mj.compiler.degree = False
     mj.compiler.autolimits = True
-    _set_options(mj, numerics)
+    _set_options(mj, settings)
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
-    add_classes(mj, spec, numerics, limit_pa=limit)
+    add_classes(mj, spec, settings, limit_pa=limit)
     if hull:
-        add_hull_class(mj, spec, numerics)
-    free = numerics.base == "free"
+        add_hull_class(mj, spec, settings)
+    free = settings.base == "free"
     middle = root_connector(spec) if free else 1
     place = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
     root = mj.worldbody.add_body(name=f"connector_{middle}", pos=[place, 0, spec.geometry.com_height])
     if free:
         root.add_freejoint(name="root")
-    _add_connector(mj, root, spec, middle, numerics)
+    _add_connector(mj, root, spec, middle, settings)
     for step, end in ((1, spec.geometry.connectors), (-1, 1)):
         body = root
         for i in range(middle, end, step):
-            body = _add_segment(mj, body, spec, i, i + step, numerics)
-            _add_connector(mj, body, spec, i + step, numerics)
+            body = _add_segment(mj, body, spec, i, i + step, settings)
+            _add_connector(mj, body, spec, i + step, settings)
     for j in range(1, spec.segments + 1):
-        _add_muscles(mj, spec, j, numerics)
-        if numerics.constant_curvature:
-            _bend_alike(mj, j, numerics)
+        _add_muscles(mj, spec, j, settings)
+        if settings.numerics.constant_curvature:
+            _bend_alike(mj, j, settings)
     if free:
-        if numerics.contact == "preloaded":
-            add_preload(mj, spec, numerics)
+        if isinstance(settings.contact, PreloadedContact):
+            add_preload(mj, spec, settings.contact)
         if spec.friction.drag > 0.0:
             add_drag(mj, spec)
         add_feet(mj, spec)
@@ -86,21 +86,21 @@ def robot_mjcf(
 
 
 def scene_mjcf(
-    spec: RobotSpec, numerics: Numerics, *, supply_pa: float | None = None, world: World | None = None
+    spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, world: World | None = None
 ) -> MjSpec:
     """Build the robot on a floor among obstacles, with its contact pairs and force sensors (world frame, N).
 
     Arguments as in `robot_mjcf`, and the world, of which floor and obstacles matter.
     """
     world = world or World()
-    mj = robot_mjcf(spec, numerics, supply_pa=supply_pa, hull=world.solid)
+    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.solid)
     mj.option.gravity = [GRAVITY * share for share in world.floor.down]
     add_surroundings(mj, spec.geometry.body_length)
     if world.solid:
         add_obstacles(mj, spec, world)
     levels = add_steps(mj, world.steps, spec.geometry.body_length)
-    if numerics.base == "free":
-        add_contacts(mj, spec, numerics, levels)
+    if settings.base == "free":
+        add_contacts(mj, spec, settings, levels)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
     return mj
 
@@ -115,13 +115,13 @@ def root_connector(spec: RobotSpec) -> int:
     return (spec.geometry.connectors + 1) // 2
 
 
-def _set_options(mj: MjSpec, numerics: Numerics) -> None:
+def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option = mj.option
-    option.timestep = numerics.timestep
+    option.timestep = settings.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     # Rows of friction make a dense one slow; normals alone are few, and the engine chooses by size.
-    loaded = numerics.contact == "loaded"
+    loaded = settings.loaded
     option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
@@ -141,36 +141,36 @@ def _set_inertia(
     body.explicitinertial = True
 
 
-def _link_mass(spec: RobotSpec, numerics: Numerics) -> float:
+def _link_mass(spec: RobotSpec, settings: ModelSettings) -> float:
     """Return the mass of one link between two hinges, kg; taken off the connectors."""
-    links = numerics.hinges_per_segment - 1
-    share = numerics.link_share * min(spec.mass.connectors)
+    links = settings.hinges_per_segment - 1
+    share = settings.numerics.link_share * min(spec.mass.connectors)
     return share / links if links else 0.0
 
 
-def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
+def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     neighbours = (i > 1) + (i < g.connectors)
-    links = neighbours / 2 * (numerics.hinges_per_segment - 1) * _link_mass(spec, numerics)
+    links = neighbours / 2 * (settings.hinges_per_segment - 1) * _link_mass(spec, settings)
     if spec.tail is not None and i == g.connectors:
         body.mass, body.inertia = mass - links, np.full(3, mass * spec.tail.gyration**2)
         body.ipos, body.explicitinertial = [-spec.tail.com, 0, spec.tail.com_height - g.com_height], True
     else:
-        _set_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, numerics))
+        _set_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, settings))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
-    if numerics.base == "free":
-        add_wheels(mj, body, spec, i, numerics)
+    if settings.base == "free":
+        add_wheels(mj, body, spec, i, settings)
 
 
 def _add_segment(
-    mj: MjSpec, body: MjsBody, spec: RobotSpec, near: int, far: int, numerics: Numerics
+    mj: MjSpec, body: MjsBody, spec: RobotSpec, near: int, far: int, settings: ModelSettings
 ) -> MjsBody:
     """Grow the segment between two neighbouring connectors from the near one; return the far one's body.
 
     Each hinge carries the body beyond it; the last one carries the far connector. Stations are distances
     from the near connector of a straight segment. Names count from the head whichever way it grows.
     """
-    g, n, j = spec.geometry, numerics.hinges_per_segment, min(near, far)
+    g, n, j = spec.geometry, settings.hinges_per_segment, min(near, far)
     ahead = near - far  # which way it grows along x, ±1
     names = [f"{j}_{k}" for k in range(n + 1)][::-ahead]  # of the pieces between the hinges
     hinges = hinge_stations(n, g.segment_length, g.rigid_gap)
@@ -185,14 +185,14 @@ def _add_segment(
         anchor = ahead * (hinges[k] - origins[k])
         hinge = _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
         hinge.springref = spec.modules.bias[j - 1] / n
-        if k == n // 2 and numerics.base == "free":
+        if k == n // 2 and settings.base == "free":
             for kind in ("pitch", "roll"):
                 _add_joint(mj, body, kind, f"{kind}_{j}", ahead * (g.pitch / 2 - origins[k]), ahead)
         if last:
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
         else:
             end = ahead * (hinges[k + 1] - hinges[k])
-            _set_inertia(body, spec, _link_mass(spec, numerics), x=end / 2)
+            _set_inertia(body, spec, _link_mass(spec, settings), x=end / 2)
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", 0.0, end)
     return body
 
@@ -213,10 +213,10 @@ def _add_skin(mj: MjSpec, body: MjsBody, spec: RobotSpec, name: str, front: floa
         body.add_geom(hull, name=name.replace("skin", "hull"), fromto=[front, 0, 0, back, 0, 0])
 
 
-def _add_muscles(mj: MjSpec, spec: RobotSpec, j: int, numerics: Numerics) -> None:
+def _add_muscles(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings) -> None:
     """Add tendon ``bend_j`` and its two chambers."""
     tendon = mj.add_tendon(name=f"bend_{j}")
-    for k in range(1, numerics.hinges_per_segment + 1):
+    for k in range(1, settings.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
     for name, sign, own in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
         actuator = mj.add_actuator(mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name)
@@ -224,12 +224,12 @@ def _add_muscles(mj: MjSpec, spec: RobotSpec, j: int, numerics: Numerics) -> Non
         actuator.gainprm[0] *= sign * own
 
 
-def _bend_alike(mj: MjSpec, j: int, numerics: Numerics) -> None:
+def _bend_alike(mj: MjSpec, j: int, settings: ModelSettings) -> None:
     """Constrain all hinges of segment j to the angle of the first."""
-    for k in range(2, numerics.hinges_per_segment + 1):
+    for k in range(2, settings.hinges_per_segment + 1):
         arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
         arc.name1, arc.name2 = f"hinge_{j}_{k}", f"hinge_{j}_1"
-        arc.solref, arc.solimp = [2 * numerics.timestep, 1], [0.999, 0.999, 0.001, 0.5, 2]
+        arc.solref, arc.solimp = [2 * settings.timestep, 1], [0.999, 0.999, 0.001, 0.5, 2]
         arc.data[:5] = [0, 1, 0, 0, 0]
 
 

@@ -1,99 +1,176 @@
-"""What belongs to the simulation of a snake and not to the robot: time step, discretisation, contact."""
+"""Settings of a twin that are not the robot's: time step, discretisation, contact with the floor."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, one_of
 
 WALL_M = 0.001
 """Radius of the capsules along the sides of a polygon: what obstacles are larger by than drawn."""
 
+Law = Literal["wheel", "ellipse", "axis"]
+LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
+"""Friction laws that can act on momentary loads."""
+
+LOADS = ("momentary", "across", "static")
+"""Load of a wheel that such a law takes: what presses it at that moment; its connector's weight, shared
+between the two as they are loaded at that moment (as in the analytical model); half of that weight."""
+
+Wheels = Literal["rolling", "skid"]
+WHEELS: tuple[Wheels, ...] = get_args(Wheels)
+
+LAW_OF: dict[str, Law] = {"rolling": "wheel", "skid": "ellipse"}
+"""What a snake stands on → the friction law that describes it."""
+
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
-"""What a snake may stand on → by how many times its static load each wheel or skid is pressed down.
+"""What a snake stands on → by how many times its static load each wheel or skid is pressed down.
 
 A skid slides along as well as across, so its contact wants to open more: with κ = 19 connectors rocked from
 one skid to the other and their loads swung by as much as their mean, with κ = 59 still the tail's.
 """
 
-WHEELS = tuple(PRELOAD)
 
-Contact = Literal["preloaded", "loaded"]
-CONTACTS: tuple[Contact, ...] = get_args(Contact)
-"""How the floor holds a snake: wheels or skids pressed down, with MuJoCo's friction; or normals by MuJoCo and
-friction by a law of `friction` on the momentary loads."""
+@dataclass(frozen=True)
+class LoadedContact:
+    """Floor contact whose normal forces come from MuJoCo and whose friction is a law on these loads.
 
-LawOnLoads = Literal["wheel", "ellipse", "axis"]
-ON_LOADS: tuple[LawOnLoads, ...] = get_args(LawOnLoads)
-"""Laws that can act on momentary loads."""
+    Attributes:
+        law: friction law, "wheel", "ellipse" or "axis" (docs/models.md).
+        load: which load of a wheel the law takes, one of `LOADS`; all but "momentary" are for comparison.
+        slip_speed: below which a contact yields before it slides (`friction_held.held`), m/s.
+    """
 
-LOADS = ("momentary", "across", "static")
-"""Of a wheel, that such a law takes: what presses it at that moment; its connector's weight, shared between
-the two as these are at that moment, which is what the analytical model has; half of that weight."""
+    name: ClassVar[Literal["loaded"]] = "loaded"
+    rolling: ClassVar = True
 
-LAW_OF: dict[str, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
-"""What a snake stands on → the friction law that describes it."""
+    law: Law = "wheel"
+    load: str = "momentary"
+    slip_speed: float = 0.001
+
+    def __post_init__(self) -> None:
+        one_of("law", self.law, LAWS_ON_LOADS)
+        one_of("load", self.load, LOADS)
+
+
+@dataclass(frozen=True)
+class PreloadedContact:
+    """Floor contact with MuJoCo's own friction, on wheels or skids that are pressed down besides.
+
+    Friction is then that of the static load, as in the analytical model.
+
+    Attributes:
+        wheels: what the snake stands on, "rolling" (wheels on hinges) or "skid" (runners).
+        preload: κ, by how many times its static load each wheel is pressed down; None: `PRELOAD`.
+        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
+        axle_time: the same for the axles' friction, s.
+        slip_speed: below which the body's drag is smoothed, m/s.
+    """
+
+    name: ClassVar[Literal["preloaded"]] = "preloaded"
+
+    wheels: Wheels = "rolling"
+    preload: float | None = None
+    slip_time: float = 0.0003
+    axle_time: float = 0.002
+    slip_speed: float = 0.001
+
+    def __post_init__(self) -> None:
+        one_of("wheels", self.wheels, WHEELS)
+
+    @property
+    def rolling(self) -> bool:
+        """Whether it stands on wheels."""
+        return self.wheels == "rolling"
+
+    @property
+    def pressed(self) -> float:
+        """By how many times its static load each wheel is pressed down."""
+        return PRELOAD[self.wheels] if self.preload is None else self.preload
+
+
+Contact = LoadedContact | PreloadedContact
+ContactName = Literal["loaded", "preloaded"]
+
+
+def as_contact(contact: Contact | str) -> Contact:
+    """Return a contact, also by its name with its defaults.
+
+    Raises:
+        InputError: another name.
+    """
+    if not isinstance(contact, str):
+        return contact
+    kinds: dict[str, type[LoadedContact] | type[PreloadedContact]] = {
+        kind.name: kind for kind in (LoadedContact, PreloadedContact)
+    }
+    one_of("contact", contact, kinds)
+    return kinds[contact]()
 
 
 @dataclass(frozen=True)
 class Numerics:
-    """What belongs to the simulation and not to the robot.
+    """Switches that only studies of the twin itself change.
 
     Attributes:
-        timestep: s.
-        hinges_per_segment: bending hinges a segment, 1 or more.
-        contact: one of `CONTACTS`.
-        wheels: what the snake stands on, one of `WHEELS`; "rolling" under `loaded`.
-        friction: law on the momentary loads, under `loaded`.
-        load: of a wheel, that this law takes, one of `LOADS`.
-        slip_speed: below which a contact yields before it slides under that law (`friction_held.held`), m/s.
-        contact_time: time constant of the normal contact, s; MuJoCo takes no less than the time step, and
-            under `loaded` loads flutter below 2 of them.
-        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
-        axle_time: the same for the axles' friction, s.
-        preload: κ, by how many times its static load each wheel is pressed down besides; 0: none. What
-            suits the wheels stands in `PRELOAD`.
-        link_share: mass between the hinges of a segment, as a share of the lightest connector's; the text
-            lumps all of it at the connectors.
+        link_share: mass between the hinges of a segment, as a share of the lightest connector's; the
+            dissertation lumps all of it at the connectors.
         wheel_spin: the wheels' inertia about their axles, as a multiple of what they have.
-        base: "free", or "clamped": the head is held, the rest hangs in the air and bends in the plane only.
         constant_curvature: force the hinges of a segment to bend alike, as the analytical model has it; left
             alone a segment under load takes the shape of an S besides.
     """
 
-    timestep: float = 0.001
-    hinges_per_segment: int = 2
-    contact: Contact = "preloaded"
-    wheels: str = "rolling"
-    friction: LawOnLoads = "wheel"
-    load: str = "momentary"
-    slip_speed: float = 0.001
-    contact_time: float = 0.001
-    slip_time: float = 0.0003
-    axle_time: float = 0.002
-    preload: float = PRELOAD["rolling"]
     link_share: float = 0.02
     wheel_spin: float = 1.0
     constant_curvature: bool = False
-    base: str = "free"
 
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """What an MJCF model is built with and what does not belong to the robot.
+
+    Attributes:
+        timestep: s.
+        hinges_per_segment: bending hinges a segment, 1 or more.
+        contact: how the floor holds the snake.
+        base: "free", or "clamped": the head is held, the rest hangs in the air and bends in the plane only.
+        numerics: rarely changed switches.
+    """
+
+    timestep: float = 0.001
+    hinges_per_segment: int = 2
+    contact: Contact = LoadedContact()
+    base: str = "free"
+    numerics: Numerics = Numerics()
+
+    @property
+    def loaded(self) -> bool:
+        """Whether there is a floor, and its friction acts on the loads that MuJoCo finds."""
+        return isinstance(self.contact, LoadedContact) and self.base == "free"
+
+    @property
+    def contact_time(self) -> float:
+        """Time constant of the normal contact, s: on loads 2 steps, below which they flutter."""
+        return 2 * self.timestep if self.loaded else _PRESSED_CONTACT_S
+
+
+_PRESSED_CONTACT_S = 0.001
 
 Preset = Literal["reference", "fast"]
-PRESETS: dict[str, dict[str, Any]] = {
-    "reference": {key: getattr(Numerics, key) for key in ("contact", "timestep", "hinges_per_segment")},
-    "fast": {"contact": "loaded", "timestep": 0.002, "hinges_per_segment": 2},
-}
-"""Name → settings of a twin: `TwinSnake(spec, **PRESETS["fast"])`. What `fast` costs in accuracy was measured
-by benchmarks/presets.py; 2 ms is the longest step below the segments' damping time.
+PRESETS: dict[str, dict[str, Any]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}
+"""Name → settings of a twin: `TwinSnake(spec, **PRESETS["fast"])`. Their errors were measured by
+benchmarks/presets.py; 2 ms is the longest step below the segments' damping time.
 """
 
 
-def preset_of(numerics: Numerics) -> str | None:
+def preset_of(settings: ModelSettings) -> str | None:
     """Return the preset that gives these settings, if one does."""
-    return next((name for name, given in PRESETS.items() if given.items() <= vars(numerics).items()), None)
+    if not settings.loaded:
+        return None
+    return next((name for name, given in PRESETS.items() if given.items() <= vars(settings).items()), None)
 
 
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:

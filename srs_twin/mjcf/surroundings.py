@@ -14,7 +14,7 @@ import numpy as np
 from mujoco import mjtGeom, mjtObj
 
 from srs_twin.mjcf.classes import ROOT
-from srs_twin.mjcf.numerics import WALL_M, Numerics
+from srs_twin.mjcf.numerics import WALL_M, ModelSettings
 from srs_twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.world import Step, World
@@ -31,14 +31,14 @@ _UNSEEN = 4  # geom group
 _GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
 
-def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
     """Add class ``hull``, the body that touches obstacles."""
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
     hull.conaffinity, hull.group, hull.priority = _BIT, _UNSEEN, 1
     # Under `loaded` MuJoCo only finds what presses.
-    hull.condim, hull.friction = 1 if numerics.contact == "loaded" else 3, [FRICTION, 0.005, 0.0001]
-    hull.solref, hull.solimp = [_SHARPEST * numerics.timestep, 1], [0.95, 0.99, 0.0005, 0.5, 2]
+    hull.condim, hull.friction = 1 if settings.loaded else 3, [FRICTION, 0.005, 0.0001]
+    hull.solref, hull.solimp = [_SHARPEST * settings.timestep, 1], [0.95, 0.99, 0.0005, 0.5, 2]
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:

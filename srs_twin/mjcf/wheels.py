@@ -29,7 +29,7 @@ import numpy as np
 from mujoco import MjsBody, MjSpec, mjtObj, mjtSensor
 
 from srs_twin.mjcf.classes import ROOT, foot_radius
-from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _NET_FORCE = 3  # contact sensor: sum over the contacts found
@@ -50,52 +50,52 @@ def rest_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
     return np.repeat([[axle.mass * gravity / 2] for axle in spec.axles], 2, axis=1)
 
 
-def preload_force(spec: RobotSpec, numerics: Numerics) -> np.ndarray:
+def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
     """Return the force that presses each wheel down besides its load, head first, shape (N, 2), N."""
-    return np.repeat(numerics.preload * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+    return np.repeat(contact.pressed * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
 
 
-def contact(spec: RobotSpec, numerics: Numerics) -> dict[str, Any]:
+def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of a pair of floor and wheel or skid; friction along first, then across."""
-    mu_t, mu_n = spec.friction.mu_t, spec.friction.mu_n
-    if numerics.contact == "loaded":
-        return {"condim": 1, "solref": [numerics.contact_time, 1]}
-    across = mu_n / (1 + numerics.preload)
-    along = across if numerics.wheels == "rolling" else mu_t / (1 + numerics.preload)
+    mu_t, mu_n, contact = spec.friction.mu_t, spec.friction.mu_n, settings.contact
+    if isinstance(contact, LoadedContact):
+        return {"condim": 1, "solref": [settings.contact_time, 1]}
+    across = mu_n / (1 + contact.pressed)
+    along = across if contact.rolling else mu_t / (1 + contact.pressed)
     return {
         "condim": 3,
         "friction": [along, across, 0.005, 0.0001, 0.0001],
-        "solref": [numerics.contact_time, 1],
-        "solreffriction": [numerics.slip_time, 1],
+        "solref": [settings.contact_time, 1],
+        "solreffriction": [contact.slip_time, 1],
     }
 
 
-def fixed_inertia(spec: RobotSpec, numerics: Numerics) -> tuple[float, np.ndarray]:
+def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.ndarray]:
     """Return the mass (kg) and the moments of inertia (3,) (kg·m²) that a connector's skids add to its own.
 
     They have the mass of the wheels whose place they take. Wheels that turn on axles are bodies of their own:
     0. On a bench nothing rolls: wheels are fixed there as well. Under `loaded` their spin is friction's.
     """
-    rolling = numerics.wheels == "rolling" and numerics.base == "free"
-    if rolling and numerics.contact == "preloaded":
+    rolling = settings.contact.rolling and settings.base == "free"
+    if rolling and not settings.loaded:
         return 0.0, np.zeros(3)
     across = 2 * spec.mass.wheel * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
     spin = 0.0 if rolling else spec.mass.wheel * spec.geometry.wheel_radius**2
     return 2 * spec.mass.wheel, np.array([across, spin, across])
 
 
-def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, numerics: Numerics) -> None:
+def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings) -> None:
     """Put connector i on its wheels or skids."""
-    if numerics.contact == "loaded":
+    if settings.loaded:
         for (name, place), part in itertools.product(_wheels(spec, i), ("tread", "rim")):
             body.add_geom(mj.find_default(part), name=f"{part}_{name}", pos=place)
         return
     for side, sign in _SIDES.items():
-        if numerics.wheels == "rolling":
-            _add_wheel(mj, body, spec, i, side, numerics.wheel_spin)
+        if settings.contact.rolling:
+            _add_wheel(mj, body, spec, i, side, settings.numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
-            z = foot_radius(spec, numerics) - spec.geometry.com_height - _DIP
+            z = foot_radius(spec, settings.contact) - spec.geometry.com_height - _DIP
             runner = [0, y, z, reach, y, z + _RISE * reach]
             body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
 
@@ -122,16 +122,16 @@ def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, sc
     wheel.add_geom(mj.find_default("rim"), name=f"rim_{side}_{i}")
 
 
-def add_preload(mj: MjSpec, spec: RobotSpec, numerics: Numerics) -> None:
+def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
     """Press every connector down with a constant force along the world's z.
 
     It acts at the height of the centre about which a tilted foot rolls on the floor, so that it neither
     rights a connector nor tips it over.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
-    height = foot_radius(spec, numerics) - spec.geometry.com_height
-    for i, force in enumerate(preload_force(spec, numerics).sum(axis=1), start=1):
-        site = f"{_PRESSED[numerics.wheels]}_{i}"
+    height = foot_radius(spec, contact) - spec.geometry.com_height
+    for i, force in enumerate(preload_force(spec, contact).sum(axis=1), start=1):
+        site = f"{_PRESSED[contact.wheels]}_{i}"
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=site, pos=[0, 0, height])
         actuator = mj.add_actuator(mj.find_default("press"), name=f"press_{i}", target=site)
         actuator.trntype, actuator.refsite = mujoco.mjtTrn.mjTRN_SITE, "origin"
@@ -159,15 +159,15 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
             mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{name}", pos=place)
 
 
-def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics, levels: list[str]) -> None:
+def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]) -> None:
     """Add the pairs of all wheels or skids with the floor and its levels, and sensors of what happens there.
 
     Sensors: the floor's force on each (world frame, N), the velocity of the point of the connector above it
     (world, m/s).
     """
-    name = "wheel_on_floor" if numerics.wheels == "rolling" else "skid_on_floor"
+    name = "wheel_on_floor" if settings.contact.rolling else "skid_on_floor"
     default = mj.add_default(name, mj.default)
-    for attribute, value in contact(spec, numerics).items():
+    for attribute, value in pair_attributes(spec, settings).items():
         setattr(default.pair, attribute, value)
     pairs = [mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread) for tread in treads(spec)]
     for floor in levels:
@@ -176,11 +176,11 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, numerics: Numerics, levels: list[s
             for tread in treads(spec)
         ]
     for pair, slower in zip(pairs, itertools.cycle(_slower(mj, spec)), strict=False):
-        pair.solref = [round(numerics.contact_time * slower, 7), 1]
+        pair.solref = [round(settings.contact_time * slower, 7), 1]
     for tread in treads(spec):
         what = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
         add_force_sensor(mj, f"floor_force_{tread}", *what, on=tread)
-    if numerics.contact == "loaded":
+    if settings.loaded:
         return  # there friction is known with its power
     for tread in treads(spec):
         foot = tread.replace("tread", "foot")

@@ -18,10 +18,10 @@ from numba import types
 from srs_twin.compiled import inside
 from srs_twin.friction_held import held, rolling
 from srs_twin.mjcf import surroundings
-from srs_twin.mjcf.numerics import LOADS, ON_LOADS
+from srs_twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 
 _MOMENTARY, _ACROSS_ONLY = LOADS.index("momentary"), LOADS.index("across")
-_WHEEL, _ELLIPSE = ON_LOADS.index("wheel"), ON_LOADS.index("ellipse")
+_WHEEL, _ELLIPSE = LAWS_ON_LOADS.index("wheel"), LAWS_ON_LOADS.index("ellipse")
 _MOST_ITERATIONS, _MOST_TRIALS = 30, 12
 _SMALL = 1e-14  # of the square of friction's impulse: friction is then right to 1e-7
 _ROUNDING = 1e-24  # of the largest first residual's square

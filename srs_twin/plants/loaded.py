@@ -40,7 +40,7 @@ from srs_twin.compiled import compiled, inside
 from srs_twin.errors import InputError
 from srs_twin.memory import Remembers, names
 from srs_twin.mjcf import surroundings
-from srs_twin.mjcf.numerics import LOADS, ON_LOADS, Numerics
+from srs_twin.mjcf.numerics import LAWS_ON_LOADS, LOADS, LoadedContact, ModelSettings
 from srs_twin.mjcf.wheels import rest_loads, softness, treads
 from srs_twin.plants.friction_solve import (
     Contacts,
@@ -54,12 +54,10 @@ from srs_twin.plants.friction_solve import (
     note,
     settle,
 )
-from srs_twin.plants.warm_start import WarmStart
 from srs_twin.robot.spec import RobotSpec
 
 _VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 _SINKS_IN_S = 0.05
-_SHORT = 24  # segments, up to which the engine solves normals alone as fast as begun by `WarmStart`
 _SLOWEST = 1e-9  # of decays, over a step: less is rounding where nothing damps
 
 
@@ -76,7 +74,7 @@ class Given(NamedTuple):
     qacc_warmstart: np.ndarray
 
 
-class LoadedContact(Remembers):
+class LoadedStepper(Remembers):
     """The contacts of one twin on the loads of its own data.
 
     Attributes:
@@ -90,21 +88,23 @@ class LoadedContact(Remembers):
         model: mujoco.MjModel,
         data: mujoco.MjData,
         spec: RobotSpec,
-        numerics: Numerics,
+        settings: ModelSettings,
         air: np.ndarray | None = None,
     ) -> None:
         """Look up what the loop needs.
 
         Args:
-            model: compiled from `numerics`, contact "loaded".
+            model: compiled from `settings`.
             data: what it steps.
             spec: the robot.
-            numerics: its law and time step.
+            settings: time step, and a `LoadedContact`.
             air: most that the chambers stiffen the joints by, shape (nv, nv); None: not at all.
         """
         # The kernels call the engine by the names of its functions, which are looked up at their first call.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-        nv, self._h = model.nv, numerics.timestep
+        nv, self._h = model.nv, settings.timestep
+        contact = settings.contact
+        assert isinstance(contact, LoadedContact)
         feet, touching = treads(spec), surroundings.hulls(model)
         geoms = [model.geom(name) for name in feet + touching]
         body = np.array([geom.bodyid[0] for geom in geoms])
@@ -113,7 +113,7 @@ class LoadedContact(Remembers):
             damping, less = _dampers(model, mass, self._h, np.zeros((nv, nv)) if air is None else air)
             ease = np.einsum("wi,ij,wj->w", easy, np.linalg.inv(mass + damping), easy)
         triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-        spin = 0.0 if numerics.friction == "ellipse" else numerics.wheel_spin * spec.mass.wheel / 2
+        spin = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
         none = np.zeros(len(touching))
         sensors = [model.sensor(f"floor_force_{foot}").adr[0] + 2 for foot in feet]
         sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in touching]
@@ -125,11 +125,11 @@ class LoadedContact(Remembers):
             softness=np.append(softness(model, spec), none + math.inf),
             ease=ease,
             rest=np.append(rest_loads(spec, -model.opt.gravity[2]), none),
-            load=LOADS.index(numerics.load),
+            load=LOADS.index(contact.load),
             sensor=np.array(sensors),
             radius=spec.geometry.wheel_radius,
-            kind=ON_LOADS.index(numerics.friction),
-            law=(spec.friction.mu_t, spec.friction.mu_n, numerics.slip_speed, spin),
+            kind=LAWS_ON_LOADS.index(contact.law),
+            law=(spec.friction.mu_t, spec.friction.mu_n, contact.slip_speed, spin),
         )
         self._pattern = Pattern(
             entries=model.M_rownnz.astype(int),
@@ -147,7 +147,6 @@ class LoadedContact(Remembers):
         shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
         shapes += [(entries,)] * 2 + [(nv,)] * 7
         self._work = Work(*map(np.zeros, shapes))._replace(matrix=data.M)
-        self._long = WarmStart(model) if spec.segments > _SHORT else None
         self._stand()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -161,13 +160,13 @@ class LoadedContact(Remembers):
         )
 
     @property
-    def settled(self) -> tuple[Contacts, Pattern, WarmStart | None]:
+    def settled(self) -> tuple[Contacts, Pattern]:
         """Numbers taken from the model when the contacts were made."""
-        return self._contacts, self._pattern, self._long
+        return self._contacts, self._pattern
 
     @settled.setter
-    def settled(self, numbers: tuple[Contacts, Pattern, WarmStart | None]) -> None:
-        self._contacts, self._pattern, self._long = numbers
+    def settled(self, numbers: tuple[Contacts, Pattern]) -> None:
+        self._contacts, self._pattern = numbers
 
     @property
     def records(self) -> dict[str, Any]:
@@ -220,27 +219,10 @@ class LoadedContact(Remembers):
         power = np.zeros(steps)
         out = states, sensed, force, power
         friction = self._contacts, self._pattern, self.feet, self._work, self._h
-        given = self._given, self._engine, *friction
-        if self._long is None:
-            _run(*given, controls, out)
-        else:
-            self._run_long(self._long, given, controls, out)
+        _run(self._given, self._engine, *friction, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         return states, sensed, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
-
-    def _run_long(
-        self, long: WarmStart, given: tuple[Any, ...], controls: np.ndarray, out: tuple[np.ndarray, ...]
-    ) -> None:
-        """Do what `_run` does, with the engine's solver begun by `WarmStart`."""
-        model, data = self._kept
-        for step, control in enumerate(controls):
-            _begin(*given, control)
-            long.begin(data)
-            mujoco.mj_forwardSkip(model, data, _VELOCITIES_KNOWN, False)
-            if not _end(*given, step, out):
-                break
-        data.qfrc_applied[:] = 0.0
 
 
 def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -292,7 +274,7 @@ def _dampers(
 
 @compiled
 def _run(given, engine, contacts, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
-    """Make steps; `out` is what `LoadedContact.run` returns."""
+    """Make steps; `out` is what `LoadedStepper.run` returns."""
     for step in range(controls.shape[0]):
         _begin(given, engine, contacts, pattern, feet, work, h, controls[step])
         mj_forwardSkip(engine.model, engine.data, _VELOCITIES_KNOWN, 0)

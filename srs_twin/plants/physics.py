@@ -16,8 +16,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.memory import Remembers, names
 from srs_twin.plants.base import Pose
-from srs_twin.plants.loaded import LoadedContact
-from srs_twin.plants.warm_start import WarmStart
+from srs_twin.plants.loaded import LoadedStepper
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import as_felt
 from srs_twin.robot.spec import RobotSpec
@@ -31,7 +30,7 @@ from dm_control import mujoco as dm  # noqa: E402
 from mujoco import rollout as mujoco_rollout  # noqa: E402
 
 from srs_twin.mjcf.model import scene_mjcf  # noqa: E402
-from srs_twin.mjcf.numerics import Numerics  # noqa: E402
+from srs_twin.mjcf.numerics import ModelSettings, PreloadedContact  # noqa: E402
 from srs_twin.mjcf.surroundings import hulls as hull_names  # noqa: E402
 from srs_twin.mjcf.wheels import preload_force, rest_loads, treads  # noqa: E402
 
@@ -115,7 +114,6 @@ mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ENGINE = mujoco_rollout.Rollout(nthread=0)  # steps on the calling thread
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY = mujoco.mjtState.mjSTATE_INTEGRATION
-_SHORT = 8  # segments, up to which snakes keep to the engine's own solver, bit for bit
 
 
 class SnakePhysics(dm.Physics, Remembers):
@@ -128,37 +126,41 @@ class SnakePhysics(dm.Physics, Remembers):
 
     @classmethod
     def build(
-        cls, spec: RobotSpec, numerics: Numerics, chambers: Pneumatics, supply_pa: float, world: World | None
+        cls,
+        spec: RobotSpec,
+        settings: ModelSettings,
+        chambers: Pneumatics,
+        supply_pa: float,
+        world: World | None,
     ) -> SnakePhysics:
         """Compile the scene of a robot.
 
         Args:
             spec: the robot.
-            numerics: time step, discretisation, contact.
+            settings: time step, discretisation, contact.
             chambers: its own.
             supply_pa: largest pressure that can occur, Pa.
             world: what it may run into; None: nothing.
         """
         # A copy: whoever changes a number in the model of one twin must not change the others'.
         felt = world if world and (world.solid or world.uneven) else None
-        model = copy.copy(_compiled(spec, numerics, supply_pa, felt))
-        return cls._of(model, spec, numerics, chambers)
+        model = copy.copy(_compiled(spec, settings, supply_pa, felt))
+        return cls._of(model, spec, settings, chambers)
 
     @classmethod
     def _of(
-        cls, model: mujoco.MjModel, spec: RobotSpec, numerics: Numerics, chambers: Pneumatics
+        cls, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings, chambers: Pneumatics
     ) -> SnakePhysics:
         """Return the physics of a compiled scene, which becomes its own."""
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
-        physics._attach(spec, numerics, chambers)
+        physics._attach(spec, settings, chambers)
         return physics
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy the model and the memory; the engine's data are made again, because they hold addresses."""
-        made_of = self.model.ptr, self._spec, self._numerics, self._pneumatics
+        made_of = self.model.ptr, self._spec, self._settings, self._pneumatics
         # Numbers of a model may have been changed since these were taken from it.
-        kinds = np.ndarray | WarmStart
-        settled = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
+        settled = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         contact = None if self.loaded is None else self.loaded.settled
         return type(self)._of, made_of, (self.remembered(), settled, contact)
 
@@ -179,21 +181,21 @@ class SnakePhysics(dm.Physics, Remembers):
             raise InputError("copies of a snake's physics cannot share its model; leave out share_model")
         return copy.deepcopy(self)
 
-    def _attach(self, spec: RobotSpec, numerics: Numerics, pneumatics: Pneumatics) -> None:
+    def _attach(self, spec: RobotSpec, settings: ModelSettings, pneumatics: Pneumatics) -> None:
         raw = self.model.ptr
-        self._pneumatics, self._spec, self._numerics = pneumatics, spec, numerics
-        self.free = numerics.base == "free"
-        loaded = numerics.contact == "loaded" and self.free
+        self._pneumatics, self._spec, self._settings = pneumatics, spec, settings
+        self.free, contact = settings.base == "free", settings.contact
         self._rest_load = rest_loads(spec, -raw.opt.gravity[2])
-        pressed = self.free and not loaded
-        self._preload = preload_force(spec, numerics) if pressed else np.zeros_like(self._rest_load)
+        self._preload = np.zeros_like(self._rest_load)
+        if isinstance(contact, PreloadedContact) and self.free:
+            self._preload = preload_force(spec, contact)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _STATE)))
         feet = treads(spec) if self.free else []
         # Of each axle's left and right foot, shape (axles, 2, 3).
         self._force_columns = self._columns([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
-        velocities = [] if loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
+        velocities = [] if settings.loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_columns = self._columns(velocities).reshape(-1, 2, 3)
         self._energy_column = raw.sensor("kinetic_energy").adr[0]
         count = spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
@@ -203,14 +205,13 @@ class SnakePhysics(dm.Physics, Remembers):
         # Bends are sums of hinge angles.
         self._angles, self._rates = np.zeros((spec.segments, raw.nq)), np.zeros((spec.segments, raw.nv))
         for j in range(spec.segments):
-            for k in range(numerics.hinges_per_segment):
+            for k in range(settings.hinges_per_segment):
                 hinge = raw.joint(f"hinge_{j + 1}_{k + 1}")
                 self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_push = self._no_force
         air = pneumatics.stiffness * self._rates.T @ self._rates
-        self.loaded = LoadedContact(raw, self.data.ptr, spec, numerics, air) if loaded else None
-        self._long = WarmStart(raw) if pressed and spec.segments > _SHORT and not raw.neq else None
+        self.loaded = LoadedStepper(raw, self.data.ptr, spec, settings, air) if settings.loaded else None
 
     def _attach_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
         hulls = hull_names(raw)
@@ -401,8 +402,6 @@ class SnakePhysics(dm.Physics, Remembers):
     def _roll(self, felt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Let the engine make all steps in one; return states and sensors."""
         model, data, steps = self.model.ptr, self.data.ptr, len(felt)
-        if self._long is not None:
-            return self._roll_long(felt, self._long)
         controls = np.zeros((1, steps, model.nu))
         controls[0, :, : felt.shape[1]] = felt
         states, sensed = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
@@ -416,17 +415,6 @@ class SnakePhysics(dm.Physics, Remembers):
             sensordata=sensed,
         )
         return states[0], sensed[0]
-
-    def _roll_long(self, felt: np.ndarray, long: WarmStart) -> tuple[np.ndarray, np.ndarray]:
-        """Make the steps of a long snake; else as `_roll`."""
-        model, data, steps = self.model.ptr, self.data.ptr, len(felt)
-        states, sensed = np.empty((steps, self._start.shape[1])), np.empty((steps, model.nsensordata))
-        for k in range(steps):
-            data.ctrl[: felt.shape[1]] = felt[k]
-            long.step(data)
-            mujoco.mj_getState(model, data, states[k], _STATE)
-            sensed[k] = data.sensordata
-        return states, sensed
 
     def _at_feet(self, sensed: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return what is sensed at the feet, shape (steps, axles, 2, 3); 0 where there is no floor."""
@@ -505,6 +493,8 @@ class SnakePhysics(dm.Physics, Remembers):
 
 
 @lru_cache(maxsize=8)
-def _compiled(spec: RobotSpec, numerics: Numerics, supply_pa: float, world: World | None) -> mujoco.MjModel:
+def _compiled(
+    spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
+) -> mujoco.MjModel:
     """Return the compiled scene; the same once more costs a tenth of it."""
-    return scene_mjcf(spec, numerics, supply_pa=supply_pa, world=world).compile()
+    return scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()

@@ -1,8 +1,10 @@
-"""TwinSnake: the snake in MuJoCo, in three dimensions, with compliant bends, on real wheels or on skids."""
+"""TwinSnake: the snake in MuJoCo, in three dimensions, with compliant bends, on wheels or on skids."""
 
 from __future__ import annotations
 
 import math
+import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,15 +13,14 @@ from srs_twin.arrays import joined
 from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.memory import fingerprint, names
 from srs_twin.mjcf.numerics import (
-    CONTACTS,
     LAW_OF,
-    LOADS,
-    ON_LOADS,
-    PRELOAD,
-    WHEELS,
     Contact,
-    LawOnLoads,
+    ContactName,
+    LoadedContact,
+    ModelSettings,
     Numerics,
+    PreloadedContact,
+    as_contact,
     preset_of,
 )
 from srs_twin.plants.base import (
@@ -39,6 +40,9 @@ from srs_twin.sensing import Sensor
 from srs_twin.world import World
 
 _SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
+_DESCRIBED = {
+    "law": "friction", "slip_speed": "slip_speed_m_s", "slip_time": "slip_time_s", "axle_time": "axle_time_s"
+}  # fmt: skip
 
 
 class TwinSnake(PneumaticPlant):
@@ -51,8 +55,7 @@ class TwinSnake(PneumaticPlant):
         stretch: how much the engine runs at a time, s: its records of every step stay small.
         physics: the `SnakePhysics`, for what the contract does not show.
         timestep: s.
-        wheels: what it stands on, "rolling" or "skid".
-        contact: how the floor holds it, "preloaded" or "loaded".
+        contact: how the floor holds it.
     """
 
     name = "twin"
@@ -63,99 +66,51 @@ class TwinSnake(PneumaticPlant):
         self,
         spec: RobotSpec,
         *,
-        contact: Contact = Numerics.contact,
-        friction: LawOnLoads | None = None,
-        wheels: str = "rolling",
-        hinges_per_segment: int = Numerics.hinges_per_segment,
-        timestep: float = Numerics.timestep,
+        contact: Contact | ContactName = ModelSettings.contact,
+        timestep: float = ModelSettings.timestep,
+        hinges_per_segment: int = ModelSettings.hinges_per_segment,
         supply_pa: float | None = None,
         tick: float = 0.02,
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
-        load: str = Numerics.load,
-        slip_speed: float = Numerics.slip_speed,
-        slip_time: float = Numerics.slip_time,
-        axle_time: float = Numerics.axle_time,
-        preload: float | None = None,
-        link_share: float = Numerics.link_share,
-        wheel_spin: float = Numerics.wheel_spin,
-        constant_curvature: bool = Numerics.constant_curvature,
-        base: str = Numerics.base,
         sensor: str | Sensor = "ideal",
         world: World | None = None,
+        base: str = ModelSettings.base,
+        numerics: Numerics = ModelSettings.numerics,
+        **former: Any,
     ) -> None:
         """Build and compile the twin.
 
         Args:
             spec: the robot.
-            contact: "loaded": friction by a law on the loads that MuJoCo finds; "preloaded": MuJoCo's own
-                friction on wheels or skids that are pressed down.
-            friction: that law, "wheel", "ellipse" or "axis"; default what suits the wheels.
-            wheels: "rolling" (hinge wheels, friction law `wheel`) or "skid" (runners, law `ellipse`).
-            hinges_per_segment: bending hinges a segment.
+            contact: how the floor holds it; "loaded" and "preloaded" stand for `LoadedContact()` and
+                `PreloadedContact()`.
             timestep: s; the tick is a multiple of it.
+            hinges_per_segment: bending hinges a segment.
             supply_pa: supply pressure, Pa; default the robot's nominal one.
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or chambers of one's own.
-            load: that this law takes, "momentary"; to see what that changes, "across" or "static", see
-                `mjcf.numerics.LOADS`.
-            slip_speed: below which a contact yields before it slides, m/s, under `loaded`.
-            slip_time: time constant with which contact friction stops a slip, s.
-            axle_time: the same for the axles' friction, s.
-            preload: by how many times its static load each wheel is pressed down besides; default what
-                suits the wheels, `mjcf.numerics.PRELOAD`.
-            link_share: mass between a segment's hinges over the lightest connector's.
-            wheel_spin: multiple of the wheels' inertia about their axles.
-            constant_curvature: force the hinges of a segment to bend alike.
-            base: "free", or "clamped": held at the head, in the air.
             sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
             world: whose obstacles it may run into; None: an open floor.
+            base: "free", or "clamped": held at the head, in the air.
+            numerics: switches that only studies of the twin itself change.
+            former: deprecated keywords, now fields of the contact or of `numerics`; each warns.
 
         Raises:
-            InputError: an unknown contact, law, wheel or layout, a law or a preload that the contact does not
-                have, a tick that is no multiple of the time step, or a time step that is too long for the
-                chambers.
+            InputError: an unknown contact or layout, a tick that is no multiple of the time step, or a time
+                step that is too long for the chambers.
         """
-        one_of("contact", contact, CONTACTS)
-        one_of("wheels", wheels, WHEELS)
-        one_of("load", load, LOADS)
-        if friction is not None:
-            one_of("friction", friction, ON_LOADS)
-        loaded = contact == "loaded"
-        taken = None if load == Numerics.load else load
-        belongs = (
-            ("friction", friction, not loaded),
-            ("load", taken, not loaded),
-            ("preload", preload, loaded),
-        )
-        for name, given, other in belongs:
-            if given is not None and other:
-                raise InputError(f"{name} {given!r} is not allowed with contact {contact!r}")
-        if world is not None and world.uneven and not loaded:
-            raise InputError("a floor that slopes or has steps needs contact 'loaded'")
+        contact = as_contact(contact)
+        if former:
+            contact, numerics = _take_former(contact, numerics, former)
         one_of("base", base, BASES)
+        if world is not None and world.uneven and isinstance(contact, PreloadedContact):
+            raise InputError("a floor that slopes or has steps needs contact 'loaded'")
         whole_steps("tick", tick, "time step", timestep)
-        self.spec, self.tick, self.timestep = spec, tick, timestep
-        self.contact, self.wheels = contact, wheels
+        self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
         supply = self._equip(pneumatics, supply_pa, layout, sensor)
-        self._numerics = Numerics(
-            timestep=timestep,
-            hinges_per_segment=hinges_per_segment,
-            contact=contact,
-            wheels="rolling" if loaded else wheels,  # the law says how it slides, the bodies are wheels
-            friction=friction or LAW_OF[wheels],
-            load=load,
-            slip_speed=slip_speed,
-            slip_time=slip_time,
-            axle_time=axle_time,
-            contact_time=2 * timestep if loaded else Numerics.contact_time,
-            preload=0.0 if loaded else PRELOAD[wheels] if preload is None else preload,
-            link_share=link_share,
-            wheel_spin=wheel_spin,
-            constant_curvature=constant_curvature,
-            base=base,
-        )
+        self._settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._bias = spec.modules.array("bias")
         if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
             raise InputError(
@@ -166,7 +121,7 @@ class TwinSnake(PneumaticPlant):
         self._first_step = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.overshoot
         self._world = fingerprint(world)
-        self.physics = SnakePhysics.build(spec, self._numerics, self.pneumatics, largest, world)
+        self.physics = SnakePhysics.build(spec, self._settings, self.pneumatics, largest, world)
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
@@ -234,12 +189,13 @@ class TwinSnake(PneumaticPlant):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
-        numbers, times = self._numerics, ["timestep", "slip_time", "axle_time"]
-        names = ["wheels", "hinges_per_segment", "preload", "link_share", "wheel_spin", "constant_curvature"]
-        if self.contact == "loaded":
-            names[2:3], times = ["contact", "friction", "load", "slip_speed"], ["timestep"]
-        given = {name: getattr(numbers, name) for name in (*names, "base")} | {"preset": preset_of(numbers)}
-        return super().describe() | given | {f"{name}_s": getattr(numbers, name) for name in times}
+        settings = self._settings
+        own = {_DESCRIBED.get(name, name): value for name, value in vars(self.contact).items()}
+        if isinstance(self.contact, PreloadedContact):
+            own["preload"] = self.contact.pressed
+        rest = {name: getattr(settings, name) for name in ("hinges_per_segment", "base")}
+        rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
+        return super().describe() | {"contact": self.contact.name} | own | rest | vars(settings.numerics)
 
     def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
         """Follow a schedule for some samples of so many steps each."""
@@ -353,3 +309,28 @@ class TwinSnake(PneumaticPlant):
         why = warned or "speeds beyond the plausible"
         text = f"{why}; before: {where}, bends {bends} rad, {fastest}"
         return DivergedError(self.name, time, text, history=history)
+
+
+def _take_former(contact: Contact, numerics: Numerics, former: dict[str, Any]) -> tuple[Contact, Numerics]:
+    """Return contact and switches with the deprecated keywords of `TwinSnake` taken over.
+
+    Raises:
+        TypeError: a keyword that there never was.
+    """
+    given = dict(former)
+    if isinstance(contact, LoadedContact):
+        wheels = given.pop("wheels", None)
+        law = given.pop("friction", None) or LAW_OF.get(wheels or "")
+        given |= {"law": law} if law else {}
+    switches = {name: given.pop(name) for name in list(given) if name in vars(numerics)}
+    fields = {name: given.pop(name) for name in list(given) if name in vars(contact)}
+    unknown = given.keys() - {"friction", "wheels", *vars(LoadedContact()), *vars(PreloadedContact())}
+    if unknown:
+        raise TypeError(f"TwinSnake has no argument {min(unknown)!r}")
+    warnings.warn(
+        f"{', '.join(former)} of TwinSnake: give contact=LoadedContact(…) or PreloadedContact(…), or "
+        f"numerics=Numerics(…){f'; {min(given)} has no effect on contact {contact.name!r}' if given else ''}",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    return replace(contact, **fields), replace(numerics, **switches)

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator, model_validator
 
 from srs_twin.errors import TimeStepError, whole_steps
 from srs_twin.friction import AT_TRACK, Law
-from srs_twin.mjcf.numerics import PRESETS, Contact, LawOnLoads, Numerics, Preset
+from srs_twin.mjcf.numerics import (
+    LAW_OF,
+    PRESETS,
+    Contact,
+    ContactName,
+    LoadedContact,
+    ModelSettings,
+    PreloadedContact,
+    Preset,
+    Wheels,
+)
+from srs_twin.mjcf.numerics import (
+    Law as LawOnLoads,
+)
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics.valves import SLOT_S
-from srs_twin.robot.sourced import in_unit
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
@@ -90,19 +102,19 @@ BENCH_TICK_S = 0.001
 class TwinFile(_PlantFile):
     """The MuJoCo twin."""
 
-    constructors = (Numerics,)
+    constructors = (ModelSettings, PreloadedContact)
     on_a_floor = ("preset", "wheels", "contact", "friction")
 
     preset: Preset | None = None
-    """Settings by one name, for keys that are not given; fast: a loaded contact and steps of 2 ms, a third of
-    the cost, to search and to learn with; reference: the defaults."""
+    """Time step by a name, where timestep_s is not given; fast: 2 ms, to search and to learn with; reference:
+    0.25 ms, to publish."""
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
-    wheels: Literal["rolling", "skid"] = constructor_default()
-    """What it stands on; rolling: hinge wheels (friction law wheel), skid: runners (law ellipse)."""
-    contact: Contact = constructor_default()
+    wheels: Wheels = constructor_default()
+    """What it stands on; rolling: wheels (friction law wheel), skid: runners (law ellipse)."""
+    contact: ContactName = LoadedContact.name
     """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
-    own friction on wheels or skids that are pressed down."""
+    own friction on wheels or skids that are pressed down, a check."""
     friction: LawOnLoads | None = None
     """Law of a loaded contact (default: what suits the wheels)."""
     hinges_per_segment: int = quantity(1, 32)
@@ -116,9 +128,22 @@ class TwinFile(_PlantFile):
         return self
 
     @property
-    def other_than_reference(self) -> str | None:
-        """The preset in words, with what was given besides; None: the reference."""
-        if self.preset in (None, "reference"):
+    def law(self) -> LawOnLoads:
+        """The friction law that describes what it stands on."""
+        return self.friction or LAW_OF[self.wheels]
+
+    def build_contact(self) -> Contact:
+        """Return how the floor holds it."""
+        return LoadedContact(self.law) if self.contact == "loaded" else PreloadedContact(self.wheels)
+
+    def arguments(self, *of: Callable[..., Any]) -> dict[str, Any]:
+        """Return the arguments of `TwinSnake`."""
+        return super().arguments(ModelSettings) | {"contact": self.build_contact()}
+
+    @property
+    def searched_with(self) -> str | None:
+        """The preset for searching in words, with what was given besides; None: it ran with none."""
+        if self.preset != "fast":
             return None
         own = ((key, getattr(self, key), value) for key, value in preset_keys(self.preset).items())
         besides = ", ".join(f"{key} {used}" for key, used, value in own if used != value)
@@ -132,10 +157,9 @@ class TwinFile(_PlantFile):
 
 
 def preset_keys(preset: Any) -> dict[str, Any]:
-    """Return what a preset gives by the keys of files; none: the reference's; nothing of an unknown one."""
-    given, keys = PRESETS.get(str(preset or "reference"), {}), TwinFile.model_fields
-    named = ((key, each.name) for key in keys if (each := TwinFile.parameter(key)) is not None)
-    return {key: in_unit(key, given[name]) for key, name in named if name in given}
+    """Return what a preset gives by the keys of files; none: the defaults; nothing of an unknown one."""
+    given = PRESETS.get(str(preset), {}) if preset else {"timestep": ModelSettings.timestep}
+    return {f"{name}_s": value for name, value in given.items()}
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:

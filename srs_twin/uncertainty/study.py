@@ -13,7 +13,6 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.file_sets import unmark
-from srs_twin.mjcf.numerics import LAW_OF
 from srs_twin.provenance import versions
 from srs_twin.scenario import Scenario, parse_scenario
 from srs_twin.scenario.plants import TwinFile
@@ -167,7 +166,7 @@ def compliant_partner(scenario: Scenario) -> Mapping[str, Any] | None:
     """Return plain data of a scenario with `compliant` as its only plant; None where that cannot run it."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "so the scenario's model has it"
-    settings = {"model": COMPLIANT, "friction": twin.friction or LAW_OF[twin.wheels], "gaps": twin.gaps}
+    settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}
     document = {**scenario.document, "plants": {"analytical": settings}, "expect": []}
     try:
         found = parse_scenario(document, name=scenario.name)

@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_steps
+from srs_twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
 from srs_twin.plants.device.ported import Ported, record, stacked
@@ -83,7 +84,7 @@ class WarpBatch:
         for twin in built:
             _refuse(twin, built[0])
         self.tick, self._h = built[0].tick, built[0].timestep
-        self._loaded = built[0].contact == "loaded"
+        self._loaded = isinstance(built[0].contact, LoadedContact)
         self._put(deterministic)
         self.reset()
 
@@ -556,7 +557,7 @@ def _refuse(twin: TwinSnake, first: TwinSnake) -> None:
         "stuck valves": bool(air.stuck),
         "base 'clamped'": not twin.physics.free,
         "a floor that slopes or has steps": twin.uneven,
-        "obstacles with contact 'preloaded'": twin.touches and twin.contact != "loaded",
+        "obstacles with contact 'preloaded'": twin.touches and not isinstance(twin.contact, LoadedContact),
     }
     own, other = twin.identity(), first.identity()
     same = own.keys() - {"robot", "robot_digest", "supply_pa"}
