@@ -3,8 +3,9 @@
     uv run python benchmarks/agreement.py [--default | --skid | --loads KIND] [--quick]
 
 Matched physics: `wheel` law and the same track on both sides, bends stiff enough to follow their free
-value. Without `--default` that is what is shown; with it, the shipped robot and the default friction. With
-`--skid`, matched physics on skids: the `ellipse` law. With `--loads`, `contact: loaded` with wheels without
+value, the twin preloaded. Without `--default` that is what is shown; with it, the shipped robot and the
+model's default friction. With `--skid`, matched physics on skids: the `ellipse` law. With `--loads`,
+`contact: loaded` with wheels without
 inertia about their axles: `momentary` on both sides, `across` with the analytical model's share of loads on
 the twin as well, `static` with those at rest on both.
 """
@@ -16,7 +17,7 @@ from itertools import product
 
 from grid import Run, run_all, table
 
-from srs_twin import compare
+from srs_twin import LoadedContact, Numerics, PreloadedContact, compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.mjcf.numerics import LOADS
 
@@ -35,10 +36,10 @@ def main() -> None:
     given = arguments.parse_args()
     common: dict[str, float] = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
     law = "axis" if given.default else "ellipse" if given.skid else "wheel"
-    wheels: dict[str, object] = {"wheels": "skid"} if given.skid else {}
+    wheels: dict[str, object] = {"contact": PreloadedContact("skid" if given.skid else "rolling")}
     loads: dict[str, object] = {}
     if given.loads:
-        wheels = {"contact": "loaded", "wheel_spin": 0.0, "load": given.loads}
+        wheels = {"contact": LoadedContact(load=given.loads), "numerics": Numerics(wheel_spin=0.0)}
         loads = {"load": "static" if given.loads == "static" else "momentary", "inertia": "connector"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if given.quick:

@@ -14,11 +14,13 @@ from typing import Any
 from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
 
+from srs_twin import LoadedContact, PreloadedContact
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.mjcf.model import Numerics
+from srs_twin.mjcf.numerics import ModelSettings
 
 GAITS = ((1.0, 0.0), (2.0, 0.0), (2.0, 0.2))  # Hz, offset
-BASE = Numerics()
+BASE = ModelSettings()
+HALF_SLIP = {"contact": LoadedContact(slip_speed=LoadedContact.slip_speed / 2)}
 
 CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
     "analytical": [
@@ -38,18 +40,12 @@ CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("time step halved", {"timestep": 0.0005}),
         ("time step quartered", {"timestep": 0.00025}),
         ("hinges doubled", {"hinges_per_segment": 2 * BASE.hinges_per_segment}),
-        ("slip time halved", {"slip_time": BASE.slip_time / 2}),
-        ("preload doubled", {"preload": 2 * BASE.preload}),
-        ("no preload", {"preload": 0.0}),
+        ("slip speed halved", HALF_SLIP),
         (
             "all refined",
-            {
-                "timestep": 0.00025,
-                "hinges_per_segment": 2 * BASE.hinges_per_segment,
-                "slip_time": BASE.slip_time / 2,
-                "preload": 2 * BASE.preload,
-            },
+            {"timestep": 0.00025, "hinges_per_segment": 2 * BASE.hinges_per_segment, **HALF_SLIP},
         ),
+        ("preloaded", {"contact": PreloadedContact()}),
     ],
 }
 

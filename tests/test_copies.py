@@ -38,7 +38,6 @@ CASES = [
     ("skid", "lag", "gait", "ideal"),
 ]  # fmt: skip
 LONG = chain((0.05,) * 11)
-"""Ten segments: the engine's solver begins with `WarmStart`."""
 
 
 def copies(thing: Any) -> dict[str, Any]:

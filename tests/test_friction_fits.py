@@ -10,7 +10,7 @@ from laws.test_stopping import sliding_skid, sliding_wheel
 from scipy import stats
 from snakes import GRAVITY, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Plant, Trajectory, TwinSnake
+from srs_twin import AnalyticalSnake, Plant, PreloadedContact, Trajectory, TwinSnake
 from srs_twin.errors import InputError
 from srs_twin.identification.friction import Coasting, Pulls, fit_coasting, fit_pulls
 from srs_twin.plants.analytical.floor import slide, spin_share
@@ -178,7 +178,7 @@ def test_the_analytical_plant_gives_back_its_coefficients():
 
 @pytest.mark.parametrize(("wheels", "law"), [("rolling", "wheel"), ("skid", "ellipse")])
 def test_the_twin_gives_back_its_coefficients(wheels, law):
-    plant = TwinSnake(SPEC, wheels=wheels, tick=0.01)
+    plant = TwinSnake(SPEC, contact=PreloadedContact(wheels), tick=0.01)
     runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
     found = fit_coasting(runs, SPEC, law=law, wheel_inertia=wheels == "rolling")
     assert found["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)

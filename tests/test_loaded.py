@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,19 @@ from hypothesis import strategies as st
 from load_reference import POINTS, simulate
 from snakes import GRAVITY, robot
 
-from srs_twin import AnalyticalSnake, Gait, InputError, Job, TwinBatch, TwinSnake, rollout, run_many
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    InputError,
+    Job,
+    LoadedContact,
+    Numerics,
+    PreloadedContact,
+    TwinBatch,
+    TwinSnake,
+    rollout,
+    run_many,
+)
 from srs_twin.friction import ellipse, wheel
 from srs_twin.friction_held import held, rolling
 from srs_twin.robot.spec import Friction, Tail
@@ -116,7 +129,7 @@ def test_at_rest_two_axles_share_a_tail_by_their_levers():
 
 def test_spun_on_the_spot_a_snake_loses_what_its_axles_lever_says():
     spec = replace(robot("gen3"), tail=TAIL, friction=Friction(mu_t=0.5, mu_n=0.5))
-    plant = TwinSnake(spec, contact="loaded", friction="ellipse", tick=0.001)
+    plant = TwinSnake(spec, contact=LoadedContact("ellipse"), tick=0.001)
     physics, data = plant.physics, plant.physics.data
     axles = physics.connector_positions()[[axle.connector - 1 for axle in spec.axles], 0]
     levers = axles - [axle.behind for axle in spec.axles] - physics.center_of_mass()[0]
@@ -184,12 +197,42 @@ def test_equal_runs_are_equal_to_the_bit_wherever_they_run():
     ("given", "words"),
     [
         ({"contact": "lose"}, "did you mean"),
-        ({"friction": "wheel"}, "'preloaded'"),
-        ({"load": "static"}, "'preloaded'"),
-        ({"contact": "loaded", "friction": "viscous"}, "viscous"),
-        ({"contact": "loaded", "preload": 3.0}, "preload"),
+        ({"contact": "preload"}, "did you mean preloaded"),
     ],
 )
-def test_what_does_not_go_together_is_refused(given, words):
+def test_an_unknown_contact_is_refused(given, words):
     with pytest.raises(InputError, match=words):
         TwinSnake(SPEC, **given)
+
+
+def test_a_contact_refuses_what_it_does_not_know():
+    for make in (partial(LoadedContact, "viscous"), partial(LoadedContact, load="dynamic")):
+        with pytest.raises(InputError, match="unknown; allowed"):
+            make()
+    with pytest.raises(TypeError):
+        LoadedContact(preload=3.0)
+
+
+@pytest.mark.parametrize(
+    ("former", "contact", "numerics"),
+    [
+        ({"friction": "ellipse", "load": "static"}, LoadedContact("ellipse", "static"), Numerics()),
+        ({"wheels": "skid"}, LoadedContact("ellipse"), Numerics()),
+        (
+            {"contact": "preloaded", "wheels": "skid", "preload": 3.0},
+            PreloadedContact("skid", 3.0),
+            Numerics(),
+        ),
+        ({"wheel_spin": 0.0, "slip_speed": 2e-3}, LoadedContact(slip_speed=2e-3), Numerics(wheel_spin=0.0)),
+        ({"axle_time": 0.001}, LoadedContact(), Numerics()),
+    ],
+)
+def test_former_keywords_of_a_twin_still_work_and_warn(former, contact, numerics):
+    with pytest.warns(DeprecationWarning, match="of TwinSnake: give contact="):
+        twin = TwinSnake(SPEC, **former)
+    assert (twin.contact, twin._settings.numerics) == (contact, numerics)
+
+
+def test_a_keyword_that_never_was_is_refused():
+    with pytest.raises(TypeError, match="'wheel'"):
+        TwinSnake(SPEC, wheel="skid")

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, chain, robot
 
-from srs_twin import InputError, load_robot
+from srs_twin import InputError, PreloadedContact, load_robot
 from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
-from srs_twin.mjcf.numerics import Numerics, hinge_stations
-from srs_twin.mjcf.wheels import contact, preload_force, treads
+from srs_twin.mjcf.numerics import ModelSettings, hinge_stations
+from srs_twin.mjcf.wheels import pair_attributes, preload_force, treads
 
 pytestmark = pytest.mark.fast
 
 NAMES = ("gen1", "gen2", "gen3", "gen4")
 RIGHT_ANGLE = np.pi / 2
-HINGES = range(1, Numerics.hinges_per_segment + 1)
+HINGES = range(1, ModelSettings.hinges_per_segment + 1)
 
 
 def hinged_chord(bend: float, hinges: int) -> float:
@@ -52,7 +52,7 @@ def test_known_hinge_stations():
 def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
     """Each robot's compiled scene, straight, forward kinematics done."""
     spec = load_robot(request.param)
-    model = scene_mjcf(spec, Numerics()).compile()
+    model = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data, request.param
@@ -115,7 +115,7 @@ def test_hinges_in_series_have_the_segments_stiffness_and_damping(scene):
         assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(bending.stiffness)
         damping = model.dof_damping[model.jnt_dofadr[hinges]]
         # The integrator's springs stand at the end of a step and damp by stiffness × step besides.
-        whole = damping + Numerics().timestep * model.jnt_stiffness[hinges]
+        whole = damping + ModelSettings.timestep * model.jnt_stiffness[hinges]
         assert 1 / (1 / whole).sum() == pytest.approx(bending.stiffness * bending.damping_time)
         assert model.joint(f"pitch_{j}").stiffness == pytest.approx(bending.pitch_stiffness)
         assert model.joint(f"roll_{j}").stiffness == pytest.approx(bending.roll_stiffness)
@@ -154,19 +154,19 @@ def test_tendon_length_is_the_difference_of_headings(scene):
 
 def test_axles_drag_by_the_load_and_treads_slide_by_it(scene):
     model, _, name = scene
-    spec, numerics = load_robot(name), Numerics()
-    pressed = preload_force(spec, numerics)
+    spec, numerics = load_robot(name), ModelSettings(contact=PreloadedContact())
+    pressed = preload_force(spec, PreloadedContact())
     for i, mass in enumerate(spec.mass.connectors, start=1):
         load = mass * GRAVITY / 2
         for side in ("left", "right"):
             drag = model.dof_frictionloss[model.joint(f"axle_{side}_{i}").dofadr]
             assert drag / spec.geometry.wheel_radius == pytest.approx([spec.friction.mu_t * load])
         # What a pressed wheel can hold sideways is μ_n times the load it would have alone.
-        mu = contact(spec, numerics)["friction"][0]
+        mu = pair_attributes(spec, numerics)["friction"][0]
         assert mu * (load + pressed[i - 1, 0]) == pytest.approx(spec.friction.mu_n * load)
     assert model.npair == len(treads(spec)) == 10
     for pair in range(model.npair):
-        assert model.pair_friction[pair][:2] == pytest.approx(contact(spec, numerics)["friction"][:2])
+        assert model.pair_friction[pair][:2] == pytest.approx(pair_attributes(spec, numerics)["friction"][:2])
 
 
 def test_every_element_has_a_name(scene):
@@ -183,7 +183,7 @@ def test_every_element_has_a_name(scene):
 @pytest.mark.parametrize("connectors", range(2, 13))
 def test_snakes_of_any_length_build(connectors):
     spec = chain((0.03,) * connectors)
-    model = scene_mjcf(spec, Numerics(hinges_per_segment=2)).compile()
+    model = scene_mjcf(spec, ModelSettings(hinges_per_segment=2, contact=PreloadedContact())).compile()
     assert model.ntendon == connectors - 1
     assert model.npair == 2 * connectors
     # Root, 2 hinges + pitch + roll a segment, 2 wheels a connector.
@@ -194,7 +194,7 @@ def test_snakes_of_any_length_build(connectors):
 @pytest.mark.parametrize("hinges", [1, 2, 3, 8])
 def test_number_of_hinges_changes_neither_mass_nor_stiffness(hinges):
     spec = robot()
-    model = robot_mjcf(spec, Numerics(hinges_per_segment=hinges)).compile()
+    model = robot_mjcf(spec, ModelSettings(hinges_per_segment=hinges, contact=PreloadedContact())).compile()
     assert model.body_mass.sum() == pytest.approx(spec.mass.total)
     series = [model.jnt_stiffness[model.joint(f"hinge_1_{k}").id] for k in range(1, hinges + 1)]
     assert 1 / np.sum(1 / np.array(series)) == pytest.approx(spec.bending.stiffness)
@@ -202,14 +202,16 @@ def test_number_of_hinges_changes_neither_mass_nor_stiffness(hinges):
 
 def test_controls_reach_the_given_supply():
     spec = robot()
-    shipped = robot_mjcf(spec, Numerics()).compile()
-    over = robot_mjcf(spec, Numerics(), supply_pa=2 * spec.supply.pulsed_limit).compile()
+    shipped = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
+    over = robot_mjcf(
+        spec, ModelSettings(contact=PreloadedContact()), supply_pa=2 * spec.supply.pulsed_limit
+    ).compile()
     assert shipped.actuator("plus_1").ctrlrange == pytest.approx([0, spec.supply.pulsed_limit])
     assert over.actuator("minus_4").ctrlrange == pytest.approx([0, 2 * spec.supply.pulsed_limit])
 
 
 def test_numerics_reach_the_options():
-    model = scene_mjcf(robot(), Numerics(timestep=0.0005, slip_time=0.004)).compile()
+    model = scene_mjcf(robot(), ModelSettings(0.0005, contact=PreloadedContact(slip_time=0.004))).compile()
     assert model.opt.timestep == 0.0005
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     assert model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE
@@ -220,4 +222,4 @@ def test_numerics_reach_the_options():
 
 def test_a_time_step_beyond_the_damping_time_is_refused():
     with pytest.raises(InputError, match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be sh"):
-        robot_mjcf(robot(), Numerics(timestep=0.004))
+        robot_mjcf(robot(), ModelSettings(0.004))

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 import typer
 
-from srs_twin import load_robot
+from srs_twin import PreloadedContact, load_robot
 from srs_twin.cli import models
 from srs_twin.errors import InputError
 from srs_twin.io import files
 from srs_twin.mjcf.export import SCENE, export_robot, robot_files, stale_files
 from srs_twin.mjcf.model import GRAVITY, scene_mjcf
-from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.numerics import ModelSettings
 from srs_twin.mjcf.wheels import preload_force, treads
 
 ROBOTS = ("gen1", "gen2", "gen3", "gen4")
-SECOND = round(1 / Numerics.timestep)
+SECOND = round(1 / ModelSettings.timestep)
 
 # What a program without the package sees: a file, MuJoCo, and a random second.
 PLAIN = """
@@ -81,7 +81,7 @@ def test_stale_and_missing_files_are_told_apart_from_current_ones(tmp_path):
 
 
 def test_the_files_compile_to_the_twins_own_model_bit_for_bit(spec, shipped):
-    twin = scene_mjcf(spec, Numerics()).compile()
+    twin = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     for part in ("opt", "stat", "vis"):
         assert str(getattr(twin, part)) == str(getattr(shipped, part)), part
     compared = set()
@@ -99,7 +99,7 @@ def test_the_files_compile_to_the_twins_own_model_bit_for_bit(spec, shipped):
 
 def test_both_move_alike_under_the_same_controls(spec, shipped):
     rng = np.random.default_rng(1)
-    twin = scene_mjcf(spec, Numerics()).compile()
+    twin = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     one, other = at_home(twin), at_home(shipped)
     for step in range(SECOND):
         if step % 50 == 0:
@@ -128,7 +128,7 @@ def test_at_home_it_rests_and_the_floor_carries_weight_and_preload(spec, shipped
     assert np.abs(data.qvel).max() < 1e-5
     assert np.abs(data.qpos[:3] - home[:3]).max() < 1e-3
     force = data.sensordata[: 6 * spec.geometry.connectors].reshape(-1, 2, 3).copy()
-    force[..., 2] -= preload_force(spec, Numerics())
+    force[..., 2] -= preload_force(spec, PreloadedContact())
     np.testing.assert_allclose(force.sum(axis=(0, 1)), [0, 0, spec.mass.total * GRAVITY], atol=1e-6)
     # The wheels of a connector share its own weight evenly; a flexible body passes on little.
     np.testing.assert_allclose(
@@ -148,7 +148,7 @@ def test_numbers_of_the_robot_are_found_again_in_the_compiled_model(spec, shippe
         assert wheel.xpos[2] == pytest.approx(g.wheel_radius)
         assert abs(wheel.xpos[1]) == pytest.approx(g.half_track)
     for j in range(1, spec.segments + 1):
-        hinges = [shipped.joint(f"hinge_{j}_{k}") for k in range(1, Numerics.hinges_per_segment + 1)]
+        hinges = [shipped.joint(f"hinge_{j}_{k}") for k in range(1, ModelSettings.hinges_per_segment + 1)]
         in_series = 1 / sum(1 / hinge.stiffness[0] for hinge in hinges)
         assert in_series == pytest.approx(spec.bending.stiffness)
         assert shipped.actuator(f"plus_{j}").ctrlrange[1] == pytest.approx(spec.supply.continuous_limit)
@@ -206,7 +206,7 @@ def test_a_title_cannot_break_out_of_the_comment(tmp_path):
     wild = dataclasses.replace(load_robot("gen2"), title="a --> <body/> <!-- 'b' & \"c\"")
     export_robot(wild, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / SCENE))
-    assert model.nbody == scene_mjcf(wild, Numerics()).compile().nbody
+    assert model.nbody == scene_mjcf(wild, ModelSettings(contact=PreloadedContact())).compile().nbody
 
 
 def test_a_place_that_cannot_be_written_is_bad_input(tmp_path):

@@ -13,11 +13,20 @@ from scipy.integrate import solve_ivp
 from scipy.stats import kstest, norm
 from snakes import robot
 
-from srs_twin import AnalyticalSnake, InputError, RobotSpec, TwinSnake, load_robot, load_scenario, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    InputError,
+    PreloadedContact,
+    RobotSpec,
+    TwinSnake,
+    load_robot,
+    load_scenario,
+    rollout,
+)
 from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
 from srs_twin.mjcf.model import robot_mjcf
-from srs_twin.mjcf.numerics import Numerics
+from srs_twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
 from srs_twin.pneumatics.chambers import air_bend, as_felt, bent, largest_bend
 from srs_twin.pneumatics.valves import StuckValve
@@ -277,7 +286,7 @@ def test_a_stiff_light_twin_bends_as_the_free_modules_would():
 
 def test_the_exported_model_has_the_modules_gains_and_rest_bends():
     spec = unlike()
-    model = robot_mjcf(spec, Numerics()).compile()
+    model = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     for j in range(1, 5):
         hinges = [model.joint(f"hinge_{j}_{k}") for k in (1, 2)]
         assert sum(model.qpos_spring[h.qposadr[0]] for h in hinges) == pytest.approx(spec.modules.bias[j - 1])

@@ -10,7 +10,7 @@ import pytest
 from presets import FINE_S, METRICS, errors, measured
 
 from srs_twin import InputError, TwinSnake, load_robot
-from srs_twin.mjcf.numerics import PRESETS, Numerics, Preset
+from srs_twin.mjcf.numerics import PRESETS, Preset
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.scenario.plants import TwinFile
 from srs_twin.sweep.points import Experiment
@@ -28,19 +28,19 @@ def scenario(twin, **changes):
 def settings(found):
     about = found.build_plant("twin").describe()
     return (
-        about.get("contact", "preloaded"),
+        about["contact"],
         about["timestep_s"],
         about["hinges_per_segment"],
         about["preset"],
     )
 
 
-FAST, REFERENCE = ("loaded", 0.002, 2, "fast"), ("preloaded", 0.001, 2, "reference")
+FAST, DEFAULT = ("loaded", 0.002, 2, "fast"), ("loaded", 0.001, 2, None)
+REFERENCE = ("loaded", 0.00025, 2, "reference")
 
 
-def test_presets_have_the_names_of_the_key_and_the_reference_is_the_default():
+def test_presets_have_the_names_of_the_key_and_a_file_has_none():
     assert tuple(PRESETS) == get_args(Preset)
-    assert PRESETS["reference"].items() <= vars(Numerics()).items()
     assert PRESETS["fast"].keys() == PRESETS["reference"].keys(), "or one could not take the other's place"
     assert TwinFile().preset is None and TwinFile() == TwinFile.model_validate({})
 
@@ -48,7 +48,7 @@ def test_presets_have_the_names_of_the_key_and_the_reference_is_the_default():
 @pytest.mark.parametrize(
     ("twin", "used"),
     [
-        ({}, REFERENCE),
+        ({}, DEFAULT),
         ({"preset": "reference"}, REFERENCE),
         ({"preset": "fast"}, FAST),
         ({"preset": "fast", "timestep_s": 0.001}, ("loaded", 0.001, 2, None)),
@@ -62,9 +62,9 @@ def test_a_setting_beside_the_preset_wins(twin, used):
     assert settings(parse_scenario(found.document)) == used, "defaults written out, the same"
 
 
-def test_a_law_needs_the_loaded_contact_that_the_preset_gives():
+def test_a_law_needs_the_loaded_contact():
     with pytest.raises(InputError, match="friction is contact: loaded's"):
-        scenario({"preset": "fast", "contact": "preloaded", "friction": "wheel"})
+        scenario({"contact": "preloaded", "friction": "wheel"})
 
 
 def test_another_preset_replaces_what_the_former_gave_and_nothing_else():
@@ -118,7 +118,7 @@ def test_presets_build_twins_of_themselves():
 def test_no_shipped_scenario_runs_with_it(root):
     for path in (root / "scenarios").glob("*.yaml"):
         assert "preset" not in path.read_text("utf-8"), path.name
-    assert settings(load_scenario("gen2_turn")) == REFERENCE
+    assert settings(load_scenario("gen2_turn")) == DEFAULT
 
 
 @pytest.mark.parametrize("name", ["gen2_turn", "gen3_turn"])

@@ -17,6 +17,7 @@ from srs_twin import (
     Gait,
     InputError,
     Plant,
+    PreloadedContact,
     SnakeState,
     Trajectory,
     TwinSnake,
@@ -343,7 +344,7 @@ def test_real_plants_record_their_settings():
     about = rollout(model, Gait(1.7), 0.1).metadata
     assert (about["model"], about["friction"], about["timestep_s"]) == ("compliant", "wheel", 0.001)
     assert (about["gait_frequency_hz"], about["controller"]) == (1.7, "gait")
-    twin = rollout(TwinSnake(SPEC, hinges_per_segment=3, wheels="skid"), Gait(2.0), 0.1)
+    twin = rollout(TwinSnake(SPEC, hinges_per_segment=3, contact=PreloadedContact("skid")), Gait(2.0), 0.1)
     assert (twin.metadata["wheels"], twin.metadata["hinges_per_segment"]) == ("skid", 3)
     # Free joint, three hinges + pitch + roll a segment.
     assert twin.stack("qpos").shape == (11, 7 + 4 * 5)

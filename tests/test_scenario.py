@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from srs_twin import LoadedContact
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.io.documents import dump_yaml, load_yaml, parse_yaml
 from srs_twin.io.files import data_root, shipped_names
@@ -108,7 +109,7 @@ def test_defaults_are_those_of_the_plants(kind):
 def test_skids_and_their_law_reach_the_plants():
     s = scenario(plants={"analytical": {"friction": "ellipse"}, "twin": {"wheels": "skid"}})
     assert s.build_plant("analytical").friction == "ellipse"
-    assert s.build_plant("twin").wheels == "skid"
+    assert s.build_plant("twin").contact == LoadedContact("ellipse")
 
 
 def test_the_controller_is_a_gait():

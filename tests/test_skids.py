@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, chain, robot, throw, vented
 
-from srs_twin import Gait, TwinSnake, load_robot, rollout
+from srs_twin import Gait, PreloadedContact, TwinSnake, load_robot, rollout
 from srs_twin.mjcf.model import scene_mjcf
-from srs_twin.mjcf.numerics import PRELOAD, Numerics
+from srs_twin.mjcf.numerics import PRELOAD, ModelSettings
 from srs_twin.mjcf.wheels import contact, preload_force, treads
 
 SPEC = robot(stiffness=20.0)
-SKIDS = Numerics(wheels="skid", preload=PRELOAD["skid"])
+SKIDS = ModelSettings(contact=PreloadedContact("skid"))
 
 
 @cache
 def twin() -> TwinSnake:
-    return TwinSnake(SPEC, wheels="skid")
+    return TwinSnake(SPEC, contact=PreloadedContact("skid"))
 
 
 @pytest.fixture(scope="module", params=["gen1", "gen2", "gen3", "gen4"])
@@ -48,7 +48,7 @@ def test_each_skid_touches_once_at_the_track(scene):
 def test_masses_and_inertias_are_those_of_the_snake_on_wheels(scene):
     model, data, name = scene
     spec = load_robot(name)
-    wheeled = scene_mjcf(spec, Numerics()).compile()
+    wheeled = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     assert model.body_mass.sum() == pytest.approx(spec.mass.total, rel=1e-12)
     g, yaw = spec.geometry, 2
     for i in range(1, g.connectors + 1):
@@ -90,14 +90,14 @@ def test_contact_frames_turn_with_the_skids(heading):
 
 
 def test_no_skid_touches_with_its_tip_or_leaves_the_floor_in_a_crawl():
-    plant, contacts = TwinSnake(robot(), wheels="skid"), []
+    plant, contacts = TwinSnake(robot(), contact=PreloadedContact("skid")), []
     rollout(plant, Gait(2.0, 0.2), 2.0, observers=[lambda _: contacts.append(plant.physics.data.ncon)])
     assert set(contacts[1:]) == {10}
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 def test_thrown_sideways_it_does_not_roll_over(name):
-    plant = TwinSnake(robot(name, stiffness=20.0), wheels="skid")
+    plant = TwinSnake(robot(name, stiffness=20.0), contact=PreloadedContact("skid"))
     throw(plant, (-np.sin(0.7), np.cos(0.7)), heading=0.7)
     upright = []
     for _ in range(round((1.0 / (plant.spec.friction.mu_n * GRAVITY) + 0.2) / plant.tick)):
@@ -121,13 +121,13 @@ def test_rests_where_it_lies():
 def test_says_what_it_stands_on():
     described = twin().describe()
     assert (described["wheels"], described["preload"]) == ("skid", PRELOAD["skid"])
-    assert TwinSnake(SPEC).describe()["preload"] == Numerics().preload == PRELOAD["rolling"]
-    assert TwinSnake(SPEC, wheels="skid", preload=7.0).describe()["preload"] == 7.0
+    assert TwinSnake(SPEC, contact="preloaded").describe()["preload"] == PRELOAD["rolling"]
+    assert TwinSnake(SPEC, contact=PreloadedContact("skid", 7.0)).describe()["preload"] == 7.0
 
 
 @pytest.mark.parametrize("connectors", [2, 9])
 def test_snakes_of_any_length_run(connectors):
-    plant = TwinSnake(chain((0.03,) * connectors), wheels="skid")
+    plant = TwinSnake(chain((0.03,) * connectors), contact=PreloadedContact("skid"))
     trajectory = rollout(plant, Gait(2.0, phase_step=np.pi / 2), 0.5)
     assert np.isfinite(trajectory.com).all()
     assert plant.physics.floor_forces().shape == (connectors, 2, 3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, robot
 
-from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, rollout
+from srs_twin import AnalyticalSnake, Gait, InputError, LoadedContact, Numerics, TwinSnake, rollout
 from srs_twin.control.replay import HoldValves
 from srs_twin.mjcf.numerics import WALL_M
 from srs_twin.mjcf.surroundings import FRICTION
@@ -21,7 +21,7 @@ MU = {"along": SPEC.friction.mu_t, "across": SPEC.friction.mu_n}
 DOWNHILL = {"along": math.pi, "across": -math.pi / 2}
 PLANTS = {
     "twin": lambda **given: TwinSnake(SPEC, contact="loaded", **given),
-    "twin on skids": lambda **given: TwinSnake(SPEC, contact="loaded", friction="ellipse", **given),
+    "twin on skids": lambda **given: TwinSnake(SPEC, contact=LoadedContact("ellipse"), **given),
     "complete": lambda **given: AnalyticalSnake(SPEC, **given),
     "compliant": lambda **given: AnalyticalSnake(
         SPEC, model="compliant", friction="wheel", load="momentary", **given
@@ -94,12 +94,17 @@ def test_momentary_loads_of_the_analytical_model_are_those_of_the_twin():
     for kind in ("twin", "compliant"):
         turned = []
         for load in ("static", "momentary"):
-            given = {"load": "across" if (kind, load) == ("twin", "momentary") else load}
+            contact = LoadedContact(load="across" if load == "momentary" else load)
             plant = (
-                TwinSnake(SPEC, contact="loaded", wheel_spin=0.0, supply_pa=48.3e3, **given)
+                TwinSnake(SPEC, contact=contact, numerics=Numerics(wheel_spin=0.0), supply_pa=48.3e3)
                 if kind == "twin"
                 else AnalyticalSnake(
-                    SPEC, model="compliant", friction="wheel", inertia="connector", supply_pa=48.3e3, **given
+                    SPEC,
+                    model="compliant",
+                    friction="wheel",
+                    load=load,
+                    inertia="connector",
+                    supply_pa=48.3e3,
                 )
             )
             run = rollout(plant, Gait(2.0, 0.3), 5.0)

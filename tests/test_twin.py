@@ -7,8 +7,8 @@ import pytest
 from dm_control import mujoco as dm
 from snakes import GRAVITY, chain, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, rollout
-from srs_twin.mjcf.model import Numerics
+from srs_twin import AnalyticalSnake, Gait, InputError, PreloadedContact, TwinSnake, rollout
+from srs_twin.mjcf.model import ModelSettings
 
 SPEC = robot()
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
@@ -100,7 +100,7 @@ def test_accessors_name_what_mujoco_numbers():
     rollout(plant, Gait(2.0, 0.2), 0.3)
     physics, named = plant.physics, plant.physics.named.data
     for j in range(1, 5):
-        hinges = [f"hinge_{j}_{k}" for k in range(1, Numerics.hinges_per_segment + 1)]
+        hinges = [f"hinge_{j}_{k}" for k in range(1, ModelSettings.hinges_per_segment + 1)]
         assert physics.bend_angles()[j - 1] == pytest.approx(named.qpos[hinges].sum(), abs=1e-12)
         assert physics.bend_rates()[j - 1] == pytest.approx(named.qvel[hinges].sum(), abs=1e-9)
     for i in range(1, 6):
@@ -160,7 +160,7 @@ def test_thrown_across_its_wheels_do_not_turn():
 
 
 def test_headings_keep_counting_beyond_a_full_turn():
-    plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), preload=0.0)
+    plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0))
     throw(plant, (0.0, 0.0), spin=12.0)
     headings = [plant.step(vented(SPEC)).heading for _ in range(60)]
     assert np.diff(headings) == pytest.approx([12.0 * 0.02] * 59, rel=0.02)
@@ -202,7 +202,7 @@ def test_both_plants_get_the_same_pressures():
 
 def test_what_cannot_be_built_is_refused():
     with pytest.raises(InputError, match="wheels 'round' is unknown; allowed: rolling, skid"):
-        TwinSnake(SPEC, wheels="round")
+        TwinSnake(SPEC, contact=PreloadedContact("round"))
     with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):
         TwinSnake(SPEC, timestep=0.0015)
     with pytest.raises(InputError, match="hinges_per_segment: 0 is not allowed"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli.options import JsonOption, argument, option, print_json, with_options
-from srs_twin.errors import InputError, UnknownNameError, one_of
+from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from srs_twin.mjcf.check import ModelReport

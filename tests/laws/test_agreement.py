@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from snakes import robot
 
-from srs_twin import AnalyticalSnake, Gait, Trajectory, TwinSnake, compare, rollout
+from srs_twin import AnalyticalSnake, Gait, PreloadedContact, Trajectory, TwinSnake, compare, rollout
 from srs_twin.comparison.metrics import plant_metrics
 
 STIFF = robot(stiffness=20.0)
@@ -67,6 +67,6 @@ def both(
     spec = replace(STIFF, geometry=replace(STIFF.geometry, rigid_gap=gap))
     plants = (
         AnalyticalSnake(spec, friction=friction, supply_pa=1e3 * kilopascals),
-        TwinSnake(spec, wheels=wheels, supply_pa=1e3 * kilopascals),
+        TwinSnake(spec, contact=PreloadedContact(wheels), supply_pa=1e3 * kilopascals),
     )
     return [rollout(plant, Gait(f, offset), duration) for plant in plants]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, rollout
+from srs_twin import AnalyticalSnake, Gait, LoadedContact, PreloadedContact, RobotSpec, TwinSnake, rollout
 
 DRAG = 0.08
 STIFF = robot(stiffness=20.0)
@@ -25,9 +25,9 @@ def dragged(spec: RobotSpec, drag: float = DRAG, **changes: float) -> RobotSpec:
     [
         (lambda spec: AnalyticalSnake(spec, friction="wheel"), 0.0),
         (lambda spec: AnalyticalSnake(spec, model="compliant", friction="ellipse"), 0.0),
-        (lambda spec: TwinSnake(spec, contact="loaded", slip_speed=1e-4), SPIN_MASS),
-        (lambda spec: TwinSnake(spec, contact="preloaded", slip_speed=1e-4), SPIN_MASS),
-        (lambda spec: TwinSnake(spec, contact="preloaded", wheels="skid", slip_speed=1e-4), 0.0),
+        (lambda spec: TwinSnake(spec, contact=LoadedContact(slip_speed=1e-4)), SPIN_MASS),
+        (lambda spec: TwinSnake(spec, contact=PreloadedContact(slip_speed=1e-4)), SPIN_MASS),
+        (lambda spec: TwinSnake(spec, contact=PreloadedContact("skid", slip_speed=1e-4)), 0.0),
     ],
     ids=["complete", "compliant", "loaded", "preloaded", "skid"],
 )

@@ -8,7 +8,7 @@ import pytest
 from smooth import Wave
 from snakes import chain, robot, throw
 
-from srs_twin import AnalyticalSnake, Gait, Plant, RobotSpec, TwinSnake, rollout
+from srs_twin import AnalyticalSnake, Gait, Plant, PreloadedContact, RobotSpec, TwinSnake, rollout
 from srs_twin.plants.analytical import kernels
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
@@ -81,7 +81,7 @@ def drift(spec: RobotSpec, timestep: float, smooth: bool) -> tuple[float, float]
     Without preload: MuJoCo's contacts have no friction below 1e-5, which a preload multiplies.
     """
     chambers = {"pneumatics": Wave(spec, bias=0.2)} if smooth else {}
-    plant = TwinSnake(spec, timestep=timestep, preload=0.0, **chambers)
+    plant = TwinSnake(spec, timestep=timestep, contact=PreloadedContact(preload=0.0), **chambers)
     data, seen = plant.physics.data, []
 
     def watch(state) -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, robot, vented
 
-from srs_twin import Gait, TwinSnake, rollout
+from srs_twin import Gait, PreloadedContact, TwinSnake, rollout
 from srs_twin.mjcf.numerics import WHEELS
 
 SPEC = robot()
 WEIGHT = SPEC.mass.array() * GRAVITY
 
 
-FLOORS = {**{wheels: {"wheels": wheels} for wheels in WHEELS}, "loaded": {"contact": "loaded"}}
+FLOORS = {**{wheels: {"contact": PreloadedContact(wheels)} for wheels in WHEELS}, "loaded": {}}
 
 
 @pytest.fixture(scope="module", params=FLOORS)
@@ -52,7 +52,7 @@ def test_loads_at_rest(name, share, floor):
 
 
 def test_preload_does_not_change_what_the_floor_carries():
-    bare, pressed = TwinSnake(SPEC, preload=0.0), TwinSnake(SPEC, preload=9.0)
+    bare, pressed = (TwinSnake(SPEC, contact=PreloadedContact(preload=k)) for k in (0.0, 9.0))
     for plant in (bare, pressed):
         for _ in range(100):
             plant.step(vented(SPEC))

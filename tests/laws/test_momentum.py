@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from snakes import chain, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Gait, TwinSnake, rollout
+from srs_twin import AnalyticalSnake, Gait, PreloadedContact, TwinSnake, rollout
 
 SLIPPERY = robot(mu_t=0.0, mu_n=0.0)
 
@@ -25,7 +25,7 @@ def test_analytical_coasts_without_friction(law):
 
 def test_twin_coasts_without_friction():
     # MuJoCo's contacts have no friction below 1e-5, which a preload multiplies; hence without preload.
-    plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), preload=0.0)
+    plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0))
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
     start, heading = plant.physics.center_of_mass()[:2], plant.physics.connector_headings().mean()
     for _ in range(50):
@@ -62,7 +62,7 @@ def test_twin_gains_momentum_only_from_the_time_step():
 
 def _largest_momentum(timestep: float) -> tuple[float, float]:
     """Return the largest horizontal momentum (kg·m/s) and moment about z (kg·m²/s) of an undulating twin."""
-    plant = TwinSnake(SLIPPERY, timestep=timestep, preload=0.0)
+    plant = TwinSnake(SLIPPERY, timestep=timestep, contact=PreloadedContact(preload=0.0))
     physics, seen = plant.physics, []
 
     def watch(state) -> None:

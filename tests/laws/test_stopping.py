@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Plant, TwinSnake
+from srs_twin import AnalyticalSnake, LoadedContact, Plant, PreloadedContact, TwinSnake
+from srs_twin.mjcf.numerics import LAW_OF
 
 SPEC = robot(stiffness=20.0)
 MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n
@@ -20,7 +21,8 @@ SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 
 @cache
 def twin(wheels: str = "rolling", contact: str = "preloaded", slip_speed: float = 1e-4) -> TwinSnake:
-    return TwinSnake(SPEC, wheels=wheels, contact=contact, slip_speed=slip_speed)
+    law = LoadedContact(LAW_OF[wheels], slip_speed=slip_speed)
+    return TwinSnake(SPEC, contact=law if contact == "loaded" else PreloadedContact(wheels))
 
 
 def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -> np.ndarray:
