@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from srs_twin import AnalyticalSnake, Plant, RobotSpec, TwinSnake, load_robot
+from srs_twin import AnalyticalSnake, LoadedContact, Plant, RobotSpec, TwinSnake, load_robot
 from srs_twin.mjcf.model import root_connector
 from srs_twin.plants.analytical import kernels
 
@@ -77,7 +77,8 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
     physics.data.qvel[:] = 0.0
     physics.data.qvel[:2] = at(places[root_connector(plant.spec) - 1])
     physics.data.qvel[5] = spin
-    if plant.wheels == "skid":
+    contact = plant.contact
+    if contact.law == "ellipse" if isinstance(contact, LoadedContact) else not contact.rolling:
         return
     for i, (place, heading) in enumerate(zip(places, headings, strict=True), start=1):
         along = at(place) @ [np.cos(heading), np.sin(heading)]

@@ -27,6 +27,7 @@ from srs_twin import (
     Gait,
     InputError,
     Job,
+    LoadedContact,
     Plant,
     RobotSpec,
     SnakeState,
@@ -145,7 +146,7 @@ def mixed_jobs() -> list[Job]:
         Job(partial(AnalyticalSnake, SPEC), Gait(2.0, 0.2), 3.0, POSES[1], 3),
         Job(AnalyticalSnake(variants()[1], model="compliant"), Reflex(), 0.4, seed=5),
         Job(TwinSnake(variants()[2]), Gait(1.0, -0.1), 0.3, POSES[2], record_hz=50),
-        Job(partial(TwinSnake, variants()[3], wheels="skid"), Reflex(), 0.2, POSES[3], 7),
+        Job(partial(TwinSnake, variants()[3], contact=LoadedContact("ellipse")), Reflex(), 0.2, POSES[3], 7),
         Job(partial(AnalyticalSnake, SPEC, friction="wheel"), Gait(1.5), 0.2, record_hz=25),
         Job(partial(AnalyticalSnake, SPEC, pneumatics="orifice"), Gait(2.0, 0.4), 0.5),
     ]
@@ -495,8 +496,8 @@ def test_what_a_batch_refuses():
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
     with pytest.raises(InputError, match="one object cannot be the chambers of every twin; give its kind"):
         TwinBatch([SPEC, SPEC], pneumatics=own)
-    with pytest.raises(InputError, match="wheels 'square' is unknown; allowed: rolling, skid"):
-        TwinBatch([SPEC, SPEC], wheels="square", threads=2)
+    with pytest.raises(InputError, match="contact 'lose' is unknown; allowed: loaded, preloaded"):
+        TwinBatch([SPEC, SPEC], contact="lose", threads=2)
 
 
 def test_what_a_batch_in_hand_refuses():

@@ -54,7 +54,7 @@ def test_lsoda_gets_closer_as_its_tolerance_shrinks():
 
 
 def test_bare_loop_moves_the_twin_as_its_rollout_does():
-    plant = TwinSnake(SPEC)
+    plant = TwinSnake(SPEC, contact="preloaded")
     loop, data = against_mj_step.bare_loop(plant, 0.1)
     loop()
     loop()  # begins anew each time

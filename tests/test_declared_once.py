@@ -22,6 +22,7 @@ OTHER = {
     "DeadSensorFile.reading_rad": "nothing is read unless a reading is given",
     "FollowFile.delay_s": "a real snake answers late",
     "OmplFile.seconds": "it has no other end",
+    "TwinFile.contact": "a file names what is an object",
     "RandomFile.clear_m": "one distance, where `strewn` takes discs",
     "RandomFile.seed": "the scenario's",
 }

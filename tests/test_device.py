@@ -276,7 +276,10 @@ def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
         ({"pneumatics": "orifice"}, "pneumatics 'orifice'"),
         ({"base": "clamped"}, "base 'clamped'"),
         ({"layout": "in_out"}, "layout 'in_out'"),
-        ({"world": World((Circle(1.0, 0.0, 0.1),))}, "obstacles with contact 'preloaded'"),
+        (
+            {"world": World((Circle(1.0, 0.0, 0.1),)), "contact": "preloaded"},
+            "obstacles with contact 'preloaded'",
+        ),
     ],
 )
 def test_what_a_device_cannot_do_is_refused_by_its_name(settings, named):

@@ -407,7 +407,8 @@ def test_starved_chambers_and_yielding_bends_take_turns_often_enough(l_per_min, 
         return pressure, found.stack("bend")
 
     (pressure, bend), (fine_pressure, fine_bend) = run(1.0), run(2.0)
-    assert pressure.min() > -10.0 and pressure.max() < SUPPLY
+    # A closed chamber that a swinging connector stretches falls below the ambient pressure, by 70 Pa here.
+    assert pressure.min() > -0.005 * SUPPLY and pressure.max() < SUPPLY
     assert pressure == pytest.approx(fine_pressure, abs=0.01 * fine_pressure.max())
     assert bend == pytest.approx(fine_bend, abs=0.005)
 

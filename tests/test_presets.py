@@ -53,7 +53,7 @@ def test_presets_have_the_names_of_the_key_and_a_file_has_none():
         ({"preset": "fast"}, FAST),
         ({"preset": "fast", "timestep_s": 0.001}, ("loaded", 0.001, 2, None)),
         ({"preset": "fast", "contact": "preloaded"}, ("preloaded", 0.002, 2, None)),
-        ({"preset": "fast", "friction": "ellipse", "hinges_per_segment": 3}, ("loaded", 0.002, 3, None)),
+        ({"preset": "fast", "friction": "ellipse", "hinges_per_segment": 3}, ("loaded", 0.002, 3, "fast")),
     ],
 )
 def test_a_setting_beside_the_preset_wins(twin, used):
@@ -70,7 +70,7 @@ def test_a_law_needs_the_loaded_contact():
 def test_another_preset_replaces_what_the_former_gave_and_nothing_else():
     """Sweeps, studies and `--set` change documents in which all settings are written out."""
     resolved = scenario({"hinges_per_segment": 3}).document
-    assert settings(parse_scenario(resolved, set={KEY: "fast"})) == ("loaded", 0.002, 3, None)
+    assert settings(parse_scenario(resolved, set={KEY: "fast"})) == ("loaded", 0.002, 3, "fast")
     fast = scenario({"preset": "fast"}).document
     assert settings(parse_scenario(fast, set={KEY: "reference"})) == REFERENCE
     experiment = Experiment(scenario({}).document, ("twin",))

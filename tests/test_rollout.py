@@ -16,6 +16,7 @@ from srs_twin import (
     Event,
     Gait,
     InputError,
+    LoadedContact,
     Plant,
     PreloadedContact,
     SnakeState,
@@ -348,6 +349,9 @@ def test_real_plants_record_their_settings():
     assert (twin.metadata["wheels"], twin.metadata["hinges_per_segment"]) == ("skid", 3)
     # Free joint, three hinges + pitch + roll a segment.
     assert twin.stack("qpos").shape == (11, 7 + 4 * 5)
-    rolling = rollout(TwinSnake(SPEC), Gait(2.0), 0.1)
+    rolling = rollout(TwinSnake(SPEC, contact="preloaded"), Gait(2.0), 0.1)
     # Two hinges, and two axles a connector besides.
     assert rolling.metadata["wheels"] == "rolling" and rolling.stack("qpos").shape == (11, 7 + 4 * 4 + 10)
+    loaded = rollout(TwinSnake(SPEC, contact=LoadedContact("axis", slip_speed=0.002)), Gait(2.0), 0.1)
+    about = loaded.metadata
+    assert (about["contact"], about["friction"], about["slip_speed_m_s"]) == ("loaded", "axis", 0.002)

@@ -12,7 +12,7 @@ from snakes import GRAVITY, chain, robot, throw, vented
 from srs_twin import Gait, PreloadedContact, TwinSnake, load_robot, rollout
 from srs_twin.mjcf.model import scene_mjcf
 from srs_twin.mjcf.numerics import PRELOAD, ModelSettings
-from srs_twin.mjcf.wheels import contact, preload_force, treads
+from srs_twin.mjcf.wheels import pair_attributes, preload_force, treads
 
 SPEC = robot(stiffness=20.0)
 SKIDS = ModelSettings(contact=PreloadedContact("skid"))
@@ -65,10 +65,10 @@ def test_masses_and_inertias_are_those_of_the_snake_on_wheels(scene):
 def test_a_pressed_skid_holds_what_it_would_by_its_own_load(scene):
     model, _, name = scene
     spec = load_robot(name)
-    along, across = contact(spec, SKIDS)["friction"][:2]
+    along, across = pair_attributes(spec, SKIDS)["friction"][:2]
     for i, mass in enumerate(spec.mass.connectors):
         load = mass * GRAVITY / 2
-        pressed = load + preload_force(spec, SKIDS)[i, 0]
+        pressed = load + preload_force(spec, SKIDS.contact)[i, 0]
         assert along * pressed == pytest.approx(spec.friction.mu_t * load)
         assert across * pressed == pytest.approx(spec.friction.mu_n * load)
     assert model.npair == len(treads(spec)) == 10

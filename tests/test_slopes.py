@@ -178,7 +178,7 @@ def test_what_rests_against_a_wall_stays_up_to_the_angle_of_friction(share, move
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda world: TwinSnake(SPEC, world=world), "'loaded'"),
+        (lambda world: TwinSnake(SPEC, contact="preloaded", world=world), "'loaded'"),
         (lambda world: AnalyticalSnake(SPEC, world=world), "plane"),
     ],
 )

@@ -268,6 +268,8 @@ class SnakePhysics(dm.Physics, Remembers):
         self._floor_force, self._last_push = self._no_force.copy(), self._no_force
         if self.loaded is not None:
             self.loaded.reset()
+            self._turn_to(pose)  # it moved by some nanometres as it sank in
+            self.refresh()
         if self.free:
             # At rest every wheel carries its share of the weight, and its preload.
             self._floor_force[..., 2] = self._preload + self._rest_load
@@ -333,7 +335,8 @@ class SnakePhysics(dm.Physics, Remembers):
         raw = self.data.ptr
         self._place(raw)
         turn = pose[2] - float(np.unwrap(self.connector_headings()).mean())
-        self.data.qpos[3:7] = np.cos(turn / 2), 0, 0, np.sin(turn / 2)
+        yaw = np.array([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
+        mujoco.mju_mulQuat(raw.qpos[3:7], yaw, raw.qpos[3:7].copy())
         self._place(raw)
         self.data.qpos[:2] += pose[:2] - raw.subtree_com[0][:2]
 

@@ -73,11 +73,6 @@ def test_a_frequency_that_is_none(refused, written, given):
         ),
         (
             "world: {}",
-            "world: {floor: {tilt_deg: 3}}",
-            "6:16: world.floor: a twin on a floor like this needs contact: loaded",
-        ),
-        (
-            "world: {}",
             "world: {floor: {tilt_deg: 90}}",
             "6:27: world.floor.tilt_deg: must be a number from 0 to 60, not 90",
         ),

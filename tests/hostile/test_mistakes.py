@@ -63,9 +63,13 @@ WRITTEN = [
     ("duration_s: 2", "duration_s: 2\n\tseed: 1", "YAML is indented with spaces, not tabs"),
     ("twin: {}", "twin: {wheels: skis}", "one of rolling, skid, not text 'skis'; did you mean skid?"),
     ("twin: {}", "twin: {timestep_ms: 1}", "plants.twin.timestep_ms: unknown key; did you mean timestep_s?"),
-    ("twin: {}", "twin: {friction: wheel}", "plants.twin: friction is contact: loaded's"),
+    ("twin: {}", "twin: {contact: preloaded, friction: wheel}", "plants.twin: friction is contact: loaded's"),
     ("analytical: {}", "analytical: {model: compliance}", "did you mean compliant?"),
-    ("title: Mine", "title: Mine\nworld: {floor: {tilt_deg: 3}}", "needs contact: loaded (plants.twin)"),
+    (
+        "twin: {}}",
+        "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}",
+        "7:16: world.floor: a twin on a floor like this needs contact: loaded (plants.twin)",
+    ),
     ("title: Mine", "title: Mine\nworld: {obstacles: [{x: 1}]}", "known here: x_m, y_m, radius_m"),
     (
         "title: Mine",

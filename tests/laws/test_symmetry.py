@@ -8,16 +8,25 @@ import numpy as np
 import pytest
 from snakes import robot
 
-from srs_twin import AnalyticalSnake, Gait, Plant, Trajectory, TwinSnake, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    LoadedContact,
+    Plant,
+    PreloadedContact,
+    Trajectory,
+    TwinSnake,
+    rollout,
+)
 
 PLANTS = {
     "axis": lambda: AnalyticalSnake(robot(), friction="axis"),
     "wheel": lambda: AnalyticalSnake(robot(), friction="wheel"),
     "ellipse": lambda: AnalyticalSnake(robot(), friction="ellipse"),
-    "twin": lambda: TwinSnake(robot()),
-    "skids": lambda: TwinSnake(robot(), wheels="skid"),
+    "twin": lambda: TwinSnake(robot(), contact="preloaded"),
+    "skids": lambda: TwinSnake(robot(), contact=PreloadedContact("skid")),
     "loaded": lambda: TwinSnake(robot(), contact="loaded"),
-    "loaded ellipse": lambda: TwinSnake(robot(), contact="loaded", friction="ellipse"),
+    "loaded ellipse": lambda: TwinSnake(robot(), contact=LoadedContact("ellipse")),
 }
 OFFSET = 0.2
 # What sticks or slides multiplies rounding: by 3e7 in 2 s where friction across is ten times that along.
