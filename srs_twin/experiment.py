@@ -26,6 +26,7 @@ from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import data_root, open_folder, shipped_names, shown
+from srs_twin.planning.margins import BEFORE_CONTACTS
 from srs_twin.plants.base import Plant
 from srs_twin.provenance import judged_digest, versions
 from srs_twin.robot.spec import RobotSpec
@@ -230,6 +231,12 @@ class PreparedRun:
 INTERVALS = Path("calibration/intervals")
 
 
+def twin_contact(scenario: Scenario) -> str | None:
+    """Return the contact of a scenario's twin; None: no twin runs, or it stands on no floor."""
+    contact: str | None = (scenario.document["plants"].get("twin") or {}).get("contact")
+    return contact
+
+
 def kept_intervals(scenario: Scenario) -> dict[str, Any]:
     """Return the intervals stored by `srs-twin uncertainty SCENARIO --write`: in this folder, else shipped.
 
@@ -247,6 +254,12 @@ def kept_intervals(scenario: Scenario) -> dict[str, Any]:
         kept, plants = found["digest"], found["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return {"stale": f"{shown(path)} cannot be read ({error}); {renew} writes it again"}
+    own, here = found.get("contact") or BEFORE_CONTACTS, twin_contact(scenario)
+    if "twin" in plants and here is not None and own != here:
+        return {
+            "stale": f"the interval in {shown(path)} is for a twin with contact {own}, not {here}; "
+            f"{renew} renews it"
+        }
     if kept != judged_digest(scenario.document):
         return {"stale": f"the interval in {shown(path)} is for another robot or scenario; {renew} renews it"}
     return {"stale": None, "file": shown(path), "renew": renew, "plants": plants}

@@ -244,6 +244,8 @@ class Recorder:
             values = self._column(quantity)
             columns |= _spread(f"{name}_plus_", values[..., 0]) | _spread(f"{name}_minus_", values[..., 1])
         columns["work"] = self._column("work")
+        if self.plant.has_internal_loss:
+            columns["internal_loss"] = self._column("internal_loss")
         if self.plant.metered:
             columns["air"] = self._column("air")
         if self.plant.touches:

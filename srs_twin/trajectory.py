@@ -24,7 +24,7 @@ _NAMES = {
     "Pa": "pressure_plus pressure_minus",
     "N": "obstacle_force_x obstacle_force_y",
     "N·m": "torque",
-    "J": "work air",
+    "J": "work internal_loss air",
     "mixed": "qpos",
 }
 # Column without its number → unit; all others are pure numbers.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -13,13 +14,16 @@ from srs_twin.identification import footprint as study_module
 from srs_twin.identification.footprint import (
     RECORD_HZ,
     Drive,
+    Measured,
     Study,
+    command,
     footprint_file,
     header,
     robot_hash,
     steady_path,
     study,
 )
+from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
 from srs_twin.planning import Problem, load_footprint, plan
@@ -85,6 +89,8 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
         (["gen2", "--pressure", "nan"], "pressure nan kPa is not allowed"),
         (["gen2", "--frequency", "-1"], "frequency -1 Hz is not allowed"),
         (["gen4", "--controller", "ilc", "--target", "0"], "ilc target 0.0 is not allowed"),
+        (["gen2", "--contact", "lose"], "did you mean loaded?"),
+        (["gen2", "--plant", "analytical", "--contact", "loaded"], "contact 'loaded' belongs to the twin"),
         (["gen2", "--periods", "-3"], "periods -3 is not allowed"),
         (["gen2", "--chambers", "orifce"], "unknown chambers 'orifce'; did you mean orifice?"),
         (["gen2", "--phases", "1000000"], "phases 1000000 is not allowed; it must be from 1 to 64"),
@@ -113,6 +119,17 @@ def test_an_interrupt_leaves_nothing_and_says_so(tmp_path, monkeypatch, capsys):
         main(list(SHORT))
     assert end.value.code == 130 and capsys.readouterr().err == "interrupted; nothing was written\n"
     assert not list(tmp_path.rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("contact", ["preloaded", "loaded"])
+def test_a_measurement_records_the_contact_of_its_twin(contact):
+    drive = Drive(load_robot("gen2"), 2.0, 48.3e3, contact=contact)
+    assert drive.plant_maker()().contact.name == contact
+    asked = study(drive, offsets=(-0.2, 0.0, 0.2), changes=(), periods=3, phases=1)
+    assert f" --contact {contact} " in command(asked, "gen2", "short")
+    path = SteadyPath(*[0.1] * len(fields(SteadyPath)))
+    measured = Measured(drive, asked.offsets, (path,) * 3, (path,) * 3, (), 1, 3)
+    assert footprint_file(measured, "short").contact == contact
 
 
 def test_a_run_that_diverges_is_named(tmp_path, monkeypatch, capsys):
@@ -188,7 +205,9 @@ def test_shipped_measurements_are_current(name):
     assert f"--pressure {supply / 1000:g} " in first and " --no-transients" not in first
     assert second.endswith(robot_hash(spec)), "the robot has changed; measure it again with the command above"
 
-    drive = Drive(spec, frequency, supply, controller, chambers=chambers)
+    drive = Drive(
+        spec, frequency, supply, controller, chambers=chambers, contact=load_footprint_file(name).twin_contact
+    )
     job = drive.steady_job(drive.plant_maker(), offset, 0.0, Study.periods)
     again = steady_path(
         drive, rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ), Study.periods

@@ -157,6 +157,7 @@ def test_the_points_of_agreement_are_those_of_the_processor(contact):
         assert max(np.abs(a[f"bend_{j}"] - b[f"bend_{j}"]).max() for j in range(1, 5)) < 1e-3
         assert max(np.abs(a[f"{c}_{i}"] - b[f"{c}_{i}"]).max() for c in "xy" for i in range(1, 6)) < 5e-4
         assert np.abs(a["work"] - b["work"]).max() < 1e-4
+        assert np.abs(a["internal_loss"] - b["internal_loss"]).max() < 1e-5
         assert b["air"] == pytest.approx(a["air"], rel=1e-3, abs=1e-3)
         assert a.metadata["valve_switches"] == b.metadata["valve_switches"]
 

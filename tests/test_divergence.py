@@ -79,6 +79,7 @@ TWIN = {
     "hinge's rate": put("physics.data.qvel", 8),
     "heading": put("_theta", 2),
     "work": put("_spent"),
+    "internal loss": put("_internal"),
 }
 LAG = {
     "pressure": put("pneumatics.pressure", (1, 0)),

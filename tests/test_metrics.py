@@ -23,7 +23,7 @@ pytestmark = pytest.mark.fast
 GAIT_METRICS = {
     "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
     "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", "mechanical_power_w",
-    "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport",
+    "internal_power_w", "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport",
 }  # fmt: skip
 
 some = settings(deadline=None, max_examples=25)

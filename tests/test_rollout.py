@@ -63,7 +63,7 @@ class Clock(Plant):
             position=np.arange(10.0).reshape(5, 2), theta=connectors, bend=segments + time,
             bend_rate=segments, pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)),
             sensed=segments, contact_force=np.zeros((5, 2)),
-            obstacle_force=np.zeros((5, 2)), torque=segments, work=0.0, air=0.0,
+            obstacle_force=np.zeros((5, 2)), torque=segments, work=0.0, internal_loss=0.0, air=0.0,
             qpos=np.empty(0),
         )  # fmt: skip
 

@@ -280,3 +280,8 @@ def test_a_seed_or_a_duration_leaves_the_interval_in_force_and_another_robot_doe
     assert not stale(seed=1, duration_s=5)
     assert stale(robot="gen3")
     assert stale(**{"controller.frequency_hz": 1.9})
+
+
+def test_an_interval_of_another_contact_says_so():
+    other = load_scenario("gen2_straight", set={"plants.twin.contact": "loaded"})
+    assert "is for a twin with contact preloaded, not loaded" in kept_intervals(other)["stale"]

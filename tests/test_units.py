@@ -30,7 +30,7 @@ SNAKE = {
     "bend": "rad", "sensed": "rad", "torque": "N·m", "pressure_plus": "Pa", "pressure_minus": "Pa",
     "valve_plus": "1", "valve_minus": "1", "work": "J", "air": "J",
 }  # fmt: skip
-TWIN = {"qpos": "mixed"}
+TWIN = {"qpos": "mixed", "internal_loss": "J"}
 TOUCHING = {"obstacle_force_x": "N", "obstacle_force_y": "N"}
 SLIDING = {"reference": "rad", "error": "rad", "sigma": "rad/s"}
 DUTIES = {"duty_plus": "1", "duty_minus": "1"}
@@ -84,7 +84,7 @@ METRICS = {
         measured_heading_rms_rad""",
     "rad/s": "yaw_rate_rad_s measured_yaw_rate_abs",
     "1/m": "path_curvature_before_per_m path_curvature_per_m path_bend_before_per_m path_bend_per_m",
-    "W": "mechanical_power_w pneumatic_power_w",
+    "W": "mechanical_power_w internal_power_w pneumatic_power_w",
     "T": "reading_range_t",
     "1": """cost_of_transport pneumatic_cost_of_transport overshoot_rel amplitude_rel amplitude_spread_rel
         inlet_openings outlet_openings amplitude_growth_rel periods_to_converge amplitude_error_end_rel

@@ -84,5 +84,6 @@ class Unicycle(Plant):
             time=self.time, com=np.array([self.x, self.y]), com_velocity=np.full(2, np.nan),
             heading=self.heading + swing, position=nan, theta=np.full(5, np.nan), bend=NOTHING,
             bend_rate=NOTHING, pressure=pairs, valves=pairs, sensed=np.zeros(4), contact_force=nan,
-            obstacle_force=nan, torque=NOTHING, work=math.nan, air=math.nan, qpos=np.empty(0),
+            obstacle_force=nan, torque=NOTHING, work=math.nan, internal_loss=math.nan,
+            air=math.nan, qpos=np.empty(0),
         )  # fmt: skip

@@ -374,6 +374,7 @@ def footprint(
     pressure: PressureOption = None,
     target: Annotated[float, option("--target RAD")] = 0.7,
     plant: Annotated[str, option("--plant NAME")] = "twin",
+    contact: Annotated[str | None, option("--contact NAME")] = None,
     chambers: Annotated[str, option("--chambers NAME")] = "lag",
     offsets: Annotated[str | None, option("--offsets LIST")] = None,
     transients: Annotated[bool, option("--transients/--no-transients")] = True,
@@ -395,6 +396,7 @@ def footprint(
         frequency: Of the gait. [default: 2, ilc 1.5]
         target: Bend that ilc aims at.
         plant: twin or analytical.
+        contact: Of the twin, preloaded or loaded. [default: the twin's]
         chambers: lag, or orifice for compressible flow.
         offsets: As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
         transients: Measure changes of offset.
@@ -414,7 +416,7 @@ def footprint(
     spec = load_robot(robot)
     supply = spec.supply.nominal if pressure is None else 1000 * pressure
     beat = _FREQUENCY_HZ.get(controller, 1.0) if frequency is None else frequency
-    drive = Drive(spec, beat, supply, controller, target, plant, chambers=chambers)
+    drive = Drive(spec, beat, supply, controller, target, plant, chambers=chambers, contact=contact)
     study = study_of(
         drive, offsets=wanted, changes=None if transients else (), periods=periods, phases=phases
     )

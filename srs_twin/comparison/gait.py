@@ -204,13 +204,16 @@ def path_curvature(chord: float, turn: float) -> float:
     return 2 * math.sin(turn / 2) / chord
 
 
-ENERGY_METRICS = "mechanical_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport"
+ENERGY_METRICS = (
+    "mechanical_power_w internal_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport"
+)
 
 
 def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> dict[str, Any]:
     """Measure what a gait costs, over whole periods.
 
-    - ``mechanical_power_w``: work of the segments on the body; what friction takes, on average.
+    - ``mechanical_power_w``: work of the torques; on average, power that friction and segments dissipate.
+    - ``internal_power_w``: part of it that segments dissipate inside, in a twin.
     - ``cost_of_transport``: that over weight times speed.
     - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that pressure.
     - ``pneumatic_cost_of_transport``: likewise.
@@ -224,6 +227,8 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
     """
     mass = positive_number(trajectory, "mass_kg")
     metrics: dict[str, Any] = dict.fromkeys(ENERGY_METRICS.split())
+    if trajectory.has("internal_loss"):
+        metrics["internal_power_w"] = _mean_rate(trajectory, window, "internal_loss")
     for source, power, cost in (
         ("work", "mechanical_power_w", "cost_of_transport"),
         ("air", "pneumatic_power_w", "pneumatic_cost_of_transport"),

@@ -24,6 +24,7 @@ from srs_twin.trajectory import Trajectory
 
 _ENERGY = {
     "mechanical_power_w": "work",
+    "internal_power_w": "internal_loss",
     "cost_of_transport": "work",
     "pneumatic_power_w": "air",
     "pneumatic_cost_of_transport": "air",

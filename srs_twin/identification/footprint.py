@@ -24,6 +24,7 @@ from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, mean_path, transient, widest
 from srs_twin.io.files import read_text, shown
+from srs_twin.mjcf.numerics import ModelSettings, as_contact
 from srs_twin.planning.footprint import FootprintFile, Transient
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import KINDS
@@ -54,6 +55,7 @@ class Drive:
         plant: "twin", "analytical" (model compliant on wheels), or what makes a plant of the right tick.
         steering: of learning, see `ILC`.
         chambers: "lag" or "orifice", of a plant that is named.
+        contact: of the twin; None: its default. Other plants have none.
     """
 
     spec: RobotSpec
@@ -64,6 +66,7 @@ class Drive:
     plant: str | Callable[[], Plant] = "twin"
     steering: str = TARGETS
     chambers: str = "lag"
+    contact: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be driven.
@@ -78,6 +81,10 @@ class Drive:
             raise UnknownNameError("plant", self.plant, PLANTS)
         if self.chambers not in KINDS:
             raise UnknownNameError("chambers", self.chambers, KINDS)
+        if self.contact is not None:
+            as_contact(self.contact)
+            if self.plant != "twin":
+                raise InputError(f"contact {self.contact!r} belongs to the twin; take it out")
         given = ("pressure", self.supply_pa / 1000, "kPa"), ("frequency", self.frequency, "Hz")
         for name, value, unit in given:
             if not (math.isfinite(value) and value > 0):
@@ -94,6 +101,11 @@ class Drive:
         if self.frequency > most:
             raise InputError(f"frequency {self.frequency:g} Hz is not allowed; {most:.3g} Hz is the most")
         self.make(0.0)
+
+    @property
+    def twin_contact(self) -> str | None:
+        """Contact of the twin that runs; None: another plant does."""
+        return self.contact or ModelSettings.contact.name if self.plant == "twin" else None
 
     @property
     def period(self) -> float:
@@ -169,6 +181,7 @@ def _plant(drive: Drive) -> Plant:
     if drive.plant == "twin":
         from srs_twin.plants.twin import TwinSnake
 
+        settings["contact"] = drive.twin_contact
         return TwinSnake(drive.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
@@ -400,11 +413,12 @@ def footprint_file(measured: Measured, name: str) -> FootprintFile:
     def record(value: object, unit: str, source: str) -> dict[str, object]:
         return {"value": value, "unit": unit, "status": "calibrated", "source": source}
 
-    content = {
+    content: dict[str, Any] = {
         "name": name,
         "title": f"{drive.spec.title.split(':')[0]}, {drive.frequency:g} Hz, "
         f"{drive.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(drive)}",
         "robot": drive.spec.name,
+        "contact": drive.twin_contact,
         "offset": record(list(measured.offsets), "1", "chosen"),
         "curvature_per_m": record(_column(paths, "curvature"), "1/m", source),
         "speed_m_s": record(_column(paths, "speed"), "m/s", "as curvature_per_m; along the arc"),
@@ -444,6 +458,8 @@ def command(study: Study, robot: str, name: str) -> str:
         words.append(f"--target {drive.target:g}")
     if drive.plant != "twin":
         words.append(f"--plant {drive.plant}")
+    else:
+        words.append(f"--contact {drive.twin_contact}")
     if drive.chambers != "lag":
         words.append(f"--chambers {drive.chambers}")
     if study.offsets != drive.offsets:

@@ -92,7 +92,8 @@ class Estimate:
             bend_rate=np.zeros_like(self.bend), pressure=pressure,
             valves=np.zeros_like(pressure, dtype=np.int8),
             sensed=self.bend, contact_force=np.zeros((n, 2)), obstacle_force=np.zeros((n, 2)),
-            torque=np.zeros_like(self.bend), work=np.float64(0.0), air=np.float64(0.0), qpos=np.empty(0),
+            torque=np.zeros_like(self.bend), work=np.float64(0.0), internal_loss=np.float64(0.0),
+            air=np.float64(0.0), qpos=np.empty(0),
         )  # fmt: skip
 
 

@@ -28,8 +28,12 @@ from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, dump_yaml, load_yaml
 from srs_twin.io.files import atomic_write, find
 from srs_twin.io.validation import Strict, validate
-from srs_twin.planning.margins import ExcursionsFile
+from srs_twin.mjcf.numerics import ContactName
+from srs_twin.planning.margins import BEFORE_CONTACTS, ExcursionsFile
 from srs_twin.robot.sourced import Record, Status, between
+
+MEASURED_ON_TWIN = "measured on the twin"
+"""Beginning of the source of curvatures that were measured on a twin."""
 
 SMALL_TURN = 1e-9
 """Curvatures beyond the table by less are rounding, 1/m."""
@@ -350,6 +354,9 @@ class FootprintFile(Strict):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60, description="Short name.")
     title: str = Field(min_length=1, max_length=200, description="One line for people.")
     robot: str = Field(min_length=1, max_length=200, description="Robot whose footprint this is.")
+    contact: ContactName | None = Field(
+        None, description="ContactName of the twin that it was measured on; none where it was not (default)."
+    )
     offset: Offsets = Field(description="Phase offsets, rising, -1 to 1; positive turns left.")
     curvature_per_m: Curvatures = Field(description="1/radius of the path, 1/m, left positive, -100 to 100.")
     speed_m_s: Speeds = Field(description="Speed of the centre of mass, m/s, 0.001 to 10.")
@@ -362,6 +369,22 @@ class FootprintFile(Strict):
     excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = Field(
         None, description="How far followers left it, where measured, for margins with a probability."
     )
+
+    @property
+    def twin_contact(self) -> ContactName | None:
+        """ContactName of the twin that it was measured on; None: not measured on a twin."""
+        measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
+        return self.contact or (BEFORE_CONTACTS if measured else None)
+
+    def mismatch(self, contact: ContactName) -> str | None:
+        """Return a warning about a twin whose contact is another one than that of the measurement."""
+        own = self.twin_contact
+        if own in (None, contact):
+            return None
+        return (
+            f"{self.name} was measured on a twin with contact {own}, but the twin here has contact "
+            f"{contact}; `srs-twin calibrate footprint {self.robot} --contact {contact}` measures one for it"
+        )
 
     def footprint(self) -> Footprint:
         """Return the table without its sources."""

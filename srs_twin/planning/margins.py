@@ -12,17 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.validation import Strict
+from srs_twin.mjcf.numerics import ContactName
 from srs_twin.robot.sourced import between
 
 Share = Annotated[float, between(0.0, 1.0)]
 Excursion = Annotated[float, between(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
+BEFORE_CONTACTS: ContactName = "preloaded"
+"""Contact of the twin in measurements that do not state it; they are older than this field."""
+
 LOST_M = 1e3
 """Stands for the excursion of a run that never arrived, m."""
 
@@ -31,6 +35,9 @@ class ConditionsFile(Strict):
     """Under which a follower was tried."""
 
     plant: Literal["analytical", "twin"] = Field(description="What was run.")
+    contact: ContactName | None = Field(
+        None, description="Contact of the twin (default preloaded); the analytical model has none."
+    )
     chambers: Literal["lag", "orifice"] = Field("lag", description="How its chambers fill.")
     follower: Literal["bearing", "path"] = Field(description="Which follower.")
     gain_spread: Share = Field(0.0, description="Of the modules' gains, 0 to 1.")
@@ -42,9 +49,22 @@ class ConditionsFile(Strict):
     heading_noise_rad: Annotated[float, between(0.0, 3.0)] = Field(description="Of the camera, rad, 0 to 3.")
     run_up_m: Annotated[float, between(0.0, 100.0)] = Field(description="Straight beginning, m, 0 to 100.")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _state_contact(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("plant") == "twin" and given.get("contact") is None:
+            return {**given, "contact": BEFORE_CONTACTS}
+        return given
+
+    @model_validator(mode="after")
+    def _only_of_a_twin(self) -> ConditionsFile:
+        if self.plant != "twin" and self.contact is not None:
+            raise ValueError(f"contact {self.contact} belongs to plant twin; the {self.plant} model has none")
+        return self
+
     def covers(self, other: ConditionsFile) -> bool:
         """Say whether what was tried under these holds under others too: theirs are no harder."""
-        same = ("plant", "chambers", "follower", "run_up_m")
+        same = ("plant", "contact", "chambers", "follower", "run_up_m")
         return all(getattr(self, each) == getattr(other, each) for each in same) and all(
             getattr(self, each) >= getattr(other, each) - 1e-12 for each in _HARDER
         )
@@ -115,7 +135,7 @@ def margin(
     for each in wanted:
         fit = [block for block in measured if block.conditions.covers(each)]
         if not fit:
-            told = ", ".join(f"{key} {value}" for key, value in each.model_dump().items())
+            told = ", ".join(f"{key} {value}" for key, value in each.model_dump(exclude_none=True).items())
             raise InputError(f"no excursions were measured for {told}; `srs-twin calibrate margin` does")
         # The least of several would be below the quantile more often than it may.
         block = min(fit, key=lambda block: block.conditions.harder(each))

@@ -53,7 +53,9 @@ class SnakeState:
             shape (N, 2), N, the mean since the last sample; 0 on plants that obstacles do not touch.
         torque: net moment of each segment on the connectors it joins (air, spring and damper together),
             shape (segments,), N·m.
-        work: what the segments have done on the body since the start, J.
+        work: that the torques have done since the start, ∫ Σ T_j q̇_j dt, J.
+        internal_loss: part of it that segments have dissipated inside, without bending as a whole, J; 0 in
+            the analytical models, whose segments have one bend each.
         air: work drawn from the air supply since the start, J, see `Pneumatics.air`.
         qpos: the twin's generalised positions, else empty.
     """
@@ -73,6 +75,7 @@ class SnakeState:
     obstacle_force: np.ndarray
     torque: np.ndarray
     work: float | np.ndarray
+    internal_loss: float | np.ndarray
     air: float | np.ndarray
     qpos: np.ndarray
 
@@ -115,6 +118,8 @@ class Plant(Remembers, ABC):
     """Whether there is anything that it can run into."""
     metered: bool = True
     """Whether it knows what air its chambers draw and how often they open; a trajectory says neither else."""
+    has_internal_loss: bool = False
+    """Whether segments can dissipate energy without bending as a whole; else no such column is recorded."""
 
     @property
     def sample_step(self) -> float | None:

@@ -16,6 +16,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.memory import Remembers, names
 from srs_twin.plants.base import Pose
+from srs_twin.plants.internal_joints import InternalJoints
 from srs_twin.plants.loaded import LoadedStepper
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import as_felt
@@ -46,6 +47,8 @@ class StepBatch:
         obstacle_force: of all obstacles on each connector with the halves of its segments during each step,
             shape (steps, N, 3), N, world.
         power: that the snake spends on floor and obstacles in each step, shape (steps,), W.
+        internal: power that joints dissipate inside segments in each step (`internal_joints`), shape
+            (steps,), W.
     """
 
     states: np.ndarray
@@ -53,6 +56,7 @@ class StepBatch:
     energy: np.ndarray
     obstacle_force: np.ndarray
     power: np.ndarray
+    internal: np.ndarray
 
 
 class Columns(NamedTuple):
@@ -66,6 +70,8 @@ class Columns(NamedTuple):
         moving: the velocities that go with them.
         energy: kinetic.
         connectors: the bodies.
+        hinges: velocity indices of the hinges, shape (segments, hinges per segment).
+        others: velocity indices of the pitch and roll joints whose losses count as work.
     """
 
     load: np.ndarray
@@ -75,6 +81,8 @@ class Columns(NamedTuple):
     moving: np.ndarray
     energy: int
     connectors: np.ndarray
+    hinges: np.ndarray
+    others: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -160,7 +168,8 @@ class SnakePhysics(dm.Physics, Remembers):
         """Copy the model and the memory; the engine's data are made again, because they hold addresses."""
         made_of = self.model.ptr, self._spec, self._settings, self._pneumatics
         # Numbers of a model may have been changed since these were taken from it.
-        settled = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        kinds = np.ndarray | InternalJoints
+        settled = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
         contact = None if self.loaded is None else self.loaded.settled
         return type(self)._of, made_of, (self.remembered(), settled, contact)
 
@@ -208,6 +217,7 @@ class SnakePhysics(dm.Physics, Remembers):
             for k in range(settings.hinges_per_segment):
                 hinge = raw.joint(f"hinge_{j + 1}_{k + 1}")
                 self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
+        self.internal = InternalJoints(raw, spec, settings)
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_push = self._no_force
         air = pneumatics.stiffness * self._rates.T @ self._rates
@@ -236,6 +246,8 @@ class SnakePhysics(dm.Physics, Remembers):
             moving=np.concatenate([self._hull_velocity.ravel(), self._drag_velocity]),
             energy=int(self._energy_column),
             connectors=np.array(self._connectors),
+            hinges=self.internal.hinges,
+            others=self.internal.others,
         )
 
     def seen(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -400,7 +412,9 @@ class SnakePhysics(dm.Physics, Remembers):
         power -= (sensed[:, self._drag_force] * sensed[:, self._drag_velocity]).sum(axis=1)
         bumps = self.bumped(push + rubbed)
         self._floor_force, self._last_push = force.mean(axis=0), force[-1]
-        return StepBatch(states, force, sensed[:, self._energy_column], bumps, power)
+        # The engine's dampers act with the velocities at the end of a step.
+        internal = self.internal.dissipated(states[:, 1 + self.model.nq :])
+        return StepBatch(states, force, sensed[:, self._energy_column], bumps, power, internal)
 
     def _roll(self, felt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Let the engine make all steps in one; return states and sensors."""

@@ -59,8 +59,9 @@ class TwinSnake(PneumaticPlant):
     """
 
     name = "twin"
-    memory = names("physics", "_spent", "_theta", "_raised")
+    memory = names("physics", "_spent", "_internal", "_theta", "_raised")
     stretch = 1.0
+    has_internal_loss = True
 
     def __init__(
         self,
@@ -153,11 +154,11 @@ class TwinSnake(PneumaticPlant):
         physics = self.physics
         self._raised = self._height(physics.center_of_mass())
         self._ticks, self.seed = 0, seed
-        self._spent = 0.0
+        self._spent = self._internal = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
         force, obstacles = np.zeros((1, len(self._theta), 2, 2)), np.zeros((1, len(self._theta), 2))
-        work = np.array([physics.kinetic_energy()])
-        self.state = self._observe(np.zeros(1), state, trace, force, obstacles, work).at(0)
+        given, lost = np.array([physics.kinetic_energy()]), np.zeros(1)
+        self.state = self._observe(np.zeros(1), state, trace, force, obstacles, given, lost).at(0)
         return self.state
 
     @property
@@ -202,7 +203,7 @@ class TwinSnake(PneumaticPlant):
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
         # Before the engine sees it: it would take a quaternion of any length for a direction.
-        check_before(self.name, begun + self.timestep, before, self._theta, self._spent)
+        check_before(self.name, begun + self.timestep, before, self._theta, self._spent, self._internal)
         trace, record = self._drive(schedule, samples * steps)
         interval = schedule.span / samples
         times = begun + interval * np.arange(1, samples + 1)
@@ -238,20 +239,29 @@ class TwinSnake(PneumaticPlant):
         ends = np.arange(1, count + 1) * steps - 1
         push = record.floor_force[:used, ..., :2]
         spent = self._spent + self.timestep * np.cumsum(record.power[:used])
+        internal = self._internal + self.timestep * np.cumsum(record.internal[:used])
         if used:
-            self._spent = float(spent[-1])
-        work = record.energy[ends] + spent[ends]
+            self._spent, self._internal = float(spent[-1]), float(internal[-1])
+        given, lost = record.energy[ends] + spent[ends], internal[ends]
         force = push.reshape(count, steps, *push.shape[1:]).mean(axis=1)
         contact = record.obstacle_force[:used, :, :2]
         obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
-        return self._observe(times, record.states[ends], trace.at(ends), force, obstacles, work)
+        return self._observe(times, record.states[ends], trace.at(ends), force, obstacles, given, lost)
 
     def _observe(self, times: np.ndarray, states: np.ndarray, trace: Trace, *loads: np.ndarray) -> SnakeState:
-        """Return the history of these states; loads: forces of floor and obstacles, N, and the work, J."""
-        force, obstacles, work = loads
+        """Return the history of these states.
+
+        Args:
+            times: shape (samples,), s.
+            states: shape (samples, 1 + nq + nv), see `StepBatch`.
+            trace: what the chambers did.
+            *loads: forces of floor and obstacles, N; energy that body, floor and obstacles were given, J; and
+                what joints dissipated inside segments, J.
+        """
+        force, obstacles, given, lost = loads
         seen = self.physics.look(states)
         if self.uneven:
-            work = work + self._height(seen.com) - self._raised
+            given = given + self._height(seen.com) - self._raised
         # Unwrap against the last sample: a connector turns by far less than π in between.
         theta = np.concatenate([self._theta[None], seen.headings])
         if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
@@ -277,7 +287,9 @@ class TwinSnake(PneumaticPlant):
             contact_force=np.add.reduceat(force.sum(axis=2), np.arange(theta.shape[1]), axis=1),
             obstacle_force=obstacles,
             torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
-            work=work,
+            # All that the torques did, ∫ Σ T q̇ dt, which moves hinges against each other as well.
+            work=given + lost + self.physics.internal.stored(seen.qpos),
+            internal_loss=lost,
             air=trace.air,
             qpos=seen.qpos,
         )

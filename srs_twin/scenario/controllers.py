@@ -426,13 +426,24 @@ class FollowFile(ControllerSection):
             replan=None if planner.file.kind == "given" else planner.plan_from,
         )
 
-    def conditions(self, plant: str, chambers: str, robot: RobotFile, planner: PlannerFile) -> ConditionsFile:
-        """Return what makes following hard, as margins with a probability are measured."""
+    def conditions(
+        self, plant: str, contact: str | None, chambers: str, robot: RobotFile, planner: PlannerFile
+    ) -> ConditionsFile:
+        """Return what makes following hard, as margins with a probability are measured.
+
+        Args:
+            plant: "analytical" or "twin".
+            contact: that of the twin; None for the analytical model.
+            chambers: kind of pneumatics.
+            robot: whose modules may differ.
+            planner: section of the scenario.
+        """
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {
                 **{name: each.value for name, each in spreads.items() if each is not None},
                 "plant": plant,
+                "contact": contact,
                 "chambers": chambers,
                 "follower": self.follower,
                 "turn_share": planner.turn_share,

@@ -98,7 +98,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         if file.start.run is not None and isinstance(file.controller, FollowFile):
             text = "a plan begins at one pose; give it by x_m, y_m and heading_rad"
             document.report(("start", "from"), text, at_key=True)
-        planner = _planner(document, file, robot, world)
+        planner = _planner(document, file, robot, world, warnings)
     document.finish(foreign)
     assert file is not None and robot is not None, "no problem was reported"
     if file.planner is None and (world.goal or world.bounds):
@@ -248,8 +248,10 @@ def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | No
     return None
 
 
-def _planner(document: Document, file: ScenarioFile, robot: RobotFile, world: World) -> RoutePlanner | None:
-    """Return what plans the way to follow; report why it cannot be had."""
+def _planner(
+    document: Document, file: ScenarioFile, robot: RobotFile, world: World, warnings: list[str]
+) -> RoutePlanner | None:
+    """Return what plans the way to follow; report why it cannot be had, and add warnings."""
     if file.planner is None or not isinstance(file.controller, FollowFile) or document.problems:
         return None
     key: tuple[str, ...] = ("planner", "footprint")
@@ -257,7 +259,12 @@ def _planner(document: Document, file: ScenarioFile, robot: RobotFile, world: Wo
         footprint = load_footprint_file(file.planner.footprint)
         key = ("planner",)
         chambers, running = file.pneumatics.kind, file.plants.running
-        tried = [file.controller.conditions(plant, chambers, robot, file.planner) for plant in running]
+        tried = [
+            file.controller.conditions(kind, getattr(plant, "contact", None), chambers, robot, file.planner)
+            for kind, plant in running.items()
+        ]
+        if file.plants.twin and (text := footprint.mismatch(file.plants.twin.contact)):
+            warnings.append(f"planner.footprint: {text}")
         return RoutePlanner.of(file.planner, footprint, file.start.build(), world, tried)
     except InputError as error:
         document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])

@@ -23,6 +23,7 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, parse_scenario
 from srs_twin.scenario.controllers import FollowFile
+from srs_twin.scenario.plants import PlantsFile
 from srs_twin.world import Goal, Pose, World
 
 LENGTH = 3.5
@@ -130,7 +131,9 @@ def excursions(
     if planner is None or not isinstance(controller, FollowFile):
         raise InputError(f"{scenario.name}: it follows no plan; margins belong to controller.kind: follow")
     robot = RobotFile.model_validate(scenario.document["robot"])
-    conditions = controller.conditions(plant, scenario.file.pneumatics.kind, robot, planner)
+    settings = {plant: scenario.document["plants"].get(plant, {})}
+    contact = getattr(PlantsFile.model_validate(settings).running[plant], "contact", None)
+    conditions = controller.conditions(plant, contact, scenario.file.pneumatics.kind, robot, planner)
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0}
     same = {"footprint": planner.footprint, "turn_share": planner.turn_share}
     alone = {
@@ -138,7 +141,7 @@ def excursions(
         "world": {},
         "expect": [],
         "planner": straight | same,
-        "plants": {plant: scenario.document["plants"].get(plant, {})},
+        "plants": settings,
     }
     tried = [Tried(alone, conditions.run_up_m, plant, seed) for seed in range(runs)]
     found: list[tuple[float, float]] = []

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.experiment import INTERVALS
+from srs_twin.experiment import INTERVALS, twin_contact
 from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import write_text
 from srs_twin.provenance import judged_digest
@@ -219,6 +219,7 @@ class Propagation:
             "scenario": self.study.scenario.name,
             "robot": self.study.scenario.robot.name,
             "changes": list(self.study.scenario.changes),
+            "contact": twin_contact(self.study.scenario),
             "plants": plants,
             "measure_next": self.measure_next(),
             "swings": self.swings(),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from srs_twin.control.following import ENDINGS
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, InputFileError
 from srs_twin.planning.footprint import load_footprint_file, save_footprint
 from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, margin, quantile
 from srs_twin.scenario import load_scenario
@@ -62,10 +62,52 @@ def test_margins_hold_under_conditions_no_harder_than_measured():
         {"run_up_m": 0.3},
         {"tau_spread": 0.1},
         {"chambers": "orifice"},
+        {"contact": "loaded"},
     )
     for other in others:
         with pytest.raises(InputError, match="no excursions were measured for"):
             margin(blocks, 0.9, [conditions(**other)])
+
+
+def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
+    assert conditions() == conditions(contact="preloaded")
+    loaded = tried([0.04] * 20, contact="loaded")
+    assert margin([tried([0.03] * 20), loaded], 0.9, [conditions(contact="loaded")]).path == 0.04
+    with pytest.raises(InputError, match="plant twin, contact loaded, .* `srs-twin calibrate margin` does"):
+        margin([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
+    assert conditions(plant="analytical").contact is None
+    with pytest.raises(ValueError, match="contact loaded belongs to plant twin"):
+        conditions(plant="analytical", contact="loaded")
+
+
+def test_a_scenario_whose_twin_has_another_contact_is_refused_the_margin():
+    with pytest.raises(InputFileError, match="no excursions were measured for plant twin, contact loaded"):
+        load_scenario("follow_fig57", set={"plants.twin.contact": "loaded"})
+
+
+def test_a_footprint_of_another_contact_is_warned_of():
+    def warned(**more: object) -> list[str]:
+        changes = {"planner.margin_probability": None, **more}
+        return [each for each in load_scenario("follow_fig57", set=changes).warnings if "contact" in each]
+
+    assert warned() == []
+    (text,) = warned(**{"plants.twin.contact": "preloaded"})
+    assert text == (
+        "planner.footprint: gen2_gait was measured on a twin with contact loaded, but the twin here has "
+        "contact preloaded; `srs-twin calibrate footprint gen2 --contact preloaded` measures one for it"
+    )
+    assert warned(**{"plants.twin.contact": "preloaded", "planner.footprint": "gen4_table8"}) == []
+
+
+@pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
+def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(name, tmp_path):
+    file = load_footprint_file(name)
+    assert file.contact == file.twin_contact == "loaded"
+    before = file.model_copy(update={"contact": None})
+    save_footprint(before, tmp_path / "before.yaml")
+    again = load_footprint_file(tmp_path / "before.yaml")
+    assert again.contact is None and again.twin_contact == "preloaded"
+    assert "loaded" in (again.mismatch("loaded") or "") and again.mismatch("preloaded") is None
 
 
 def test_excursions_survive_their_file(tmp_path):

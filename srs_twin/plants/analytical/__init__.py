@@ -571,6 +571,7 @@ class AnalyticalSnake(PneumaticPlant):
             obstacle_force=np.zeros_like(force),
             torque=motion.torque,
             work=energy + motion.states[:, kernels.SPENT],
+            internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),
         )

@@ -139,7 +139,9 @@ class WarpBatch:
             self._count = wp.zeros(1, dtype=int)
             self._valves = wp.zeros((len(self), self._slots, segments, 2), dtype=int)
             self._given = wp.zeros((len(self), 1, segments, 2), dtype=int)
-            self.spent = wp.zeros(len(self), dtype=wp.float64)
+            self.spent, self._internal = (wp.zeros(len(self), dtype=wp.float64) for _ in range(2))
+            dampers = [each.physics.internal.damping for each in self._robots]
+            self._dampers = wp.array(np.stack([dampers[k] for k in self._which]), dtype=float)
         numbers = {"h": self._h, "slot": slot, "slots": self._slots, "tick": self._steps}
         self._kernels = kernels(ported, SimpleNamespace(**numbers, middle=self._loaded))
         self._graphs: dict[bool, Any] = {}
@@ -182,7 +184,7 @@ class WarpBatch:
             self._own["work"].residual = self._data.qfrc_bias
         self._widths = {
             "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(columns.connectors),
-            "chambers": 5 * segments, "force": 3 * contacts, "bumps": 3 * hulls, "spent": 2,
+            "chambers": 5 * segments, "force": 3 * contacts, "bumps": 3 * hulls, "spent": 3,
         }  # fmt: skip
         return ported
 
@@ -224,8 +226,11 @@ class WarpBatch:
         wp.launch(
             k.tally,
             dim=len(self),
-            inputs=[self._count, data.sensordata, own["columns"], own["kept"], self.spent],
-        )
+            inputs=[
+                self._count, data.sensordata, own["columns"], own["kept"], data.qvel, self._dampers,
+                self.spent, self._internal,
+            ],
+        )  # fmt: skip
 
     def run(self, steps: int, *, gait: bool = False) -> None:
         """Make steps without looking; on an accelerator one graph a step.
@@ -303,7 +308,7 @@ class WarpBatch:
         (a, b) = half
         qpos[:, 3:7] = np.stack([a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1)
         self._set(self._data.qpos, chosen, qpos)
-        for array in (self._data.qvel, self._data.qacc_warmstart, self.spent):
+        for array in (self._data.qvel, self._data.qacc_warmstart, self.spent, self._internal):
             self._set(array, chosen, 0.0)
         air, kept = self._own["air"], self._own["kept"]
         for name in ("pressure", "linear", "openings", "drawn"):
@@ -490,7 +495,9 @@ class WarpBatch:
             mjw.subtree_vel(model, data)
             wp.launch(
                 self._kernels.look, dim=len(self),
-                inputs=[own["bodies"], own["columns"], own["air"], own["kept"], self.spent, out],
+                inputs=[
+                    own["bodies"], own["columns"], own["air"], own["kept"], self.spent, self._internal, out
+                ],
             )  # fmt: skip
         return out
 
@@ -512,12 +519,13 @@ class WarpBatch:
         bumps = cut["bumps"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         if self._loaded:
             bumps = bumps + force[..., wheels:, :]
-        torque, sensed = np.empty_like(bend), bend.copy()
+        torque, sensed, stored = np.empty_like(bend), bend.copy(), np.empty(shape)
         for number, twin in enumerate(self._robots):
             mine = self._which == number
             law, own = twin.spec.bending, chambers[:, mine, :, :2]
             air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, own))
             torque[:, mine] = air - law.stiffness * bend[:, mine] - law.damping * rate[:, mine]
+            stored[:, mine] = twin.physics.internal.stored(cut["qpos"][:, mine])
         for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
             twin = self.twins[k]
             sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
@@ -536,7 +544,8 @@ class WarpBatch:
             contact_force=np.add.reduceat(floor, np.arange(spec.geometry.connectors), axis=-2),
             obstacle_force=physics.bumped(bumps)[..., :2],
             torque=torque,
-            work=cut["spent"][..., 0] + cut["spent"][..., 1],
+            work=cut["spent"].sum(axis=-1) + stored,
+            internal_loss=cut["spent"][..., 2],
             air=chambers[..., 4].sum(axis=-1),
             qpos=cut["qpos"],
         )

@@ -183,10 +183,23 @@ def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespac
     @wp.kernel(**options)
     def tally(
         count: wp.array(dtype=int), sensed: wp.array2d(dtype=float), at: ColumnsOne, kept: KeptEach,
-        spent: wp.array(dtype=wp.float64),
+        speeds: wp.array2d(dtype=float), dampers: wp.array2d(dtype=float),
+        spent: wp.array(dtype=wp.float64), internal: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         """Sum forces and what is spent; where friction is the engine's, from its sensors."""
         i = wp.tid()
+        lost = float(0.0)  # see `internal_joints`
+        for j in range(at.hinges.shape[0]):
+            mean = float(0.0)
+            for n in range(at.hinges.shape[1]):
+                mean += speeds[i, at.hinges[j, n]] / float(at.hinges.shape[1])
+            for n in range(at.hinges.shape[1]):
+                apart = speeds[i, at.hinges[j, n]] - mean
+                lost += dampers[i, at.hinges[j, n]] * apart * apart
+        for n in range(at.others.shape[0]):
+            speed = speeds[i, at.others[n]]
+            lost += dampers[i, at.others[n]] * speed * speed
+        internal[i] = internal[i] + wp.float64(H * lost)
         own, power = kept_of(kept, i), float(0.0)
         for w in range(at.load.shape[0]):
             if not LOADED:
@@ -209,7 +222,7 @@ def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespac
     @wp.kernel(**options)
     def look(
         bodies: BodiesEach, at: ColumnsOne, all_air: AirEach, kept: KeptEach,
-        spent: wp.array(dtype=wp.float64), out: wp.array2d(dtype=float),
+        spent: wp.array(dtype=wp.float64), internal: wp.array(dtype=wp.float64), out: wp.array2d(dtype=float),
     ):  # fmt: skip
         """Write what is to be seen of each world into a row, and begin new sums."""
         i = wp.tid()
@@ -247,6 +260,7 @@ def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespac
             k += 3
         out[i, k] = float(spent[i])
         out[i, k + 1] = body.sensordata[at.energy]
+        out[i, k + 2] = float(internal[i])
 
     found = SimpleNamespace(command=command, wave=wave, fill=fill, tally=tally, look=look)
     return _friction(found, records, laws, H, options) if "work" in records else found
