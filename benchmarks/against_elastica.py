@@ -32,8 +32,8 @@ def run(quick: bool) -> Result:
     plain, recording = ContinuumSnake(record=False), ContinuumSnake(record=True)
     snakes = {
         "twin": (TwinSnake(spec), 4 * simulated),
-        "twin, loaded": (TwinSnake(spec, contact="loaded"), 4 * simulated),
-        "twin, loaded, 2 ms": (TwinSnake(spec, contact="loaded", timestep=0.002), 4 * simulated),
+        "twin, 2 ms": (TwinSnake(spec, timestep=0.002), 4 * simulated),
+        "twin, preloaded": (TwinSnake(spec, contact="preloaded"), 4 * simulated),
         "analytical": (AnalyticalSnake(spec), 10 * simulated),
     }
     tasks = {

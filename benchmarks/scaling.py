@@ -34,7 +34,7 @@ PLANTS: dict[str, Callable[[RobotSpec], Plant]] = {
     "complete": AnalyticalSnake,
     "compliant": lambda spec: AnalyticalSnake(spec, model="compliant"),
     "twin": TwinSnake,
-    "twin, loaded": lambda spec: TwinSnake(spec, contact="loaded"),
+    "twin, preloaded": lambda spec: TwinSnake(spec, contact="preloaded"),
 }
 PROBE = 0.02  # s simulated, to see what a case costs
 LEAST = 25  # times that: a reset costs as much as some of them
