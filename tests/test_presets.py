@@ -17,7 +17,7 @@ from srs_twin.sweep.points import Experiment
 
 KEY = "plants.twin.preset"
 STATED = (1.25, 23.5, 1.65, 0.115, 0.505, 1.35, 0.0, 1.65)
-"""Largest errors of `fast` that docs/models.md#the-fast-preset states, rounded up, in order of `METRICS`."""
+"""Largest errors of `fast` that docs/models.md#presets states, rounded up, in order of `METRICS`."""
 
 
 def scenario(twin, **changes):
