@@ -2,12 +2,12 @@
 
     uv run python benchmarks/agreement.py [--default | --skid | --loads KIND] [--quick]
 
-Matched physics: `wheel` law and the same track on both sides, bends stiff enough to follow their free
-value, the twin preloaded. Without `--default` that is what is shown; with it, the shipped robot and the
-model's default friction. With `--skid`, matched physics on skids: the `ellipse` law. With `--loads`,
-`contact: loaded` with wheels without
-inertia about their axles: `momentary` on both sides, `across` with the analytical model's share of loads on
-the twin as well, `static` with those at rest on both.
+Matched physics: `wheel` law, the same track and the connectors' inertia on both sides, bends stiff enough to
+follow their free value, the twin preloaded. Without `--default` that is what is shown; with it, the shipped
+robot, the default twin and the model's default friction. With `--skid`, matched physics on skids: the
+`ellipse` law. With `--loads`, the loaded contact with wheels without inertia about their axles: `momentary`
+on both sides, `across` with the analytical model's share of loads on the twin as well, `static` with those at
+rest on both.
 """
 
 from __future__ import annotations
@@ -36,11 +36,13 @@ def main() -> None:
     given = arguments.parse_args()
     common: dict[str, float] = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
     law = "axis" if given.default else "ellipse" if given.skid else "wheel"
-    wheels: dict[str, object] = {"contact": PreloadedContact("skid" if given.skid else "rolling")}
-    loads: dict[str, object] = {}
+    wheels: dict[str, object] = (
+        {} if given.default else {"contact": PreloadedContact("skid" if given.skid else "rolling")}
+    )
+    loads: dict[str, object] = {} if given.default else {"inertia": "connector"}
     if given.loads:
         wheels = {"contact": LoadedContact(load=given.loads), "numerics": Numerics(wheel_spin=0.0)}
-        loads = {"load": "static" if given.loads == "static" else "momentary", "inertia": "connector"}
+        loads |= {"load": "static" if given.loads == "static" else "momentary"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if given.quick:
         points = points[::4]
