@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
-from load_reference import POINTS, SLOT_S, Result, measured, numbers, stored, turns
+from load_reference import POINTS, Result, measured, numbers, stored, turns
 from timing import ROUNDS
 
 from srs_twin import Gait, TwinSnake, load_robot, rollout
@@ -104,7 +104,7 @@ def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **op
         spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
     if point.tail is not None:
         spec = replace(spec, tail=Tail(*point.tail))
-    period, tick = point.period_s, max(timestep, SLOT_S)  # valves switch at whole slots, as in the reference
+    period, tick = point.period_s, max(timestep, 0.001)  # a multiple of step and valve slots
     kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
     plant = TwinSnake(spec, supply_pa=1000 * kpa, timestep=timestep, tick=tick, **options)
     feet: list[np.ndarray] = []

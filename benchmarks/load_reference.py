@@ -11,7 +11,7 @@ MuJoCo finds the normal forces of frictionless wheels (condim 1). Friction is an
 velocities at the beginning of a step, loads of the step before. Gait, chambers, MJCF and friction law are
 this file's own. It shares with srs_twin the numbers in calibration/robots and the discretisation: two hinges
 per segment, a fiftieth of the lightest connector's mass between them, and valves that switch at whole
-milliseconds.
+slots of 0.1 ms.
 
 Each wheel spins. Its rim speed is a state, driven by the contact (isotropic friction, the cone shared by slip
 along and across) and slowed by the bearing, whose moment acts on the connector.
@@ -43,10 +43,10 @@ VALUES = Path(__file__).with_suffix(".json")
 ROBOTS = Path(__file__).parents[1] / "calibration/robots"
 G = 9.81
 HINGES, LINK_SHARE = 2, 0.02
-SLOT_S = 0.001
-"""Valves switch at whole slots."""
+SLOT_S = 1e-4
+"""Valves switch at whole slots, as the gaits of srs_twin do."""
 ROUND_S = 0.004
-"""Periods are multiples of it: half a period is then a whole number of slots and of the twins' steps."""
+"""Periods are multiples of it: half a period is then a whole number of the twins' steps, 1 or 2 ms."""
 RECORD_S = 1e-4
 AXLE_SHARE = 0.2
 """Slip speed of the bearing over that of the contact."""
@@ -290,14 +290,16 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
     """
     supply = 1000 * (n["nominal_kpa"] if point.kpa is None else point.kpa)
     lag = n["phase_step_rad"] * np.arange(n["connectors"] - 1)
+    parts = math.ceil(step / SLOT_S - 1e-9)
+    part = step / parts
     # The middle of a slot decides. Rounding must not decide the sign of an exact zero.
-    middle = SLOT_S * (np.floor(step * (np.arange(steps) + 0.5) / SLOT_S) + 0.5)
+    middle = SLOT_S * (np.floor(part * (np.arange(parts * steps) + 0.5) / SLOT_S) + 0.5)
     wave = np.sin(2 * math.pi / point.period_s * middle[:, None] - lag) + point.offset >= -1e-12
-    left = [math.exp(-step / n[key]) for key in ("tau_vent_s", "tau_fill_s")]
+    left = [math.exp(-part / n[key]) for key in ("tau_vent_s", "tau_fill_s")]
     x = n["bend_rad"] / (1000 * n["at_pressure_kpa"]) * _differences(wave, supply, *left)
     if (limit := n.get("bend_limit_rad")) is not None:
         x = x / (1 + (x / limit) ** 4) ** 0.25
-    return np.asarray(n["stiffness_nm_per_rad"] * x)
+    return np.asarray(n["stiffness_nm_per_rad"] * x.reshape(steps, parts, -1).mean(axis=1))
 
 
 @njit
