@@ -110,7 +110,9 @@ def test_stored_values_are_those_of_the_explicit_simulation(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, point in POINTS.items() if point.tail is None])
 def test_every_point_is_that_of_the_explicit_simulation(name):
-    twin, runs = crawled(name, contact="loaded"), stored()[name]
+    # This one turns 2.8 % too fast at 1 ms and 0.5 % at half of it.
+    step = 0.0005 if name == "stiff_slow_turn" else 0.001
+    twin, runs = crawled(name, None, step, contact="loaded"), stored()[name]
     assert_close(twin, runs.speed[0], runs.yaw[0], drift=2e-3)
     assert twin.swing == pytest.approx(runs.swing, rel=0.1)
     assert abs(twin.ripple - runs.ripple) < 0.02
@@ -119,7 +121,7 @@ def test_every_point_is_that_of_the_explicit_simulation(name):
 
 @pytest.mark.slow
 def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
-    """Speeds converge to it to first order in the step: 1 ms is 1.6 % too fast, half a millisecond 0.8 %."""
+    """Speeds converge to it to first order in the step: 1 ms is 1.2 % too fast, half a millisecond 0.6 %."""
     runs = stored()["gen3_tail"]
     speed = runs.speed[0]
     twin, fine = (crawled("gen3_tail", None, step, contact="loaded") for step in (0.001, 0.0005))
