@@ -1,6 +1,6 @@
 """Gaits on momentary wheel loads in Drake, beside the same simulation in MuJoCo (`load_reference.py`).
 
-    uv run --group drake python benchmarks/against_drake.py                      # three points, 0.05 ms
+    uv run --group drake python benchmarks/against_drake.py                      # four points, 0.05 ms
     uv run --group drake python benchmarks/against_drake.py --step-ms 0.025 gen2_turn
 
 The chain is built here in Drake's terms. The pitch and roll hinges in the middle of a segment join bodies
@@ -26,11 +26,13 @@ from typing import Any
 import load_reference as reference
 import numpy as np
 import pydrake.all as drake
-from load_reference import POINTS, Chambers, G, Point, Result, measured, numbers, wheel_force
+from load_reference import POINTS, G, Point, Result, friction_law, measured, moments, numbers, wheel_force
 
 Place = tuple[float, float, float]
 End = tuple[drake.RigidBody, Place]
 ORIGIN = (0.0, 0.0, 0.0)
+SLIP_M_S = 3e-4
+"""Slip speed of the reference's law and of the axles."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ class Snake:
 
     def drag(self, moments: np.ndarray) -> None:
         """Hold each axle back with a moment, N·m: as a damper, implicit, that has it at the present speed."""
-        slowest = reference.AXLE_M_S / self._n["wheel_radius_m"]
+        slowest = reference.AXLE_SHARE * SLIP_M_S / self._n["wheel_radius_m"]
         for axle, moment in zip(self._axles, moments, strict=True):
             axle.SetDamping(self.context, moment / np.hypot(axle.get_angular_rate(self.context), slowest))
 
@@ -224,9 +226,9 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
     side = np.tile([track, -track], count)[:, None]
     rest = np.repeat(np.array(n["connectors_kg"]) * G / 2, 2)
     load, spin = rest, np.zeros(2 * count)
-    steps = round(periods / point.frequency_hz / step)
+    steps = round(periods * point.period_s / step)
     com, yaw, loads = np.empty((steps, 2)), np.empty((steps, count)), np.empty((steps, 2 * count))
-    chambers = Chambers(n, point, step)
+    torques, law = moments(n, point, step, steps), friction_law(n, SLIP_M_S)
     for k in range(steps):
         if axles:
             snake.drag(n["mu_t"] * load * radius)
@@ -239,32 +241,33 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
             foot = hub - [0, 0, radius]
             speed = move + np.cross(turn, foot)
             along, across = (speed * ahead).sum(axis=1), (speed * left).sum(axis=1)
-            f_t, f_n, spin, drag = wheel_force(along, across, spin, load, n, step)
+            wheels = zip(along, across, spin, load, strict=True)
+            f_t, f_n, spin, drag = np.array([wheel_force(*wheel, law, step) for wheel in wheels]).T
             at_hub, at_foot = f_t[:, None] * ahead, f_n[:, None] * left
             moment = np.cross(hub, at_hub) + np.cross(foot, at_foot) + radius * drag[:, None] * left
             snake.push(*(each.reshape(count, 2, 3).sum(axis=1) for each in (at_hub + at_foot, moment)))
-        loads[k] = load = snake.advance((k + 1) * step, chambers.moments(k * step))
+        loads[k] = load = snake.advance((k + 1) * step, torques[k])
         com[k] = snake.plant.CalcCenterOfMassPositionInWorld(snake.context)[:2]
         frame = snake.motion()[0]
         yaw[k] = np.arctan2(frame[:, 1, 0], frame[:, 0, 0])
-    return measured(com, np.unwrap(yaw, axis=0), loads, rest, round(1 / point.frequency_hz / step), step)
+    return measured(com, np.unwrap(yaw, axis=0), loads, rest, round(point.period_s / step), step)
 
 
 def main() -> None:
-    """Print three rows a point."""
+    """Print three rows per point."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default three")
+    parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default four")
     parser.add_argument("--step-ms", type=float, default=0.05)
-    parser.add_argument("--periods", type=int, default=5)
+    parser.add_argument("--periods", type=int, default=6)
     parser.add_argument("--stiffness", type=float, default=Contact.stiffness, help="of a contact, N/m")
     parser.add_argument("--relaxation-ms", type=float, default=1000 * Contact.relaxation)
     parser.add_argument("--solver", default=Contact.solver, help="lagged, sap or similar")
     given = parser.parse_args()
     how = given.periods, given.step_ms / 1000
     contact = Contact(given.stiffness, given.relaxation_ms / 1000, given.solver)
-    for name in given.points or ("gen2_straight", "gen2_turn", "stiff_turn"):
+    for name in given.points or ("gen2_straight", "gen2_turn", "stiff_turn", "gen1_straight"):
         for engine, run in (
-            ("MuJoCo", lambda point: reference.simulate(point, *how)),
+            ("MuJoCo", lambda point: reference.simulate(point, *how, SLIP_M_S)),
             ("Drake, law", lambda point: simulate(point, *how, contact, axles=False)),
             ("Drake, axles", lambda point: simulate(point, *how, contact, axles=True)),
         ):

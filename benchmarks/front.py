@@ -6,8 +6,8 @@ Every setting runs the same gaits of generation 2 (1, 1.5, 2 Hz, offset 0 and 0.
 stiffness and at 20 N·m/rad). Its error is the largest difference of the mean speed from that of a much finer
 one, its cost the processor time of one run over that of the default's, the settings timed in turns.
 
-Contacts of the twin are held against the explicit simulation of `load_reference.py` instead, at all its
-points (about 20 minutes): largest errors of speed, and of the yaw rate where a snake turns.
+Contacts of the twin are compared with the values of `load_reference.py` instead, at all its points with a
+single axle per connector: largest errors of speed, and of the yaw rate where a snake turns.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
-from load_reference import POINTS, Result, measured, numbers, simulate
+from load_reference import POINTS, Result, measured, numbers, stored, turns
 from timing import ROUNDS
 
 from srs_twin import Gait, LoadedContact, PreloadedContact, TwinSnake, load_robot, rollout
@@ -94,12 +94,12 @@ def main() -> None:
         print(table(["setting", "cost", "largest error, %", "RMS error, %"], rows), flush=True)
 
 
-def crawled(name: str, periods: int, timestep: float = 0.001, **options: Any) -> Result:
-    """Return what the twin does at a point of the reference, as `load_reference.simulate` reports it.
+def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **options: Any) -> Result:
+    """Return the result of the twin at a point of the reference, measured as `load_reference.simulate` does.
 
     Args:
         name: of the point.
-        periods: how many periods of the gait.
+        periods: number of periods of the gait; None: those of the point.
         timestep: s.
         options: of the twin.
     """
@@ -108,40 +108,33 @@ def crawled(name: str, periods: int, timestep: float = 0.001, **options: Any) ->
         spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
     if point.tail is not None:
         spec = replace(spec, tail=Tail(*point.tail))
-    # Both half waves of whole steps: left and right are then sampled alike, and what is straight stays so.
-    period = 2 * round(0.5 / point.frequency_hz / timestep) * timestep
+    period, tick = point.period_s, max(timestep, 0.001)  # a multiple of step and valve slots
     kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
-    plant = TwinSnake(spec, supply_pa=1000 * kpa, timestep=timestep, tick=timestep, **options)
+    plant = TwinSnake(spec, supply_pa=1000 * kpa, timestep=timestep, tick=tick, **options)
     feet: list[np.ndarray] = []
     run = rollout(
         plant,
         Gait(1 / period, point.offset),
-        periods * period,
-        record_hz=1 / timestep,
+        (point.periods if periods is None else periods) * period,
+        record_hz=1 / tick,
         observers=[lambda _: feet.append(plant.physics.wheel_loads().ravel())],
     )
     com = np.stack([run["com_x"], run["com_y"]], axis=1)[1:]
     rest = np.repeat([axle.mass * GRAVITY / 2 for axle in spec.axles], 2)
-    steps = round(period / timestep)
-    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, steps, timestep)
-
-
-def whole(name: str) -> int:
-    """Return over how many periods a point of the reference is measured."""
-    return 5 if POINTS[name].frequency_hz > 0.5 else 3
+    ticks = round(period / tick)
+    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, ticks, tick)
 
 
 def _contacts() -> None:
     names = [name for name, point in POINTS.items() if point.tail is None]
     runs = {label: Run("twin", supply_pa=48.3e3, offset=0.4, options=more) for label, more in CONTACTS}
-    costs, rows = _costs(runs), []
+    costs, rows, values = _costs(runs), [], stored()
     with ProcessPoolExecutor() as pool:
-        explicit = list(pool.map(simulate, [POINTS[name] for name in names], map(whole, names)))
         for label, options in CONTACTS:
-            found = [pool.submit(crawled, name, whole(name), **options) for name in names]
-            both = [(each.result(), reference) for each, reference in zip(found, explicit, strict=True)]
-            speed = 100 * np.array([a.speed_mm_s / b.speed_mm_s - 1 for a, b in both])
-            turn = 100 * np.array([a.yaw_rate / b.yaw_rate - 1 for a, b in both if abs(b.yaw_rate) > 0.1])
+            found = [pool.submit(crawled, name, **options) for name in names]
+            both = [(each.result(), values[name]) for each, name in zip(found, names, strict=True)]
+            speed = 100 * np.array([a.speed_mm_s / b.speed[0] - 1 for a, b in both])
+            turn = 100 * np.array([a.yaw_rate / b.yaw[0] - 1 for a, b in both if turns(b)])
             cells = [
                 f"{np.abs(errors).max():.1f} ({np.sqrt((errors**2).mean()):.1f})" for errors in (speed, turn)
             ]

@@ -1,34 +1,64 @@
-"""Gaits on momentary wheel loads, simulated a second time: explicitly, and with nothing of srs_twin in it.
+"""Explicit simulation of gaits on momentary wheel loads, independent of srs_twin: a reference for its twins.
 
-    uv run python benchmarks/load_reference.py                 # all points, 0.05 ms
-    uv run python benchmarks/load_reference.py --step-ms 0.02 gen2_turn
+    uv run python benchmarks/load_reference.py                  # convergence of the stored values
+    uv run python benchmarks/load_reference.py --run            # run all points and store their values
+    uv run python benchmarks/load_reference.py --twins          # errors of the twins
+    uv run python benchmarks/load_reference.py --twin-slip      # errors of the twin at smaller slip speeds
+    uv run python benchmarks/load_reference.py --sensitivity    # to heights, tracks and contact times
+    uv run python benchmarks/load_reference.py --slip-mm-s 0.3 --step-ms 0.05 gen2_turn    # one run
 
-MuJoCo finds the normal forces of wheels without friction (condim 1); the wheel law, written here once more
-from its formulas, acts explicitly with the loads of the step before. Chambers, gait, MJCF and the law are
-this file's own; of srs_twin it takes the numbers in calibration/robots and the discretisation that the twin
-has as well: two hinges a segment with a fiftieth of the lightest connector's mass between them.
+MuJoCo finds the normal forces of frictionless wheels (condim 1). Friction is an explicit force: positions and
+velocities at the beginning of a step, loads of the step before. Gait, chambers, MJCF and friction law are
+this file's own. It shares with srs_twin the numbers in calibration/robots and the discretisation: two hinges
+per segment, a fiftieth of the lightest connector's mass between them, and valves that switch at whole
+slots of 0.1 ms.
 
-Each wheel spins: its rim's speed is a state of its own, driven by the contact (isotropic, the cone shared by
-slip along and across) and held back by the bearing, whose moment the connector feels.
+Each wheel spins. Its rim speed is a state, driven by the contact (isotropic friction, the cone shared by slip
+along and across) and slowed by the bearing, whose moment acts on the connector.
+
+Both frictions are smoothed below a slip speed. A value is extrapolated to step 0 at each slip speed, then to
+slip speed 0, see `extrapolate`.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
+import json
 import math
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import yaml
+from numba import njit
 
+VALUES = Path(__file__).with_suffix(".json")
+"""Stored runs of the points, see `Runs`."""
 ROBOTS = Path(__file__).parents[1] / "calibration/robots"
 G = 9.81
-SLIP_M_S = 0.0003
-AXLE_M_S = 0.00006
 HINGES, LINK_SHARE = 2, 0.02
+SLOT_S = 1e-4
+"""Valves switch at whole slots, as the gaits of srs_twin do."""
+ROUND_S = 0.004
+"""Periods are multiples of it: half a period is then a whole number of the twins' steps, 1 or 2 ms."""
+RECORD_S = 1e-4
+AXLE_SHARE = 0.2
+"""Slip speed of the bearing over that of the contact."""
+SLIPS_M_S = (2e-3, 1e-3, 5e-4, 2.5e-4)
+STEP_SHARES_S2_M = (0.1, 0.05)
+"""Time steps over the slip speed. Friction is stable up to about 2/(mu_n g) = 0.3 s²/m."""
+CONTACT_S = 0.001
+"""Time constant of the normal contacts."""
+TWIN_SLIPS_M_S = (1e-3, 5e-4, 2.5e-4)
+"""Slip speeds of the twin, whose default is the first."""
+MEASURED = 2
+"""Number of periods that are measured, at the end of a run."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +67,14 @@ class Point:
 
     Attributes:
         robot: a name in calibration/robots.
-        frequency_hz: of the gait.
+        frequency_hz: of the gait; see `period_s`.
         offset: of the gait.
-        kpa: supply; None: the robot's nominal one.
+        kpa: supply pressure; None: the robot's nominal one.
         stiffness: of a segment, N·m/rad; None: the robot's.
-        tail: of a tail on two axles: how far the second is behind the last connector's, its centre of mass
-            behind that, the height of this, and the radius of gyration, m.
+        tail: of a tail on two axles: distance of the second axle behind the last connector's, that of the
+            centre of mass, height of the centre of mass, and radius of gyration, m.
+        changes: other numbers of the robot, as (key, value).
+        periods: number of periods to simulate; from the last but two on, the gait is periodic within 0.05 %.
     """
 
     robot: str
@@ -51,6 +83,13 @@ class Point:
     kpa: float | None = None
     stiffness: float | None = None
     tail: tuple[float, float, float, float] | None = None
+    changes: tuple[tuple[str, float], ...] = ()
+    periods: int = 6
+
+    @property
+    def period_s(self) -> float:
+        """Period of the gait, rounded to a multiple of `ROUND_S`."""
+        return ROUND_S * round(1 / self.frequency_hz / ROUND_S)
 
 
 _GEN2 = Point("gen2", 2.0, kpa=48.3)
@@ -58,26 +97,33 @@ POINTS = {
     "gen2_straight": _GEN2,
     "gen2_bend": replace(_GEN2, offset=0.2),
     "gen2_turn": replace(_GEN2, offset=0.4),
-    "gen2_slow": replace(_GEN2, frequency_hz=1.0),
+    "gen2_slow": replace(_GEN2, frequency_hz=1.0, periods=4),
+    "gen2_slow_bend": replace(_GEN2, frequency_hz=1.0, offset=0.2, periods=4),
     "gen2_slow_turn": replace(_GEN2, frequency_hz=1.25, offset=0.4),
+    "gen2_high": replace(_GEN2, frequency_hz=1.5, kpa=55.0, offset=0.3),
     "stiff_straight": replace(_GEN2, stiffness=20.0),
     "stiff_bend": replace(_GEN2, stiffness=20.0, offset=0.2),
     "stiff_turn": replace(_GEN2, stiffness=20.0, offset=0.4),
-    "stiff_slow_turn": replace(_GEN2, stiffness=20.0, frequency_hz=1.0, offset=0.4),
-    "gen1_straight": Point("gen1", 1 / 3),
-    "gen3_straight": Point("gen3", 0.9),
+    "stiff_slow_turn": replace(_GEN2, stiffness=20.0, frequency_hz=1.0, offset=0.4, periods=4),
+    "gen1_straight": Point("gen1", 1.0),
+    "gen1_turn": Point("gen1", 1.0, offset=0.3),
+    "gen1_slow": Point("gen1", 1 / 3, periods=3),
+    "gen1_slow_turn": Point("gen1", 1 / 3, offset=0.3, periods=3),
+    "gen3_straight": Point("gen3", 0.9, periods=4),
+    "gen3_turn": Point("gen3", 0.9, offset=0.2, periods=4),
     "gen4_straight": Point("gen4", 1.5),
-    "gen3_tail": Point("gen3", 0.9, tail=(0.06, 0.045, 0.025, 0.025)),
+    "gen4_turn": Point("gen4", 1.5, offset=0.3),
+    "gen3_tail": Point("gen3", 0.9, tail=(0.06, 0.045, 0.025, 0.025), periods=4),
 }
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a run gave, over whole periods after two (gen 1: one).
+    """Measures of a run, over its last periods.
 
     Attributes:
-        speed_mm_s: arc length of the period-averaged path of the centre of mass over time.
-        yaw_rate: rad/s.
+        speed_mm_s: length of the path of the centre of mass over time; the path is sampled once per period.
+        yaw_rate: mean rate of the mean heading, rad/s.
         air: share of wheels and time without load.
         swing: standard deviation of each wheel's load over its static one, mean over the wheels.
         ripple: standard deviation of the sum of all loads over the weight.
@@ -90,33 +136,48 @@ class Result:
     ripple: float
 
 
-def wheel_force(
-    along: np.ndarray, across: np.ndarray, spin: np.ndarray, load: np.ndarray, n: dict[str, Any], step: float
-) -> tuple[np.ndarray, ...]:
-    """Return friction along and across, the rim's speed after a step, the bearing's moment over the radius.
+@njit
+def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untyped-def]
+    """Return friction along and across (N), the new rim speed (m/s), the bearing's moment over the radius.
 
-    The rim's speed w solves m_w/2 (w - w_before)/step = mu_n N (v_t - w)/|slip| - mu_t N sgn w. The two sides
-    cross once; found by halving.
+    The rim's speed w solves m_w/2 (w - w_before)/step = mu_n N (v_t - w)/|slip| - mu_t N sgn w. Both sides
+    are smooth and monotone in w, so they cross once: Newton's method, with bisection as its safeguard.
 
     Args:
         along: speed of the wheel's foot along its heading, fixed to the connector, m/s.
         across: across it, m/s.
         spin: rim's speed relative to the connector, m/s.
         load: N.
-        n: the robot's numbers.
+        law: mu_t, mu_n, mass of a wheel (kg), slip speeds of contact and bearing (m/s).
         step: s.
     """
-    mass = n["wheel_kg"] / 2 / step
-    low, high = np.minimum(spin, along) - 1e-9, np.maximum(spin, along) + 1e-9
-    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
-    for _ in range(40):
-        w = (low + high) / 2
-        slip = np.sqrt((along - w) ** 2 + across**2 + SLIP_M_S**2)
-        pushed = n["mu_n"] * load * (along - w) / slip
-        dragged = n["mu_t"] * load * w / np.sqrt(w**2 + AXLE_M_S**2)
-        faster = pushed - dragged > mass * (w - spin)
-        low, high = np.where(faster, w, low), np.where(faster, high, w)
-    return -pushed, -n["mu_n"] * load * across / slip, w, dragged
+    mu_t, mu_n, mass, eps, axle = law
+    rate = mass / 2 / step
+    low, high = min(spin, along, 0.0) - 1e-9, max(spin, along, 0.0) + 1e-9
+    w = min(max(spin, low), high)
+    for _ in range(60):
+        slip = math.sqrt((along - w) ** 2 + across**2 + eps**2)
+        rim = math.sqrt(w**2 + axle**2)
+        excess = mu_n * load * (along - w) / slip - mu_t * load * w / rim - rate * (w - spin)
+        if excess > 0:
+            low = w
+        else:
+            high = w
+        slope = mu_n * load * (across**2 + eps**2) / slip**3 + mu_t * load * axle**2 / rim**3 + rate
+        move = excess / slope
+        if abs(move) < 1e-13:
+            break
+        w += move
+        if not low < w < high:
+            w = (low + high) / 2
+    slip = math.sqrt((along - w) ** 2 + across**2 + eps**2)
+    drag = mu_t * load * w / math.sqrt(w**2 + axle**2)
+    return -mu_n * load * (along - w) / slip, -mu_n * load * across / slip, w, drag
+
+
+def friction_law(n: dict[str, Any], slip: float) -> tuple[float, ...]:
+    """Return the `law` of `wheel_force` from a robot's numbers and a slip speed (m/s)."""
+    return n["mu_t"], n["mu_n"], n["wheel_kg"], slip, AXLE_SHARE * slip
 
 
 def numbers(point: Point) -> dict[str, Any]:
@@ -126,12 +187,13 @@ def numbers(point: Point) -> dict[str, Any]:
     found = {key: record["value"] for each in sections for key, record in each.items() if "value" in record}
     if not isinstance(found["connectors_kg"], list):
         found["connectors_kg"] = [found["connectors_kg"]] * found["connectors"]
+    found.update(point.changes)
     if point.stiffness is not None:
         found["stiffness_nm_per_rad"] = point.stiffness
     found.setdefault(
         "connector_gyration_m", math.sqrt((found["rigid_gap_m"] ** 2 + 4 * found["half_track_m"] ** 2) / 12)
     )
-    # Axles: place in the list of connectors, how far behind, mass they carry.
+    # Axles: place in the list of connectors, distance behind, mass they carry.
     found["tail"], found["axles"] = point.tail, [(i, 0.0, m) for i, m in enumerate(found["connectors_kg"])]
     if point.tail is not None:
         (i, _, mass), (back, com, _, _) = found["axles"].pop(), point.tail
@@ -139,8 +201,14 @@ def numbers(point: Point) -> dict[str, Any]:
     return found
 
 
-def mjcf(n: dict[str, Any], step: float) -> str:
-    """Return the snake on a plane, grown from its head backward along -x; no friction anywhere."""
+def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
+    """Return the snake on a plane, grown from its head backward along -x, without friction.
+
+    Args:
+        n: the robot's numbers.
+        step: s.
+        contact: time constant of the normal contacts, s.
+    """
     track, radius, height = n["half_track_m"], n["wheel_radius_m"], n["com_height_m"]
     pitch, edge = n["segment_length_m"] + n["rigid_gap_m"], 1 / (2 * (HINGES + 1))
     front, rear = (n["rigid_gap_m"] / 2 + n["segment_length_m"] * share for share in (edge, 1 - edge))
@@ -170,13 +238,16 @@ def mjcf(n: dict[str, Any], step: float) -> str:
             parts = [f'<inertial {place} diaginertia="{about} {about} {about}"/>']
         for a, (at, behind, _) in enumerate(n["axles"]):
             for side, y in (("left", track), ("right", -track)):
-                hub = f'pos="{-behind} {y} {radius - height}" size="{radius}"'
-                parts += [f'<geom class="foot" name="{side}_{a}" {hub}/>'] * (at == i - 1)
+                hub, name = f'pos="{-behind} {y} {radius - height}"', f'name="{side}_{a}"'
+                foot = f'<geom class="foot" {name} {hub} size="{radius}"/>'
+                # A little larger than the wheel: a touch sensor adds up the contacts inside its site.
+                zone = f'<site {name} {hub} size="{1.2 * radius}"/>'
+                parts += [foot, zone] * (at == i - 1)
         if i == 1:
             return _scene(
                 f'<body name="c1" pos="0 0 {height}"><freejoint/>{"".join(parts)}{body}</body>',
-                n["connectors"],
-                step,
+                n,
+                (step, contact),
             )
         j, slow = i - 1, n["out_of_plane_damping_time_s"]
         parts.append(bend(j, 2, pitch - rear))
@@ -188,123 +259,193 @@ def mjcf(n: dict[str, Any], step: float) -> str:
     raise ValueError("a snake has connectors")
 
 
-def _scene(body: str, connectors: int, step: float) -> str:
-    segments = range(1, connectors)
+def _scene(body: str, n: dict[str, Any], times: tuple[float, float]) -> str:
+    segments, (step, contact) = range(1, n["connectors"]), times
     bends = [
         f'<fixed name="t{j}"><joint joint="h{j}_1" coef="1"/><joint joint="h{j}_2" coef="1"/></fixed>'
         for j in segments
     ]
     motors = [f'<motor tendon="t{j}"/>' for j in segments]
-    touch = 'condim="1" solref="0.001 1"'
+    sensors = [f'<touch site="{side}_{a}"/>' for a in range(len(n["axles"])) for side in ("left", "right")]
+    touch = f'condim="1" solref="{contact} 1"'
     return f"""<mujoco><compiler angle="radian"/>
-    <option timestep="{step}" integrator="implicitfast" gravity="0 0 {-G}" tolerance="1e-10"/>
+    <option timestep="{step}" integrator="implicitfast" gravity="0 0 {-G}" tolerance="1e-10">
+      <flag island="disable"/></option>
     <default><default class="foot"><geom type="sphere" mass="0" conaffinity="0" {touch}/></default></default>
     <worldbody><geom type="plane" size="0 0 1" contype="0" {touch}/>{body}</worldbody>
-    <tendon>{"".join(bends)}</tendon><actuator>{"".join(motors)}</actuator></mujoco>"""
+    <tendon>{"".join(bends)}</tendon><actuator>{"".join(motors)}</actuator>
+    <sensor>{"".join(sensors)}</sensor></mujoco>"""
 
 
-class Chambers:
-    """First-order lags behind valves that follow the square wave of Eq. 13."""
+def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndarray:
+    """Return the mean moment on each segment over each step, shape (steps, segments), N·m.
 
-    def __init__(self, n: dict[str, Any], point: Point, step: float) -> None:
-        self._supply = 1000 * (n["nominal_kpa"] if point.kpa is None else point.kpa)
-        segments = n["connectors"] - 1
-        self._lag, self._f, self._offset = (
-            n["phase_step_rad"] * np.arange(segments),
-            point.frequency_hz,
-            point.offset,
-        )
-        self._fill, self._vent = (math.exp(-step / n[k]) for k in ("tau_fill_s", "tau_vent_s"))
-        self._step, self._p = step, np.zeros((segments, 2))
-        gain = n["bend_rad"] / (1000 * n["at_pressure_kpa"])
-        self._moment, self._gain, self._limit = n["stiffness_nm_per_rad"], gain, n.get("bend_limit_rad")
+    Chambers are first-order lags behind valves that follow the square wave of Eq. 13.
 
-    def moments(self, time: float) -> np.ndarray:
-        """Advance by a step that begins at a time; return the mean moment over it on each segment, N·m."""
-        wave = np.sin(2 * math.pi * self._f * (time + self._step / 2) - self._lag) + self._offset >= 0
-        filling = np.stack([wave, ~wave], axis=1)
-        left = np.where(filling, self._fill, self._vent)
-        end = np.where(filling, self._supply, 0.0)
-        before, self._p = self._p, end + (self._p - end) * left
-        mean = (before + self._p) / 2
-        x = self._gain * (mean[:, 0] - mean[:, 1])
-        if self._limit is not None:
-            x = x / (1 + (x / self._limit) ** 4) ** 0.25
-        moments: np.ndarray = self._moment * x
-        return moments
+    Args:
+        n: the robot's numbers.
+        point: the gait and the supply pressure.
+        step: s.
+        steps: number of steps.
+    """
+    supply = 1000 * (n["nominal_kpa"] if point.kpa is None else point.kpa)
+    lag = n["phase_step_rad"] * np.arange(n["connectors"] - 1)
+    parts = math.ceil(step / SLOT_S - 1e-9)
+    part = step / parts
+    # The middle of a slot decides. Rounding must not decide the sign of an exact zero.
+    middle = SLOT_S * (np.floor(part * (np.arange(parts * steps) + 0.5) / SLOT_S) + 0.5)
+    wave = np.sin(2 * math.pi / point.period_s * middle[:, None] - lag) + point.offset >= -1e-12
+    left = [math.exp(-part / n[key]) for key in ("tau_vent_s", "tau_fill_s")]
+    x = n["bend_rad"] / (1000 * n["at_pressure_kpa"]) * _differences(wave, supply, *left)
+    if (limit := n.get("bend_limit_rad")) is not None:
+        x = x / (1 + (x / limit) ** 4) ** 0.25
+    return np.asarray(n["stiffness_nm_per_rad"] * x.reshape(steps, parts, -1).mean(axis=1))
 
 
-def simulate(point: Point, periods: int, step: float = 5e-5, static: bool = False) -> Result:
+@njit
+def _differences(wave, supply, vented, filled):  # type: ignore[no-untyped-def]
+    """Return the mean difference between the chambers of each segment over each step, Pa."""
+    steps, segments = wave.shape
+    found, p = np.empty((steps, segments)), np.zeros((segments, 2))
+    for k in range(steps):
+        for j in range(segments):
+            before = p[j, 0] - p[j, 1]
+            for side in range(2):
+                if wave[k, j] == (side == 0):
+                    p[j, side] = supply + (p[j, side] - supply) * filled
+                else:
+                    p[j, side] *= vented
+            found[k, j] = (before + p[j, 0] - p[j, 1]) / 2
+    return found
+
+
+_ENGINE = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+_step1, _step2 = _ENGINE.mj_step1, _ENGINE.mj_step2
+for _function in (_step1, _step2):
+    # Compiled code has addresses as integers.
+    _function.argtypes, _function.restype = [ctypes.c_ssize_t, ctypes.c_ssize_t], None
+
+
+@njit
+def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[no-untyped-def]
+    """Step from rest and record; the arguments are made in `simulate`."""
+    xmat, xpos, xipos, cvel, com, ctrl, applied, sensed = views
+    bodies, places, connectors, loads, constant = wheels
+    radius, step, every = sizes
+    path, yaw, carried = records
+    spin, load = np.zeros(len(bodies)), loads.copy()
+    ahead, hub, arm = np.zeros(3), np.zeros(3), np.zeros(3)
+    steps = len(torques)
+    for k in range(steps + 1):
+        _step1(engine[0], engine[1])
+        if k and k % every == 0:
+            j = k // every - 1
+            path[j], carried[j] = com[0, :2], load
+            for i, body in enumerate(connectors):
+                yaw[j, i] = math.atan2(xmat[body, 3], xmat[body, 0])
+        if k == steps:
+            break
+        ctrl[:] = torques[k]
+        applied[:] = 0.0
+        for w, body in enumerate(bodies):
+            frame, v = xmat[body], cvel[body]
+            size = math.hypot(frame[0], frame[3])
+            ahead[0], ahead[1] = frame[0] / size, frame[3] / size
+            for a in range(3):
+                hub[a] = xpos[body, a]
+                for b in range(3):
+                    hub[a] += frame[3 * a + b] * places[w, b]
+            # cvel is the velocity at the centre of mass of the whole snake.
+            rx, ry, rz = hub[0] - com[1, 0], hub[1] - com[1, 1], hub[2] - radius - com[1, 2]
+            vx, vy = v[3] + v[1] * rz - v[2] * ry, v[4] + v[2] * rx - v[0] * rz
+            along, across = vx * ahead[0] + vy * ahead[1], -vx * ahead[1] + vy * ahead[0]
+            pressed = loads[w] if constant else load[w]
+            f_t, f_n, spin[w], drag = wheel_force(along, across, spin[w], pressed, law, step)
+            # The force that spins the wheel acts at the hub, the force across at the foot.
+            fx, fy = f_t * ahead[0] - f_n * ahead[1], f_t * ahead[1] + f_n * ahead[0]
+            for a in range(3):
+                arm[a] = hub[a] - xipos[body, a]
+            lateral = -radius * f_n
+            applied[body, 0] += fx
+            applied[body, 1] += fy
+            applied[body, 3] += -arm[2] * fy - lateral * ahead[0] - radius * drag * ahead[1]
+            applied[body, 4] += arm[2] * fx - lateral * ahead[1] + radius * drag * ahead[0]
+            applied[body, 5] += arm[0] * fy - arm[1] * fx
+        _step2(engine[0], engine[1])
+        load[:] = sensed
+
+
+def simulate(
+    point: Point,
+    periods: int | None = None,
+    step: float = 5e-5,
+    slip: float = 3e-4,
+    *,
+    contact: float = CONTACT_S,
+    static: bool = False,
+) -> Result:
     """Run a gait from rest.
 
     Args:
         point: robot and gait.
-        periods: how many periods of the gait.
+        periods: number of periods of the gait; None: those of the point.
         step: s.
+        slip: slip speed, m/s.
+        contact: time constant of the normal contacts, s.
         static: friction takes each wheel's static load, as the analytical model does by default.
     """
-    n = numbers(point)
-    model = mujoco.MjModel.from_xml_string(mjcf(n, step))
+    n, every = numbers(point), max(1, round(RECORD_S / step))
+    model = mujoco.MjModel.from_xml_string(mjcf(n, step, contact))
     data = mujoco.MjData(model)
-    count, radius, track = len(n["axles"]), n["wheel_radius_m"], n["half_track_m"]
+    count, radius = len(n["axles"]), n["wheel_radius_m"]
     bodies = np.repeat([model.body(f"c{i + 1}").id for i, _, _ in n["axles"]], 2)
-    connectors = np.unique(bodies)
-    side = np.tile([track, -track], count)
     back = np.repeat([behind for _, behind, _ in n["axles"]], 2)
-    geoms = {
-        model.geom(f"{s}_{i}").id: 2 * i + k for i in range(count) for k, s in enumerate(("left", "right"))
-    }
+    side = np.tile([n["half_track_m"], -n["half_track_m"]], count)
+    places = np.stack([-back, side, 0 * side + radius - n["com_height_m"]], axis=1)
     rest = np.repeat([mass * G / 2 for _, _, mass in n["axles"]], 2)
-    load = rest.copy()
-    steps = round(periods / point.frequency_hz / step)
-    com, yaw, loads = np.empty((steps, 2)), np.empty((steps, n["connectors"])), np.empty((steps, 2 * count))
-    chambers = Chambers(n, point, step)
-    spin = np.zeros(2 * count)
-    mujoco.mj_forward(model, data)
-    for k in range(steps):
-        data.ctrl[:] = chambers.moments(k * step)
-        frame = data.xmat[bodies].reshape(-1, 3, 3)
-        ahead = frame[:, :2, 0] / np.linalg.norm(frame[:, :2, 0], axis=1)[:, None]
-        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-        places = np.stack([-back, side, 0 * side + radius - n["com_height_m"]], axis=1)
-        hub = data.xpos[bodies] + np.einsum("wij,wj->wi", frame, places)
-        foot = hub - [0, 0, radius]
-        turn, move = data.cvel[bodies, :3], data.cvel[bodies, 3:]
-        middle = data.subtree_com[model.body_rootid[bodies]]
-        speed = move + np.cross(turn, foot - middle)
-        along, across = (speed[:, :2] * ahead).sum(axis=1), (speed[:, :2] * left).sum(axis=1)
-        f_t, f_n, spin, drag = wheel_force(along, across, spin, rest if static else load, n, step)
-        centre, at_hub, at_foot = data.xipos[bodies], np.zeros((2 * count, 3)), np.zeros((2 * count, 3))
-        at_hub[:, :2], at_foot[:, :2] = f_t[:, None] * ahead, f_n[:, None] * left
-        moment = np.cross(hub - centre, at_hub) + np.cross(foot - centre, at_foot)
-        moment[:, :2] += radius * drag[:, None] * left
-        data.xfrc_applied[:] = 0
-        np.add.at(data.xfrc_applied, bodies, np.concatenate([at_hub + at_foot, moment], axis=1))
-        mujoco.mj_step(model, data)
-        load = np.zeros(2 * count)
-        for contact in range(data.ncon):
-            row = data.contact.efc_address[contact]
-            load[geoms[data.contact.geom[contact, 1]]] = data.efc_force[row] if row >= 0 else 0.0
-        com[k], loads[k] = data.subtree_com[0, :2], load
-        yaw[k] = np.arctan2(data.xmat[connectors, 3], data.xmat[connectors, 0])
-    return measured(com, np.unwrap(yaw, axis=0), loads, rest, round(1 / point.frequency_hz / step), step)
+    torques = moments(
+        n, point, step, round((point.periods if periods is None else periods) * point.period_s / step)
+    )
+    samples = len(torques) // every
+    records = np.empty((samples, 2)), np.empty((samples, n["connectors"])), np.empty((samples, 2 * count))
+    _run(
+        (model._address, data._address),
+        (
+            data.xmat,
+            data.xpos,
+            data.xipos,
+            data.cvel,
+            data.subtree_com,
+            data.ctrl,
+            data.xfrc_applied,
+            data.sensordata,
+        ),
+        (bodies, places, np.unique(bodies), rest, static),
+        friction_law(n, slip),
+        (radius, step, every),
+        torques,
+        records,
+    )
+    path, yaw, loads = records
+    return measured(
+        path, np.unwrap(yaw, axis=0), loads, rest, round(point.period_s / (every * step)), every * step
+    )
 
 
 def measured(
     com: np.ndarray, yaw: np.ndarray, loads: np.ndarray, rest: np.ndarray, period: int, step: float
 ) -> Result:
-    """Return what a run gave; see `Result`.
+    """Return the measures of a run over its last `MEASURED` periods, or all but the first of a shorter run.
 
     Args:
         com: centre of mass at the end of each step, shape (steps, 2), m.
         yaw: headings, shape (steps, N), unwrapped, rad.
         loads: shape (steps, 2 N), N.
         rest: static loads, shape (2 N,), N.
-        period: steps a period of the gait.
+        period: steps per period of the gait.
         step: s.
     """
-    whole = len(com) // period
-    first = len(com) - period * (whole - (2 if whole > 3 else 1))
+    first = len(com) - period * min(MEASURED, len(com) // period - 1)
     ends = np.arange(first, len(com) + 1, period) - 1
     path = com[ends]
     time = step * (ends[-1] - ends[0])
@@ -320,23 +461,217 @@ def measured(
     )
 
 
+@dataclass(frozen=True)
+class Runs:
+    """Runs of a point at all slip speeds and steps.
+
+    Attributes:
+        speed_mm_s, yaw_rate: see `Result`, shape (slip speeds, steps).
+        air, swing, ripple: see `Result`, of the run with the smallest slip speed and step.
+    """
+
+    speed_mm_s: list[list[float]]
+    yaw_rate: list[list[float]]
+    air: float
+    swing: float
+    ripple: float
+
+    @property
+    def speed(self) -> tuple[float, float]:
+        """Extrapolated speed and its error, mm/s."""
+        return extrapolate(self.speed_mm_s)
+
+    @property
+    def yaw(self) -> tuple[float, float]:
+        """Extrapolated yaw rate and its error, rad/s."""
+        return extrapolate(self.yaw_rate)
+
+
+def extrapolate(values: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Return the limit for step 0 and slip speed 0, and an estimate of its error.
+
+    At each slip speed, the step is extrapolated linearly. The slip speeds are extrapolated from the last
+    three of them by a power law, whose order is fitted between 1/2 and 1. The error is the difference from
+    the same extrapolation without the smallest slip speed, plus the last correction for the step.
+
+    Args:
+        values: shape (slip speeds, 2), both halved from each to the next.
+    """
+    grid = np.asarray(values)
+    fine = 2 * grid[:, 1] - grid[:, 0]
+    before, limit = (_power_limit(*fine[k : k + 3]) for k in (len(fine) - 4, len(fine) - 3))
+    return limit, abs(limit - before) + abs(float(fine[-1] - grid[-1, 1]))
+
+
+def _power_limit(first: float, second: float, third: float) -> float:
+    ratio = (third - second) / (second - first) if second != first else 0.5
+    ratio = min(max(ratio, 0.5), math.sqrt(0.5))
+    return float(third + (third - second) * ratio / (1 - ratio))
+
+
+def stored() -> dict[str, Runs]:
+    """Return the stored runs by their points."""
+    text = VALUES.read_text() if VALUES.exists() else "{}"
+    return {name: Runs(**runs) for name, runs in json.loads(text).items()}
+
+
+def run_all(names: Iterable[str]) -> None:
+    """Run points at all slip speeds and steps, and store each when it is complete."""
+    for name in names:
+        results = [[simulate(POINTS[name], None, s * e, e) for s in STEP_SHARES_S2_M] for e in SLIPS_M_S]
+        last = results[-1][-1]
+        runs = Runs(
+            [[round(r.speed_mm_s, 4) for r in row] for row in results],
+            [[round(r.yaw_rate, 6) for r in row] for row in results],
+            *(round(each, 5) for each in (last.air, last.swing, last.ripple)),
+        )
+        kept = stored() | {name: runs}
+        lines = [f'"{key}": {json.dumps(vars(kept[key]))}' for key in POINTS if key in kept]
+        VALUES.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+        print(name, runs.speed, runs.yaw, file=sys.stderr, flush=True)
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a Markdown table."""
+    head = list(head)
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+
+
+def turns(runs: Runs) -> bool:
+    """Return whether the gait turns, so that errors of its yaw rate can be given in %."""
+    return abs(runs.yaw[0]) > 0.05
+
+
+def convergence(names: Iterable[str]) -> str:
+    """Return a table of both measures over the slip speeds, at step 0."""
+    slips = [f"{1000 * slip:g} mm/s" for slip in SLIPS_M_S]
+    head = ["point", *slips, "limit", "error, %", "last step, %"]
+    rows = []
+    for name in names:
+        runs = stored()[name]
+        for values, unit, digits in ((runs.speed_mm_s, "mm/s", 2), (runs.yaw_rate, "rad/s", 4)):
+            if unit == "rad/s" and not turns(runs):
+                continue
+            (limit, error), grid = extrapolate(values), np.array(values)
+            fine, step = 2 * grid[:, 1] - grid[:, 0], grid[-1, 1] - grid[-1, 0]
+            rows.append(
+                [
+                    f"{name}, {unit}",
+                    *(f"{value:.{digits}f}" for value in (*fine, limit)),
+                    *(f"{100 * abs(value / limit):.2f}" for value in (error, step)),
+                ]
+            )
+    return table(head, rows)
+
+
+def twins(names: Iterable[str]) -> str:
+    """Return a table of the reference and the errors of the twins."""
+    from front import crawled  # here, because the simulation takes nothing from srs_twin
+
+    settings = [(contact, step) for contact in ("loaded", "preloaded") for step in (0.001, 0.002)]
+    head = ["point", "mm/s", "rad/s", "error, %", *(f"{c}, {1000 * step:g} ms" for c, step in settings)]
+    rows = []
+    for name in names:
+        runs, cells = stored()[name], []
+        for contact, step in settings:
+            if POINTS[name].tail is not None and contact == "preloaded":
+                cells.append("–")  # has no second axle
+                continue
+            cells.append(_apart(crawled(name, None, step, contact=contact), runs))
+        (speed, speed_error), (yaw, yaw_error) = runs.speed, runs.yaw
+        own = [100 * speed_error / speed, *([100 * yaw_error / abs(yaw)] if turns(runs) else [])]
+        rows.append(
+            [
+                name,
+                f"{speed:.2f}",
+                f"{yaw:.4f}" if turns(runs) else "–",
+                ", ".join(f"{each:.2f}" for each in own),
+                *cells,
+            ]
+        )
+    return table(head, rows)
+
+
+def twin_slips(names: Iterable[str]) -> str:
+    """Return a table of the loaded twin's errors at smaller slip speeds, 1 ms, and extrapolated."""
+    from front import crawled  # here, because the simulation takes nothing from srs_twin
+
+    rows = []
+    for name in names:
+        runs = stored()[name]
+        results = [crawled(name, contact="loaded", slip_speed=slip) for slip in TWIN_SLIPS_M_S]
+        limit = {key: _power_limit(*(vars(r)[key] for r in results)) for key in ("speed_mm_s", "yaw_rate")}
+        results.append(replace(results[-1], **limit))
+        rows.append([name, *(_apart(each, runs) for each in results)])
+    return table(["point", *(f"{1000 * slip:g} mm/s" for slip in TWIN_SLIPS_M_S), "extrapolated"], rows)
+
+
+def _apart(result: Result, runs: Runs) -> str:
+    errors = [100 * (result.speed_mm_s / runs.speed[0] - 1)]
+    if turns(runs):
+        errors.append(100 * (result.yaw_rate / runs.yaw[0] - 1))
+    return ", ".join(f"{each:+.1f}".replace("-", "−") for each in errors)
+
+
+def sensitivity(names: Iterable[str]) -> str:
+    """Return a table of the changes, %, with other heights, tracks and contact times."""
+    rows, eps = [], SLIPS_M_S[-1]
+    run = partial(simulate, periods=None, step=STEP_SHARES_S2_M[0] * eps, slip=eps)
+    for name in names:
+        point = POINTS[name]
+        base, track = run(point), numbers(point)["half_track_m"]
+        others = [
+            run(replace(point, changes=(("com_height_m", 0.0125),))),
+            run(replace(point, changes=(("half_track_m", 1.05 * track),))),
+            *(run(point, contact=factor * CONTACT_S) for factor in (0.5, 2.0)),
+        ]
+        cells = []
+        for each in others:
+            changes = [100 * (each.speed_mm_s / base.speed_mm_s - 1)]
+            if abs(base.yaw_rate) > 0.05:
+                changes.append(100 * (each.yaw_rate / base.yaw_rate - 1))
+            cells.append(", ".join(f"{change:+.2f}".replace("-", "−") for change in changes))
+        rows.append([name, *cells])
+    contacts = (f"contact time {1000 * factor * CONTACT_S:g} ms" for factor in (0.5, 2.0))
+    return table(["point", "com_height_m 12.5 mm", "half_track_m +5 %", *contacts], rows)
+
+
 def main() -> None:
-    """Print a row a point."""
+    """Run points, or print tables of what is stored."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default all")
-    parser.add_argument("--step-ms", type=float, default=0.05)
-    parser.add_argument("--periods", type=int, default=0, help="0: five, of gen 1 three")
-    parser.add_argument("--static", action="store_true", help="friction takes the static loads")
+    parser.add_argument("--run", action="store_true", help="run the points again and store the values")
+    tables: dict[str, Callable[[Iterable[str]], str]] = {
+        "twins": twins,
+        "twin-slip": twin_slips,
+        "sensitivity": sensitivity,
+    }
+    for name, make in tables.items():
+        parser.add_argument(f"--{name}", action="store_const", const=make, dest="table", help=_summary(make))
+    parser.add_argument("--slip-mm-s", type=float, help="a single run at this slip speed")
+    parser.add_argument("--step-ms", type=float, help="step of the single run")
+    parser.add_argument("--periods", type=int, help="periods of the single run")
+    parser.add_argument("--static", action="store_true", help="friction of the single run takes static loads")
     given = parser.parse_args()
-    for name in given.points or POINTS:
-        point = POINTS[name]
-        periods = given.periods or (5 if point.frequency_hz > 0.5 else 3)
-        r = simulate(point, periods, given.step_ms / 1000, given.static)
-        print(
-            f"{name:16} {r.speed_mm_s:7.2f} mm/s {r.yaw_rate:+.4f} rad/s; in the air {r.air:.1%}, "
-            f"swing {r.swing:.2f}, ripple {r.ripple:.3f}",
-            flush=True,
-        )
+    names = given.points or list(POINTS)
+    if given.slip_mm_s is not None or given.step_ms is not None or given.static:
+        eps = 0.3 if given.slip_mm_s is None else given.slip_mm_s
+        step = 100 * eps / 1000 if given.step_ms is None else given.step_ms
+        for name in names:
+            r = simulate(POINTS[name], given.periods, step / 1000, eps / 1000, static=given.static)
+            print(
+                f"{name:16} {r.speed_mm_s:7.2f} mm/s {r.yaw_rate:+.4f} rad/s; in the air {r.air:.1%}, "
+                f"swing {r.swing:.2f}, ripple {r.ripple:.3f}",
+                flush=True,
+            )
+        return
+    if given.run:
+        run_all(names)
+    print((given.table or convergence)(names))
+
+
+def _summary(function: Callable[..., Any]) -> str:
+    return (function.__doc__ or "").partition("\n")[0].replace("%", "%%").replace("Return", "print")
 
 
 if __name__ == "__main__":

@@ -8,10 +8,18 @@ from functools import partial
 
 import numpy as np
 import pytest
-from front import crawled, whole
+from front import crawled
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from load_reference import POINTS, simulate
+from load_reference import (
+    POINTS,
+    SLIPS_M_S,
+    STEP_SHARES_S2_M,
+    Result,
+    extrapolate,
+    simulate,
+    stored,
+)
 from snakes import GRAVITY, robot
 
 from srs_twin import (
@@ -84,35 +92,56 @@ def test_slopes_of_a_wheel_that_spins_are_those_of_its_forces(seed, slip):
     assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
 
 
-def agree(name: str, periods: int, drift: float = 2e-3, step: float = 5e-5) -> None:
-    twin, explicit = crawled(name, periods, contact="loaded"), simulate(POINTS[name], periods, step)
-    assert twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.01)
-    assert twin.yaw_rate == pytest.approx(explicit.yaw_rate, rel=0.02, abs=drift)
-    assert twin.swing == pytest.approx(explicit.swing, rel=0.1)
-    assert abs(twin.ripple - explicit.ripple) < 0.02
-    assert abs(twin.air - explicit.air) < 0.02
+def assert_close(twin: Result, speed: float, yaw_rate: float, drift: float) -> None:
+    assert twin.speed_mm_s == pytest.approx(speed, rel=0.01)
+    assert twin.yaw_rate == pytest.approx(yaw_rate, rel=0.02, abs=drift)
+
+
+@given(limit=st.floats(1, 300), slope=st.floats(-10, 10), order=st.floats(0.5, 1), step=st.floats(-10, 10))
+def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(limit, slope, order, step):
+    values = [[limit + slope * e**order + step * e * s for s in (0.1, 0.05)] for e in (8.0, 4.0, 2.0, 1.0)]
+    found, error = extrapolate(values)
+    assert found == pytest.approx(limit, abs=1e-6)
+    assert error == pytest.approx(abs(0.05 * step), abs=1e-6)
 
 
 @pytest.mark.slow
-def test_two_periods_are_those_of_the_explicit_simulation():
-    agree("gen2_straight", 2, drift=0.01)
+def test_a_transient_is_that_of_the_explicit_simulation():
+    twin, explicit = crawled("gen2_straight", 2, contact="loaded"), simulate(POINTS["gen2_straight"], 2)
+    assert_close(twin, explicit.speed_mm_s, explicit.yaw_rate, drift=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gen2_turn", "gen1_straight", "gen3_straight"])
+def test_stored_values_are_those_of_the_explicit_simulation(name):
+    slip = SLIPS_M_S[0]
+    result, runs = simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip), stored()[name]
+    assert result.speed_mm_s == pytest.approx(runs.speed_mm_s[0][0], rel=1e-3)
+    assert result.yaw_rate == pytest.approx(runs.yaw_rate[0][0], rel=2e-3, abs=1e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, point in POINTS.items() if point.tail is None])
 def test_every_point_is_that_of_the_explicit_simulation(name):
-    agree(name, whole(name))
+    # This one turns 2.8 % too fast at 1 ms and 0.5 % at half of it.
+    step = 0.0005 if name == "stiff_slow_turn" else 0.001
+    twin, runs = crawled(name, None, step, contact="loaded"), stored()[name]
+    assert_close(twin, runs.speed[0], runs.yaw[0], drift=2e-3)
+    assert twin.swing == pytest.approx(runs.swing, rel=0.1)
+    assert abs(twin.ripple - runs.ripple) < 0.02
+    assert abs(twin.air - runs.air) < 0.02
 
 
 @pytest.mark.slow
 def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
-    """Speeds converge to it to first order in the step: 1 ms is 1.6 % too fast, half a millisecond 0.8 %."""
-    explicit = simulate(POINTS["gen3_tail"], 4)
-    twin, fine = (crawled("gen3_tail", 4, step, contact="loaded") for step in (0.001, 0.0005))
+    """Speeds converge to it to first order in the step: 1 ms is 1.2 % too fast, half a millisecond 0.6 %."""
+    runs = stored()["gen3_tail"]
+    speed = runs.speed[0]
+    twin, fine = (crawled("gen3_tail", None, step, contact="loaded") for step in (0.001, 0.0005))
     assert twin.air > 0.05
-    assert 2 * fine.speed_mm_s - twin.speed_mm_s == pytest.approx(explicit.speed_mm_s, rel=0.005)
-    assert abs(fine.speed_mm_s - explicit.speed_mm_s) < 0.6 * abs(twin.speed_mm_s - explicit.speed_mm_s)
-    assert abs(twin.air - explicit.air) < 0.02
+    assert 2 * fine.speed_mm_s - twin.speed_mm_s == pytest.approx(speed, rel=0.005)
+    assert abs(fine.speed_mm_s - speed) < 0.6 * abs(twin.speed_mm_s - speed)
+    assert abs(twin.air - runs.air) < 0.02
 
 
 TAIL = Tail(axle=0.06, com=0.045, com_height=0.025, gyration=0.025)
