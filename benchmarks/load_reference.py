@@ -596,10 +596,12 @@ def twin_slips(names: Iterable[str]) -> str:
     """Return a table of the loaded twin's errors at smaller slip speeds, 1 ms, and extrapolated."""
     from front import crawled  # here, because the simulation takes nothing from srs_twin
 
+    from srs_twin import LoadedContact
+
     rows = []
     for name in names:
         runs = stored()[name]
-        results = [crawled(name, contact="loaded", slip_speed=slip) for slip in TWIN_SLIPS_M_S]
+        results = [crawled(name, contact=LoadedContact(slip_speed=slip)) for slip in TWIN_SLIPS_M_S]
         limit = {key: _power_limit(*(vars(r)[key] for r in results)) for key in ("speed_mm_s", "yaw_rate")}
         results.append(replace(results[-1], **limit))
         rows.append([name, *(_apart(each, runs) for each in results)])

@@ -217,9 +217,7 @@ VALIDATION = (
 _ALIKE = 0.01  # of a value: plants that differ by less agree
 _TURNS = 0.05  # rad/s: slower is straight
 _NOTHING = 5e-5  # m/s, rad/s
-_PRESET = (
-    "The twin ran with preset {}, for searching: cite a run without it (docs/models.md#presets)."
-)
+_PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/models.md#presets)."
 _A_CAUSE = 0.25  # of a difference: smaller shares are not named
 
 
