@@ -644,12 +644,12 @@ def main() -> None:
     parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default all")
     parser.add_argument("--run", action="store_true", help="run the points again and store the values")
     tables: dict[str, Callable[[Iterable[str]], str]] = {
-        "twins": twins,
-        "twin-slip": twin_slips,
-        "sensitivity": sensitivity,
+        "--twins": twins,
+        "--twin-slip": twin_slips,
+        "--sensitivity": sensitivity,
     }
     for name, make in tables.items():
-        parser.add_argument(f"--{name}", action="store_const", const=make, dest="table", help=_summary(make))
+        parser.add_argument(name, action="store_const", const=make, dest="table", help=_summary(make))
     parser.add_argument("--slip-mm-s", type=float, help="a single run at this slip speed")
     parser.add_argument("--step-ms", type=float, help="step of the single run")
     parser.add_argument("--periods", type=int, help="periods of the single run")

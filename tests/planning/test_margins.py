@@ -81,8 +81,8 @@ def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
 
 
 def test_a_scenario_whose_twin_has_another_contact_is_refused_the_margin():
-    with pytest.raises(InputFileError, match="no excursions were measured for plant twin, contact loaded"):
-        load_scenario("follow_fig57", set={"plants.twin.contact": "loaded"})
+    with pytest.raises(InputFileError, match="no excursions were measured for plant twin, contact preloaded"):
+        load_scenario("follow_fig57", set={"plants.twin.contact": "preloaded"})
 
 
 def test_a_footprint_of_another_contact_is_warned_of():
