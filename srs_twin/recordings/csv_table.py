@@ -133,7 +133,7 @@ class RecordedFile:
         return InputError(f"{self.name}{place}: {what}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the cells of up to that many lines, those after the first `after`.
+        """Return the stripped cells of up to that many lines, those after the first `after`.
 
         Raises:
             InputError: the lines are longer than any header, or are no CSV.
@@ -147,9 +147,10 @@ class RecordedFile:
         for number, line in enumerate(found[:lines], start=after + 1):
             text = line.decode("utf-8", "replace").rstrip("\r")
             try:
-                rows.append(next(csv.reader([text], delimiter=self.separator, strict=True), []))
+                cells = next(csv.reader([text], delimiter=self.separator, strict=True), [])
             except csv.Error as error:
                 raise self.error(f"no line of a CSV file ({error})", number) from error
+            rows.append([cell.strip() for cell in cells])
         return rows
 
     def _start_of(self, line: int) -> int:
@@ -208,40 +209,41 @@ class RecordedFile:
         end = _EMPTY_LINE.search(self.raw, start) if section else None
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
-    def timed(self, clock: int, unit: str, columns: Sequence[int]) -> TimedRows:
-        """Read the rows of a plain table with their times; times since 1970 begin at 0.
+    def times(self, clock: int, unit: str) -> tuple[np.ndarray, list[str], int | None]:
+        """Read the times of a plain table's rows; times since 1970 begin at 0.
 
         Args:
-            clock: which column holds the time, as a number or as a date, counted from 0.
-            unit: of the times; empty: s, or the unit in which they are times since 1970.
-            columns: which columns to read.
+            clock: which column holds them, as numbers or as dates, counted from 0.
+            unit: of numbers; empty: s, or the unit in which they are times since 1970.
+
+        Returns:
+            Shape (rows,), s; what was subtracted, in words; and in ns, None from other times.
 
         Raises:
             InputError: as `rows`, or a row without a time.
         """
         import pyarrow as pa
-        from pyarrow.compute import subtract
+        import pyarrow.compute
 
         top, start, width = self.header_lines, self._start_of(self.header_lines), len(self.names)
         cut = memoryview(self.raw)[start : self._end_of(start)]
         first = _cells(bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"), self.separator)
-        dated = clock < len(first) and _DATE.match(first[clock])
-        places = [*([] if dated else [clock]), *columns]
-        values, notes = self.rows(top, places, width) if places else (np.empty((0, 0)), [])
-        if dated:
+        notes: list[str] = []
+        if clock < len(first) and _DATE.match(first[clock]):
             zone = "UTC" if _ZONE.search(first[clock]) else None
             (dates,) = self._parsed(cut, top, [clock], width, pa.timestamp("ns", zone))
             missing, exact, unit = dates.is_null().to_numpy(), dates.cast(pa.int64()), "ns"
         else:
-            time, values = values[:, 0], values[:, 1:]
+            values, notes = self.rows(top, [clock], width)
+            time, exact = values[:, 0], None
             missing = np.isnan(time)
         if missing.any():
             raise self.error("a row without a time", top + 1 + int(missing.argmax()), clock + 1)
-        if not dated:
+        if exact is None:
             since_1970 = _epoch_unit(time, unit)
             if not since_1970:
                 with np.errstate(over="ignore"):
-                    return TimedRows(time * TIMES[unit or "s"], values, notes, None)
+                    return time * TIMES[unit or "s"], notes, None
             unit = since_1970
             try:
                 # Exact: a double has a resolution of 256 ns at times since 1970 in ns.
@@ -249,10 +251,10 @@ class RecordedFile:
             except InputError:
                 exact = pa.chunked_array([pa.array(time).cast(pa.decimal128(37, 6))])
         origin = pa.compute.min(exact)
-        since = subtract(exact, origin).cast(pa.float64()).to_numpy() * TIMES[unit]
+        since = pa.compute.subtract(exact, origin).cast(pa.float64()).to_numpy() * TIMES[unit]
         epoch_ns = round(origin.as_py() * round(TIMES[unit] * 1e9))
         notes.append(f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s subtracted")
-        return TimedRows(since, values, notes, epoch_ns)
+        return since, notes, epoch_ns
 
     def _parsed(
         self, cut: memoryview, header_lines: int, columns: Sequence[int], width: int, kind: Any = None
@@ -523,16 +525,21 @@ class CsvTable:
         with np.errstate(over="ignore"):  # callers refuse what is too large
             return values * [column.factor for column in columns], [*self.file.notes, *self.notes, *notes]
 
-    def read_timed(self, clock: CsvColumn, columns: Sequence[CsvColumn]) -> TimedRows:
-        """Return the numbers of columns in SI with their times.
+    def read_timed(
+        self, clock: CsvColumn | None, columns: Sequence[CsvColumn], rate_hz: float | None = None
+    ) -> TimedRows:
+        """Return the numbers of columns in SI with their times; without a clock, rows are counted.
 
         Raises:
             InputError: as `RecordedFile.timed`.
         """
-        found = self.file.timed(clock.place, clock.unit, [column.place for column in columns])
-        with np.errstate(over="ignore"):
-            values = found.values * [column.factor for column in columns]
-        return found._replace(values=values, notes=[*self.file.notes, *self.notes, *found.notes])
+        values, notes = self.read(columns) if columns else (np.empty((0, 0)), [])
+        if clock is None:
+            rate = rate_hz or 1.0
+            counted = f"frames counted, {rate:g} a second"
+            return TimedRows(np.arange(len(values)) / rate, values, [*notes, counted], None)
+        time, noted, epoch_ns = self.file.times(clock.place, clock.unit)
+        return TimedRows(time, values, list(dict.fromkeys([*notes, *noted])), epoch_ns)
 
     def unused_columns(self) -> list[str]:
         """Return which columns were not used, in words; empty where all were."""

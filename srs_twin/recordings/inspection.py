@@ -22,7 +22,7 @@ from srs_twin.recordings.body.tracking import distances, follow
 from srs_twin.recordings.csv_table import CLOCK, Meaning, RecordedFile, laid_out, read_file, read_table
 from srs_twin.recordings.facts import plain_facts
 from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_topics
-from srs_twin.recordings.formats.base import axis_columns, start_of
+from srs_twin.recordings.formats.base import axis_columns, in_unit, start_of
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_strangers
@@ -47,7 +47,6 @@ _CRAWLED = 0.3  # of the distance of neighbours: less does not tell the head
 _CARRIER = 10.0  # openings a second: more are no gait's
 _MOST_SIGNALS = 200
 _MILLIMETRES = 2.0  # m between neighbours: more is a unit that was mistaken
-_FROM = re.compile(r"(?:converted from|given:) (?:.*, )?(mm|cm|in|ft|px)\b")
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,9 @@ def inspect_file(
     topics = read_topics(path)
     if topics is not None and topics.markers is None and topics.signals:
         return _whole(_topics_facts(topics, kind, map)), None
-    table = topics.markers if topics is not None else None
-    if table is None:
+    if topics is not None and topics.markers is not None:
+        table = in_unit(topics.markers, map.units)
+    else:
         table = read_markers(
             path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect
         )
@@ -119,7 +119,7 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
         "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
         "rate_hz": 1 / frames.period, "duration_s": float(frames.time[-1] - frames.time[0]),
         "frames": int((frames.rows >= 0).sum()), "frames_missing": int((frames.rows < 0).sum()),
-        "announced_frames": table.header_frames, "units": _length_unit(table),
+        "announced_frames": table.header_frames, "units": table.unit,
         "notes": [*table.corrections, *frames.corrections],
     }  # fmt: skip
     turned = np.zeros(len(table.labels), dtype=bool)
@@ -140,12 +140,6 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
         for k, name in enumerate(table.labels)
     ]
     return facts, _chain_facts(whole, seen, frames, facts)
-
-
-def _length_unit(table: MarkerTable) -> str:
-    """Return the unit of a file's lengths, which its reader notes where it converts them."""
-    found = (_FROM.search(each) for each in table.corrections)
-    return next((each[1] for each in found if each), "m")
 
 
 def _marker_facts(name: str, place: np.ndarray, frames: FrameGrid, body: bool) -> dict[str, Any]:
@@ -268,9 +262,9 @@ def _log_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
     notes, time, beginning = [*file.notes], None, 0.0
     if clock is not None:
-        rows = file.timed(clock.place, clock.unit, [])
-        time, beginning = rows.time, (rows.epoch_ns or 0) / 1e9
-        notes += rows.notes
+        time, noted, epoch_ns = file.times(clock.place, clock.unit)
+        beginning = (epoch_ns or 0) / 1e9
+        notes += noted
     signals: list[dict[str, Any]] = []
     for k, name in enumerate(file.names[:_MOST_SIGNALS]):
         if clock is not None and k == clock.place:

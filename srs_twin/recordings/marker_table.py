@@ -28,6 +28,7 @@ class MarkerTable:
         rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
             shape (frames, columns, 4); None for markers alone.
         epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
+        unit: unit of the file's lengths, as stated, given or assumed.
     """
 
     name: str
@@ -41,6 +42,7 @@ class MarkerTable:
     header_frames: int | None = None
     rotations: np.ndarray | None = None
     epoch_ns: int | None = None
+    unit: str = "m"
 
 
 def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -28,7 +28,7 @@ from srs_twin.recordings.formats import (
     tum,
     vicon,
 )
-from srs_twin.recordings.formats.base import Unstated, start_of
+from srs_twin.recordings.formats.base import Unstated, in_unit, start_of
 from srs_twin.recordings.formats.topics import RecordedTopics, read
 from srs_twin.recordings.marker_table import MarkerTable
 
@@ -96,8 +96,7 @@ def read_markers(
         InputError: with file, line and column, and what is allowed.
     """
     unstated = Unstated(rate_hz, unit, scale_m, dialect)
-    table: MarkerTable = _format(path, dialect).read(path, unstated)
-    return table
+    return in_unit(_format(path, dialect).read(path, unstated), unit)
 
 
 def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from srs_twin.recordings.csv_table import read_file
-from srs_twin.recordings.formats.base import Start, Unstated, marker_table, numbered
+from srs_twin.recordings.formats.base import Start, Unstated, marker_rows, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "TUM trajectory"
@@ -35,18 +35,15 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     comments = _COMMENTS.match(file.raw)
     header = file.raw.count(b"\n", 0, comments.end() if comments else 0)
     cells = re.sub(rb"(?m)^,|,(?=\r?$)", b"", re.sub(rb"[ \t]+", b",", file.raw))
-    values, notes = replace(file, data=cells).rows(header, range(8), 8)
-    time = numbered(file, values[:, 0], header, "time")
+    time, points, turns, notes = marker_rows(replace(file, data=cells), header, 8, [1], others=range(4, 8))
     epoch = None
     if time.min() > _EPOCH:
         epoch = round(1e9 * time[0])
         notes.append(f"times counted from the first, {time[0]:.3f} s")
         time = time - time[0]
-    points, turns = values[:, None, 1:4], values[:, None, 4:]
     if (np.abs(np.linalg.norm(turns, axis=-1) - 1) > _UNIT).any():
         raise file.error(
             "eight numbers a line are read as time, x, y, z and a quaternion, which has length 1"
         )
-    return marker_table(
-        file, NAME, time, points, [Path(file.name).stem], notes, rotations=turns, epoch_ns=epoch
-    )
+    turned, names = turns[:, None], [Path(file.name).stem]
+    return marker_table(file, NAME, time, points, names, notes, rotations=turned, epoch_ns=epoch)
