@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,6 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
 from srs_twin.recordings.csv_table import (
     CLOCK,
-    CsvColumn,
     CsvTable,
     Meaning,
     laid_out,
@@ -47,7 +46,7 @@ from srs_twin.recordings.signals.gaps import (
     longest_complete,
     time_order,
 )
-from srs_twin.recordings.signals.units import ABSOLUTE, PRESSURES, clean, looks_absolute, symbol
+from srs_twin.recordings.signals.units import ABSOLUTE, clean, looks_absolute, symbol
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
@@ -184,6 +183,7 @@ class ValveLog:
         sha256: of the file.
         corrections: what was sorted, converted and assumed, in words.
         epoch_ns: time since 1970 at 0 s, ns; None where its clock does not tell.
+        holds: whether pressures hold until the next row, as set-points do; else they are interpolated.
     """
 
     kind: str
@@ -193,6 +193,7 @@ class ValveLog:
     sha256: str
     corrections: tuple[str, ...]
     epoch_ns: int | None = None
+    holds: bool = False
 
     def shifted(self, offset: float) -> ValveLog:
         """Return the same log on a clock that shows `offset` (s) more."""
@@ -214,12 +215,24 @@ class ValveLog:
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Return the values at times within the log, shape (times, segments, 2)."""
-        if self.kind == "valve":
-            row = np.clip(np.searchsorted(self.time, time + 1e-9, side="right") - 1, 0, len(self.time) - 1)
-            return np.asarray(self.values[row])
+        if self.kind == "valve" or self.holds:
+            return _held(time + 1e-9, self.time, self.values)
         flat = self.values.reshape(len(self.time), -1)
         columns = [np.interp(time, self.time, column) for column in flat.T]
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
+
+    def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return times and pressures that `at` interpolates linearly; two at each step of set-points."""
+        if not self.holds:
+            return self.time, self.values
+        time = np.repeat(self.time, 2)[1:]
+        time[1::2] = np.nextafter(time[1::2], -np.inf)
+        return time, np.repeat(self.values, 2, axis=0)[:-1]
+
+
+def _held(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the values of the last row at or before each time; before the first row its own."""
+    return np.asarray(values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)])
 
 
 def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
@@ -234,7 +247,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
     if (topics := read_topics(path)) is not None:
-        return _topics_log(topics, spec, map)
+        return log_of_topics(topics, spec, map)
     table = _table(path, map, ("valve", "duty", *AIR))
     file = table.file
     clock = table.clock("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures")
@@ -246,25 +259,89 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
     time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    if kind in AIR:
-        values = _gauge(values, map, notes)
-    if kind != "duty":
-        _check_values(table, kind, chosen, values)
-    if kind in AIR and not any(each.unit for each in chosen):
-        notes.append("pressures without a unit taken as Pa")
+    values = _allowed(
+        kind, values, [each.unit for each in chosen], map, notes,
+        lambda row, k, what: table.error(chosen[k], f"{chosen[k].text}: {what}", row),
+    )  # fmt: skip
+    notes += table.unused_columns()
     with named_in_errors(file.name):
-        values = values.reshape(-1, spec.segments, 2)
-        found = _log(file.name, file.sha256, kind, time, values, map, [*notes, *table.unused_columns()])
-        return replace(found, epoch_ns=epoch_ns)
+        return replace(_log(file.name, file.sha256, kind, time, values, map, notes), epoch_ns=epoch_ns)
 
 
-def _gauge(values: np.ndarray, map: RecordingMap, notes: list[str]) -> np.ndarray:
-    """Return gauge pressures; note what was subtracted, or that it looks as if it should be."""
-    if map.ambient:
-        notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
-    elif looks_absolute(values):
-        notes.append(f"pressures of {np.nanmin(values) / 1e3:.4g} kPa and more: {ABSOLUTE}")
-    return values - map.ambient
+def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
+    """Read a log from topics; each chamber's signal holds, but measured pressures are interpolated.
+
+    Raises:
+        InputError: signals are missing, or have values that no valve or chamber has.
+    """
+    with named_in_errors(topics.name):
+        meanings = map.meanings(("valve", "duty", *AIR))
+        names = {meaning.name: signal for signal, meaning in meanings.items()}
+        kinds = {what.partition("_")[0] for what in names}
+        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
+        if len(kinds) != 1 or sorted(wanted) != sorted(names):
+            found = ", ".join(list(topics.signals)[:12]) or "none"
+            raise InputError(
+                f"which signals are the air of {spec.segments} segments is not known; a map has log: "
+                f"{{valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …}}; signals: {found}"
+            )
+        for each in names.values():
+            if each not in topics.signals:
+                raise UnknownNameError("signal", each, topics.signals)
+        (kind,), series = kinds, [topics.signals[names[each]] for each in wanted]
+        time = np.unique(np.concatenate([each for each, _ in series]))
+        time = time[time >= max(each[0] for each, _ in series)]
+        given, notes = [meanings[names[each]] for each in wanted], list(topics.notes)
+        units = [symbol(each.unit or each.default, QUANTITIES[kind]) for each in given]
+        way = np.interp if kind == "pressure" else _held
+        columns = [
+            way(time, *own) * QUANTITIES[kind].get(unit, 1.0) for own, unit in zip(series, units, strict=True)
+        ]
+        values = _allowed(
+            kind, np.stack(columns, axis=1), units, map, notes,
+            lambda row, k, what: InputError(f"{names[wanted[k]]}: {what}, at {time[row]:g} s"),
+        )  # fmt: skip
+        return _log(topics.name, topics.sha256, kind, time, values, map, notes)
+
+
+def _allowed(
+    kind: str,
+    values: np.ndarray,
+    units: Sequence[str],
+    map: RecordingMap,
+    notes: list[str],
+    error: Callable[[int, int, str], InputError],
+) -> np.ndarray:
+    """Return valves, duties or gauge pressures, shape (rows, segments, 2); note what was assumed of them.
+
+    Args:
+        kind: of the log.
+        values: in SI, shape (rows, 2 segments).
+        units: of the columns; empty where they have none.
+        map: says the ambient pressure.
+        notes: to add to.
+        error: row, column, what is wrong → the error to raise there.
+
+    Raises:
+        InputError: blanks, and what no valve or chamber does. Duties are checked later.
+    """
+    if kind in AIR:
+        if map.ambient:
+            notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
+        elif looks_absolute(values):
+            notes.append(f"pressures of {np.nanmin(values) / 1e3:.4g} kPa and more: {ABSOLUTE}")
+        if not all(units):
+            notes.append("pressures without a unit taken as Pa")
+        values = values - map.ambient
+    allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
+    if kind != "valve":
+        allowed, words, unit = (values >= _LOWEST) & (values <= _HIGHEST), _ALLOWED, " Pa"
+    wrong = np.argwhere(~allowed)
+    if wrong.size and kind != "duty":
+        row, k = (int(each) for each in wrong[0])
+        given = "nothing" if np.isnan(values[row, k]) else f"{values[row, k]:g}{unit}"
+        raise error(row, k, f"{given} is not allowed; {words}")
+    return values.reshape(len(values), -1, 2)
 
 
 def _log(
@@ -296,7 +373,8 @@ def _log(
     elif kind == "valve" and not (values == -1).any() and (values == 0).any():
         values = np.where(values == 0, -1.0, values)
         notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
-    return ValveLog("pressure" if kind in AIR else "valve", time, values, source, sha256, tuple(notes))
+    log = ValveLog("pressure" if kind in AIR else "valve", time, values, source, sha256, tuple(notes))
+    return replace(log, holds=kind == "setpoint")
 
 
 def _switched(
@@ -316,66 +394,13 @@ def _switched(
         duty = duty / 100
         notes.append("duties taken as per cent")
     begins = np.arange(time[0], time[-1], 1 / carrier_hz)
-    share = duty[np.searchsorted(time, begins + 1e-9, side="right") - 1]
+    share = _held(begins + 1e-9, time, duty)
     ends = begins[:, None, None] + share / carrier_hz
     edges = np.unique(np.concatenate([begins, ends.ravel(), time[-1:]]))
     edges = edges[edges <= time[-1]]
-    filling = edges[:, None, None] < ends[np.searchsorted(begins, edges + 1e-9, side="right") - 1] - 1e-9
+    filling = edges[:, None, None] < _held(edges + 1e-9, begins, ends) - 1e-9
     notes.append(f"duties switched at {carrier_hz:g} Hz, filling first")
     return edges, np.where(filling, 1.0, -1.0)
-
-
-def _topics_log(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
-    """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
-    with named_in_errors(topics.name):
-        meanings = map.meanings(("valve", "duty", *AIR))
-        names = {meaning.name: signal for signal, meaning in meanings.items()}
-        kinds = {what.partition("_")[0] for what in names}
-        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
-        if len(kinds) != 1 or sorted(wanted) != sorted(names):
-            found = ", ".join(list(topics.signals)[:12]) or "none"
-            raise InputError(
-                f"which signals are the air of {spec.segments} segments is not known; a map has log: "
-                f"{{valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …}}; signals: {found}"
-            )
-        for each in names.values():
-            if each not in topics.signals:
-                raise UnknownNameError("signal", each, topics.signals)
-        (kind,), series = kinds, [topics.signals[names[each]] for each in wanted]
-        time = np.unique(np.concatenate([each for each, _ in series]))
-        time = time[time >= max(each[0] for each, _ in series)]
-        notes = list(topics.notes)
-        if kind in AIR:
-            given = [meanings[names[each]] for each in wanted]
-            units = [symbol(each.unit or each.default, PRESSURES) for each in given]
-            factors = [PRESSURES.get(unit, 1.0) for unit in units]
-            columns = [factor * np.interp(time, *own) for factor, own in zip(factors, series, strict=True)]
-        else:
-            columns = [values[np.searchsorted(own, time, side="right") - 1] for own, values in series]
-        values = np.stack(columns, axis=1).reshape(-1, spec.segments, 2)
-        if kind == "valve" and not np.isin(values, (-1, 0, 1)).all():
-            raise InputError("valves are -1 (vent), 0 (hold) or 1 (fill)")
-        if kind in AIR:
-            values = _gauge(values, map, notes)
-            if not all(units):
-                notes.append("pressures without a unit taken as Pa")
-            if not ((values >= _LOWEST) & (values <= _HIGHEST)).all():
-                raise InputError(f"{_ALLOWED} are wanted; is the unit right?")
-        return _log(topics.name, topics.sha256, kind, time, values, map, notes)
-
-
-def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: np.ndarray) -> None:
-    """Refuse blanks and what no valve or chamber does."""
-    if kind == "valve":
-        allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
-    else:
-        allowed, unit = (values >= _LOWEST) & (values <= _HIGHEST), " Pa"
-        words = _ALLOWED
-    wrong = np.argwhere(~allowed)
-    if wrong.size:
-        row, k = (int(each) for each in wrong[0])
-        given = "nothing" if np.isnan(values[row, k]) else f"{values[row, k]:g}{unit}"
-        raise table.error(chosen[k], f"{chosen[k].text}: {given} is not allowed; {words}", row)
 
 
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
