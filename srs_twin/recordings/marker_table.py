@@ -44,6 +44,11 @@ class MarkerTable:
     epoch_ns: int | None = None
     unit: str = "m"
 
+    @property
+    def usual_up(self) -> str:
+        """The axis that such files usually have upwards."""
+        return "y" if self.kind.startswith("Motive") else "z"
+
 
 def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return points without those that lie beyond any room or lack a coordinate, and words on them."""

@@ -29,7 +29,10 @@ from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import RobotSpec
 
-LAYOUTS = ("auto", "single", "head", "pair", "middles", "head_middles")
+CARRIED = {"single": (1, 0), "head": (1, 1), "pair": (2, 0), "middles": (2, -1), "head_middles": (2, 0)}
+"""Layout → markers per connector, and how many more or fewer in all."""
+
+LAYOUTS = ("auto", *CARRIED)
 
 Places = dict[int, tuple[int, str]]
 """Marker → its station (0, 2, … the connectors, head first; 1, 3, … the segments' middles) and side."""
@@ -68,10 +71,7 @@ def robot_markers(
         near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
         there = seen[some_frames(len(points), _NEAR_SAMPLED)][:, solid]
         solid = solid[near.sum(axis=0) > 0.5 * there.sum(axis=0)]
-    layouts = {
-        "single": connectors, "head": connectors + 1, "pair": 2 * connectors,
-        "middles": 2 * connectors - 1, "head_middles": 2 * connectors,
-    }  # fmt: skip
+    layouts = {each: per * connectors + more for each, (per, more) in CARRIED.items()}
     if named:
         layout, layouts = "named", {"named": named}
     fitting = [layout]

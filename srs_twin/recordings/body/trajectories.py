@@ -14,12 +14,15 @@ at 120 Hz 97 % of 2 Hz; at the text's 15 frames a second nothing of it, and 82 %
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody
+from srs_twin.recordings.csv_table import RecordedFile
+from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.signals.gaps import FrameGrid
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -91,6 +94,16 @@ class LogSummary:
     end: float
     corrections: tuple[str, ...]
     markers: MarkerCounts | None = None
+
+    @classmethod
+    def of(
+        cls, source: MarkerTable | RecordedFile, kind: str, frames: FrameGrid, kept: slice, filled: int,
+        corrections: Iterable[str], markers: MarkerCounts | None = None,
+    ) -> LogSummary:  # fmt: skip
+        """Return the summary of a file of which some frames are kept."""
+        used, time, start = int((frames.rows >= 0).sum()), frames.time[kept], float(frames.time[kept][0])
+        about = source.name, source.sha256, kind, used, 1 / frames.period, filled
+        return cls(*about, len(time), start, float(time[-1]), tuple(corrections), markers)
 
     def text(self) -> str:
         """Return it for people, one fact a line."""

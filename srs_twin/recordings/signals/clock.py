@@ -110,12 +110,10 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 
 def _losses(bends: np.ndarray, model: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return S over the variance, the lags (steps by which the model comes later), and samples in common."""
-    padded = 1 << (len(bends) + len(model) - 2).bit_length()
+    from scipy.signal import fftconvolve
 
     def against(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        spectrum = np.fft.rfft(a, padded, axis=0) * np.conj(np.fft.rfft(b, padded, axis=0))
-        product = np.fft.irfft(spectrum, padded, axis=0)
-        return np.concatenate([product[padded - len(model) + 1 :], product[: len(bends)]])
+        return np.asarray(fftconvolve(a, b[::-1], axes=0))
 
     bends, model = bends - bends.mean(axis=0), model - model.mean(axis=0)
     ones, other_ones = np.ones((len(bends), 1)), np.ones((len(model), 1))

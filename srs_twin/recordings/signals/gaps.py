@@ -196,17 +196,11 @@ def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
         points: shape (frames, tracks, 2), m.
         way: "spline" (cubic, twice continuously differentiable) or "linear".
     """
-    whole = points.copy()
-    for track in range(points.shape[1]):
-        missing = np.isnan(points[:, track, 0])
-        if not missing.any():
-            continue
-        seen, known = ~missing, points[~missing, track]
-        if way == "spline" and seen.sum() > 3:
-            from scipy.interpolate import CubicSpline
+    from scipy.interpolate import make_interp_spline
 
-            whole[missing, track] = CubicSpline(time[seen], known)(time[missing])
-        else:
-            for axis in range(2):
-                whole[missing, track, axis] = np.interp(time[missing], time[seen], known[:, axis])
+    whole = points.copy()
+    for track, missing in zip(whole.swapaxes(0, 1), np.isnan(points[..., 0]).T, strict=True):
+        if missing.any():
+            degree = 3 if way == "spline" and (~missing).sum() > 3 else 1
+            track[missing] = make_interp_spline(time[~missing], track[~missing], degree)(time[missing])
     return whole

@@ -124,18 +124,8 @@ def read_bends(
     notes += frames.corrections
     if not any(each.unit for each in chosen):
         notes.append("bends without a unit taken as rad")
-    summary = LogSummary(
-        source=table.file.name,
-        sha256=table.file.sha256,
-        kind="bend log",
-        frames_read=len(time),
-        rate_hz=1 / frames.period,
-        samples_filled=unknown,
-        frames_kept=len(kept_time),
-        start=float(kept_time[0]),
-        end=float(kept_time[-1]),
-        corrections=(*notes, *table.unused_columns()),
-    )
+    notes += table.unused_columns()
+    summary = LogSummary.of(table.file, "bend log", frames, kept, unknown, notes)
     columns = _bent_body(kept_time, filled(kept_time, tracks[kept], "linear")[..., 0], spec)
     return Recording(measured(columns, spec, summary, gait_frequency_hz), summary, epoch_ns=epoch_ns)
 
