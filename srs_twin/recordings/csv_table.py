@@ -40,6 +40,7 @@ MAX_COLUMNS = 20_000
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 """What stands where nothing was seen."""
 
+_PEEK = 1 << 16  # bytes that tell a format
 _BLOCK = 8 << 20  # bytes that Arrow takes at a time; no line is longer
 _LISTED = 5  # columns that a message lists
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
@@ -123,6 +124,18 @@ class RecordedFile:
         return self.data.removeprefix(b"\xef\xbb\xbf") if self.body is None else self.body
 
     @cached_property
+    def first_line(self) -> str:
+        """The first line of text that is not blank."""
+        wide = self.data.startswith((b"\xff\xfe", b"\xfe\xff"))  # the reader says how to save it
+        text = self.data.removeprefix(b"\xef\xbb\xbf").decode("utf-16" if wide else "utf-8", "replace")
+        return next((line for line in text.splitlines() if line.strip()), "")
+
+    @property
+    def title(self) -> str:
+        """The first cell of that line."""
+        return re.split(r"[,\t]", self.first_line)[0].strip(' "')
+
+    @cached_property
     def sha256(self) -> str:
         """Hash of the file, hexadecimal."""
         return hashlib.sha256(self.data).hexdigest()
@@ -184,11 +197,6 @@ class RecordedFile:
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(f"line {line}, the last, has no line end and may be cut: left out")
-        # The first row alone, before all others are looked at.
-        first = raw[start : max(raw.find(b"\n", start, stop), start)]
-        cells = first.count(self.separator.encode()) + 1
-        if first.strip() and b'"' not in first and cells != width:
-            raise self.error(f"{cells} cells where the header has {width}", header_lines + 1)
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
             most = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
@@ -321,6 +329,16 @@ def recording_file(path: str | os.PathLike[str]) -> Path:
     return existing(bags[0] if bags else place, suffix=".csv")
 
 
+def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> RecordedFile:
+    """Read the first bytes of a file, laid out as a table.
+
+    Raises:
+        InputError: it is missing or cannot be read.
+    """
+    place = recording_file(path)
+    return laid_out(RecordedFile(shown(place), _bytes(place, _PEEK)), dialect)
+
+
 def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
     """Read a recorded file of any kind.
 
@@ -328,17 +346,22 @@ def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
         InputError: missing, no regular file, not readable, empty, or too large.
     """
     place = recording_file(path)
-    name = shown(place)
-    try:
-        if (megabytes := place.stat().st_size / (1 << 20)) > MAX_BYTES >> 20:
-            limit = f"at most {MAX_BYTES >> 20} MB are read (export a shorter take)"
-            raise InputError(f"{name}: {megabytes:.0f} MB; {limit}")
-        file = RecordedFile(name, place.read_bytes())
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+    file = RecordedFile(shown(place), _bytes(place, MAX_BYTES + 1))
+    if len(file.data) > MAX_BYTES:
+        megabytes, most = place.stat().st_size / (1 << 20), MAX_BYTES >> 20
+        raise file.error(f"{megabytes:.0f} MB; at most {most} MB are read (export a shorter take)")
     if not file.raw.strip():
         raise file.error("empty; a recording has a header and rows of numbers")
     return file
+
+
+def _bytes(place: Path, most: int) -> bytes:
+    """Return the first bytes of a file."""
+    try:
+        with place.open("rb") as stream:
+            return stream.read(most)
+    except OSError as error:
+        raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
 
 
 def read_file(path: str | os.PathLike[str]) -> RecordedFile:

@@ -20,10 +20,18 @@ from srs_twin.recordings.body.floor import on_floor
 from srs_twin.recordings.body.markers import CARRIED, SOLID, body_order, forward_distance, median_and_spread
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
-from srs_twin.recordings.csv_table import CLOCK, Meaning, RecordedFile, laid_out, read_file, read_table
+from srs_twin.recordings.csv_table import (
+    CLOCK,
+    Meaning,
+    RecordedFile,
+    laid_out,
+    read_file,
+    read_table,
+    start_of,
+)
 from srs_twin.recordings.facts import plain_facts
 from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_topics
-from srs_twin.recordings.formats.base import axis_columns, in_unit, start_of
+from srs_twin.recordings.formats.base import axis_columns, in_unit
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_strangers
@@ -75,7 +83,7 @@ def inspect_file(
         InputError: it cannot be read; says why.
     """
     start = start_of(path, map.dialect)
-    timed = {clean(name) for name in map.meanings(["time"])} & set(start.table.names)
+    timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
     kind = plain_csv.NAME if timed else identify(path, map.dialect)
     if kind == plain_csv.NAME:
         file = laid_out(read_file(path), map.dialect)

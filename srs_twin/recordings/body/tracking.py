@@ -206,8 +206,8 @@ class _Tracker:
         unused = np.flatnonzero(self.samples == 0)
         if len(slots) > len(unused):
             raise InputError(
-                f"markers jump from frame to frame, none can be followed (over {MOST} tracks); is the unit of "
-                "length or of time another?"
+                f"markers jump from frame to frame, none can be followed (over {MOST} tracks); is the unit "
+                "of length or of time another?"
             )
         for track, slot, end in zip(unused.tolist(), slots.tolist(), last.tolist(), strict=False):
             self._write(track, slot, first, end)

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
-from srs_twin.io.files import printable, shown
-from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile, laid_out, recording_file
+from srs_twin.io.files import printable
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.marker_table import MarkerTable, plausible
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
-_PEEK = 1 << 16  # bytes that tell a format
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
     r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?(?:[ _]*" + _UNIT + ")?", re.IGNORECASE
@@ -47,54 +43,6 @@ class Unstated(NamedTuple):
     unit: str | None = None
     scale_m: float | None = None
     dialect: Dialect = AS_FOUND
-
-
-@dataclass(frozen=True)
-class Start:
-    """The start of a file.
-
-    Attributes:
-        name: of the file, as messages show it.
-        raw: its first bytes, with a byte order mark where it has one.
-        dialect: layout of a plain table, where it is not found.
-    """
-
-    name: str
-    raw: bytes
-    dialect: Dialect = AS_FOUND
-
-    @cached_property
-    def table(self) -> RecordedFile:
-        """The start as a plain table."""
-        return laid_out(RecordedFile(self.name, self.raw), self.dialect)
-
-    @cached_property
-    def line(self) -> str:
-        """The first line of text that is not blank."""
-        raw = self.raw.removeprefix(b"\xef\xbb\xbf")
-        wide = raw.startswith((b"\xff\xfe", b"\xfe\xff"))  # the reader says how to save it
-        text = raw.decode("utf-16" if wide else "utf-8", "replace")
-        return next((line for line in text.splitlines() if line.strip()), "")
-
-    @property
-    def title(self) -> str:
-        """The first cell of that line."""
-        return re.split(r"[,\t]", self.line)[0].strip(' "')
-
-
-def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Start:
-    """Read the start of a file.
-
-    Raises:
-        InputError: it is missing or cannot be read.
-    """
-    place = recording_file(path)
-    name = shown(place)
-    try:
-        with place.open("rb") as stream:
-            return Start(name, stream.read(_PEEK), dialect)
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:

@@ -14,7 +14,6 @@ import numpy as np
 
 from srs_twin.recordings.csv_table import RecordedFile, read_bytes
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
     decoding,
     frame_rate,
@@ -31,9 +30,9 @@ _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters that list labels of points which are no positions (Vicon's models)."""
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the bytes of a C3D header."""
-    raw = start.raw
+    raw = start.data
     return raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r"
 
 

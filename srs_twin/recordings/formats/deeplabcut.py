@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import read_file
+from srs_twin.recordings.csv_table import RecordedFile, read_file
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
     frame_rate,
     length_unit,
@@ -24,7 +23,7 @@ LEAST_LIKELIHOOD = 0.6
 """Samples that DeepLabCut deems less likely are not seen; its own default (`pcutoff`)."""
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the row of the scorer."""
     return start.title.lower() == "scorer"
 

@@ -18,7 +18,6 @@ import numpy as np
 from srs_twin.errors import did_you_mean
 from srs_twin.recordings.csv_table import RecordedFile, read_file
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
     announced,
     is_rate,
@@ -37,7 +36,7 @@ KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
 _HEADER_LINES = 12
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with Motive's version."""
     return start.title == "Format Version"
 

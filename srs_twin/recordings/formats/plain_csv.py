@@ -14,12 +14,13 @@ from srs_twin.recordings.csv_table import (
     CLOCK,
     CsvColumn,
     CsvTable,
+    RecordedFile,
     laid_out,
     not_used,
     read_file,
     read_table,
 )
-from srs_twin.recordings.formats.base import Start, Unstated, axis_columns, marker_table
+from srs_twin.recordings.formats.base import Unstated, axis_columns, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
@@ -27,9 +28,9 @@ NAME = "plain CSV"
 _NUMBERED = re.compile(r"[xyz]_\d+(?![A-Za-z0-9]{2})", re.IGNORECASE)
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the names of columns: of a clock, or of positions."""
-    names = start.table.names
+    names = start.names
     return any(_NUMBERED.match(name) or is_clock(name) for name in names) or bool(axis_columns(names))
 
 

@@ -10,9 +10,8 @@ from itertools import takewhile
 import numpy as np
 
 from srs_twin.io.files import printable
-from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, read_file
+from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, RecordedFile, read_file
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
     announced,
     frame_rate,
@@ -26,9 +25,9 @@ _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")
 _MOST_EVENTS = 1000  # lines of a Qualisys header; each event has one
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with a key of Qualisys."""
-    return bool(re.match(r"(NO_OF_\w+|FILE_VERSION|FREQUENCY|MARKER_NAMES)\t", start.line))
+    return bool(re.match(r"(NO_OF_\w+|FILE_VERSION|FREQUENCY|MARKER_NAMES)\t", start.first_line))
 
 
 def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:

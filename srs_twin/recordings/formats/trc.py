@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
-from srs_twin.recordings.csv_table import read_file
+from srs_twin.recordings.csv_table import RecordedFile, read_file
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
     announced,
     frame_rate,
@@ -21,7 +20,7 @@ NAME = "TRC"
 _AXES = 5  # line of X1, Y1, Z1, …; an empty one may follow
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the type of its path."""
     return start.title == "PathFileType"
 

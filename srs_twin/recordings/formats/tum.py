@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import read_file
-from srs_twin.recordings.formats.base import Start, Unstated, marker_rows, marker_table
+from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.formats.base import Unstated, marker_rows, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "TUM trajectory"
@@ -20,9 +20,9 @@ _UNIT = 0.01  # from the length of a quaternion
 _EPOCH = 1e8  # s: later times are counted from 1970, or from a clock like it
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether the first line below comments has eight numbers without commas."""
-    return bool(_START.match(start.raw.removeprefix(b"\xef\xbb\xbf")))
+    return bool(_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
 
 
 def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:

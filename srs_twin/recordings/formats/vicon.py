@@ -7,9 +7,8 @@ import re
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import read_file
+from srs_twin.recordings.csv_table import RecordedFile, read_file
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
     frame_rate,
     length_unit,
@@ -24,7 +23,7 @@ _SECTIONS = ("Trajectories", "Objects", "Devices", "Joints", "Segments", "Model 
 _SECTION = re.compile(rb'^"?(%s)"?[ \t,]*\r?$' % "|".join(_SECTIONS).encode(), re.MULTILINE)
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the title of a section."""
     return start.title in _SECTIONS
 

@@ -29,12 +29,13 @@ from srs_twin.recordings.csv_table import (
     CLOCK,
     CsvTable,
     Meaning,
+    RecordedFile,
     laid_out,
     read_file,
     read_table,
+    start_of,
 )
 from srs_twin.recordings.formats import read_topics
-from srs_twin.recordings.formats.base import start_of
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, QUANTITIES, RecordingMap, log_meaning
@@ -71,10 +72,10 @@ def is_bend_log(path: str | os.PathLike[str], map: RecordingMap = NO_MAP) -> boo
         InputError: it cannot be read.
     """
     start = start_of(path, map.dialect)
-    if "\0" in start.line:
+    if "\0" in start.first_line:
         return False
     mapped = {clean(name).lower() for name in map.meanings(["bend"])}
-    return any(_BEND.match(name.lower()) or name.lower() in mapped for name in start.table.names)
+    return any(_BEND.match(name.lower()) or name.lower() in mapped for name in start.names)
 
 
 def read_bends(
@@ -249,13 +250,13 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
     time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    values = _allowed(
-        kind, values, [each.unit for each in chosen], map, notes,
-        lambda row, k, what: table.error(chosen[k], f"{chosen[k].text}: {what}", row),
-    )  # fmt: skip
-    notes += table.unused_columns()
-    with named_in_errors(file.name):
-        return replace(_log(file.name, file.sha256, kind, time, values, map, notes), epoch_ns=epoch_ns)
+    units, unused = [each.unit for each in chosen], table.unused_columns()
+
+    def error(row: int, k: int, what: str) -> InputError:
+        return table.error(chosen[k], f"{chosen[k].text}: {what}", row)
+
+    log = _log(file, kind, time, values, units, map, notes, error)
+    return replace(log, epoch_ns=epoch_ns, corrections=(*log.corrections, *unused))
 
 
 def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
@@ -264,11 +265,11 @@ def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) ->
     Raises:
         InputError: signals are missing, or have values that no valve or chamber has.
     """
+    meanings = map.meanings(("valve", "duty", *AIR))
+    names = {meaning.name: signal for signal, meaning in meanings.items()}
+    kinds = {what.partition("_")[0] for what in names}
+    wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
     with named_in_errors(topics.name):
-        meanings = map.meanings(("valve", "duty", *AIR))
-        names = {meaning.name: signal for signal, meaning in meanings.items()}
-        kinds = {what.partition("_")[0] for what in names}
-        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
         if len(kinds) != 1 or sorted(wanted) != sorted(names):
             found = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
@@ -278,42 +279,39 @@ def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) ->
         for each in names.values():
             if each not in topics.signals:
                 raise UnknownNameError("signal", each, topics.signals)
-        (kind,), series = kinds, [topics.signals[names[each]] for each in wanted]
-        time = np.unique(np.concatenate([each for each, _ in series]))
-        time = time[time >= max(each[0] for each, _ in series)]
-        given, notes = [meanings[names[each]] for each in wanted], list(topics.notes)
-        units = [symbol(each.unit or each.default, QUANTITIES[kind]) for each in given]
-        way = np.interp if kind == "pressure" else _held
-        columns = [
-            way(time, *own) * QUANTITIES[kind].get(unit, 1.0) for own, unit in zip(series, units, strict=True)
-        ]
-        values = _allowed(
-            kind, np.stack(columns, axis=1), units, map, notes,
-            lambda row, k, what: InputError(f"{names[wanted[k]]}: {what}, at {time[row]:g} s"),
-        )  # fmt: skip
-        return _log(topics.name, topics.sha256, kind, time, values, map, notes)
+    (kind,), chosen = kinds, [names[each] for each in wanted]
+    series = [topics.signals[each] for each in chosen]
+    time = np.unique(np.concatenate([each for each, _ in series]))
+    time = time[time >= max(each[0] for each, _ in series)]
+    units = [symbol(meanings[each].unit or meanings[each].default, QUANTITIES[kind]) for each in chosen]
+    way = np.interp if kind == "pressure" else _held
+    factors = [QUANTITIES[kind].get(unit, 1.0) for unit in units]
+    values = np.stack([way(time, *own) for own in series], axis=1) * factors
+
+    def error(row: int, k: int, what: str) -> InputError:
+        return InputError(f"{topics.name}: {chosen[k]}: {what}, at {time[row]:g} s")
+
+    return _log(topics, kind, time, values, units, map, [*topics.notes], error)
 
 
-def _allowed(
-    kind: str,
-    values: np.ndarray,
-    units: Sequence[str],
-    map: RecordingMap,
-    notes: list[str],
-    error: Callable[[int, int, str], InputError],
-) -> np.ndarray:
-    """Return valves, duties or gauge pressures, shape (rows, segments, 2); note what was assumed of them.
+def _log(
+    source: RecordedFile | RecordedTopics, kind: str, time: np.ndarray, values: np.ndarray,
+    units: Sequence[str], map: RecordingMap, notes: list[str], error: Callable[[int, int, str], InputError],
+) -> ValveLog:  # fmt: skip
+    """Return valves or gauge pressures in the order of time.
 
     Args:
-        kind: of the log.
+        source: of the values.
+        kind: valve, duty, pressure or setpoint.
+        time: shape (rows,), s.
         values: in SI, shape (rows, 2 segments).
         units: of the columns; empty where they have none.
-        map: says the ambient pressure.
-        notes: to add to.
-        error: row, column, what is wrong → the error to raise there.
+        map: ambient pressure and carrier.
+        notes: on the source, in words.
+        error: row, column and what is wrong there → error.
 
     Raises:
-        InputError: blanks, and what no valve or chamber does. Duties are checked later.
+        InputError: blanks, and what no valve or chamber does; times that no log has.
     """
     if kind in AIR:
         if map.ambient:
@@ -324,47 +322,34 @@ def _allowed(
             notes.append("pressures without a unit taken as Pa")
         values = values - map.ambient
     allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
-    if kind != "valve":
+    if kind in AIR:
         allowed, words, unit = (values >= _LOWEST) & (values <= _HIGHEST), _ALLOWED, " Pa"
     wrong = np.argwhere(~allowed)
     if wrong.size and kind != "duty":
         row, k = (int(each) for each in wrong[0])
         given = "nothing" if np.isnan(values[row, k]) else f"{values[row, k]:g}{unit}"
         raise error(row, k, f"{given} is not allowed; {words}")
-    return values.reshape(len(values), -1, 2)
-
-
-def _log(
-    source: str,
-    sha256: str,
-    kind: str,
-    time: np.ndarray,
-    values: np.ndarray,
-    map: RecordingMap,
-    notes: list[str],
-) -> ValveLog:
-    """Return valves or pressures in the order of time; values of any kind, shape (rows, segments, 2)."""
-    if np.abs(time).max() > _LATEST:
-        raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
-    order, moved = time_order(time)
-    time, values = time[order], values[order]
-    # Of rows at one time the last holds, as it would on the valve.
-    kept = np.append(np.diff(time) > 0, True)
-    notes += moved
-    if not kept.all():
-        notes.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
-    if kept.sum() < 2:
-        raise InputError("a log has 2 rows or more")
-    time, values = time[kept], values[kept]
-    if kind == "setpoint":
-        notes.append("set-points taken as the chambers' pressures")
-    elif kind == "duty":
-        time, values = _switched(time, values, map.carrier_hz, notes)
-    elif kind == "valve" and not (values == -1).any() and (values == 0).any():
-        values = np.where(values == 0, -1.0, values)
-        notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
-    log = ValveLog("pressure" if kind in AIR else "valve", time, values, source, sha256, tuple(notes))
-    return replace(log, holds=kind == "setpoint")
+    with named_in_errors(source.name):
+        if np.abs(time).max() > _LATEST:
+            raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
+        order, moved = time_order(time)
+        # Of rows at one time the last holds, as it would on the valve.
+        kept = np.append(np.diff(time[order]) > 0, True)
+        notes += moved
+        if not kept.all():
+            notes.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
+        if kept.sum() < 2:
+            raise InputError("a log has 2 rows or more")
+        time, values = time[order][kept], values[order][kept].reshape(kept.sum(), -1, 2)
+        if kind == "setpoint":
+            notes.append("set-points taken as the chambers' pressures")
+        elif kind == "duty":
+            time, values = _switched(time, values, map.carrier_hz, notes)
+        elif kind == "valve" and not (values == -1).any() and (values == 0).any():
+            values = np.where(values == 0, -1.0, values)
+            notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
+    known, about = "pressure" if kind in AIR else "valve", (source.name, source.sha256, tuple(notes))
+    return ValveLog(known, time, values, *about, holds=kind == "setpoint")
 
 
 def _switched(
