@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,7 +57,6 @@ _CALLED = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces", "|": "
 _SINCE_1970 = (1e9, 4.2e9)  # s: from 2001 to 2103
 _SLOWEST = 100.0  # s between rows: a size taken as time since 1970 would be a mistaken unit
 _MOST_COMMENTS = 1000  # lines
-_DIGITS = 12  # of times behind the decimal point
 
 
 class Dialect(NamedTuple):
@@ -231,36 +231,31 @@ class RecordedFile:
             InputError: as `rows`, or a row without a time.
         """
         import pyarrow as pa
-        import pyarrow.compute
 
         top, start, width = self.header_lines, self._start_of(self.header_lines), len(self.names)
-        cut = memoryview(self.raw)[start : self._end_of(start)]
+        cut, notes = memoryview(self.raw)[start : self._end_of(start)], list[str]()
         first = _cells(bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"), self.separator)
-        notes: list[str] = []
+        exact: list[Any] = []
         if clock < len(first) and _DATE.match(first[clock]):
-            zone = "UTC" if _ZONE.search(first[clock]) else None
-            (dates,) = self._parsed(cut, top, [clock], width, pa.timestamp("ns", zone))
-            missing, exact, unit = dates.is_null().to_numpy(), dates.cast(pa.int64()), "ns"
+            kind, unit = pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None), "ns"
+            exact = self._parsed(cut, top, [clock], width, kind)[0].cast(pa.int64()).to_pylist()
+            time = np.array(exact, dtype=float)
         else:
             values, notes = self.rows(top, [clock], width)
-            time, exact = values[:, 0], None
-            missing = np.isnan(time)
-        if missing.any():
+            time = values[:, 0]
+        if (missing := np.isnan(time)).any():
             raise self.error("a row without a time", top + 1 + int(missing.argmax()), clock + 1)
-        if exact is None:
+        if not exact:
             since_1970 = _epoch_unit(time, unit)
             if not since_1970:
                 with np.errstate(over="ignore"):
                     return time * TIMES[unit or "s"], notes, None
-            unit = since_1970
-            try:
-                # Exact: a double has a resolution of 256 ns at times since 1970 in ns.
-                (exact,) = self._parsed(cut, top, [clock], width, pa.decimal128(37, _DIGITS))
-            except InputError:
-                exact = pa.chunked_array([pa.array(time).cast(pa.decimal128(37, 6))])
-        origin = pa.compute.min(exact)
-        since = pa.compute.subtract(exact, origin).cast(pa.float64()).to_numpy() * TIMES[unit]
-        epoch_ns = round(origin.as_py() * round(TIMES[unit] * 1e9))
+            # A double has a resolution of 256 ns at times since 1970 in ns.
+            (texts,), unit = self._parsed(cut, top, [clock], width, pa.string()), since_1970
+            exact = [Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()]
+        origin = min(exact)
+        since = np.array([float(each - origin) for each in exact]) * TIMES[unit]
+        epoch_ns = round(origin * round(TIMES[unit] * 1e9))
         notes.append(f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s subtracted")
         return since, notes, epoch_ns
 
@@ -613,12 +608,14 @@ def read_table(
         if name not in file.names:
             raise UnknownNameError("column", name, file.names)
     taken = {each.name for each in meanings.values()}
-    clocks = [text.lower() for text in file.names if is_clock(text)] if "time" in known.keys() - taken else []
-    clock = min(clocks, key=lambda text: text not in ("time", "t"), default=None)
+    if "time" in known.keys() - taken:
+        clocks = [text for text in file.names if is_clock(text) and text not in meanings]
+        clock = min(clocks, key=lambda text: text.lower() not in ("time", "t"), default="")
+        meanings |= {clock: Meaning("time")} if clock else {}
     seen: dict[tuple[str, int, str], CsvColumn] = {}
     unused, notes = [], []
     for place, text in enumerate(file.names):
-        meaning = meanings.get(text) or (Meaning("time") if text.lower() == clock else None)
+        meaning = meanings.get(text)
         own = meaning is None and bracketed(text)[0] not in taken
         try:
             column, note = _column(place, text, known, meaning) if meaning or own else (None, "")

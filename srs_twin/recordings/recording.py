@@ -129,7 +129,7 @@ def read_motion(
         floor = on_floor(table.points, up, table.usual_up)
         slots, columns = in_slots(table, at_frames(floor.points, frames))
         gap_frames = max(1, round(longest_gap_s / frames.period))
-        check_scale(slots[..., :2], geometry.pitch, spec.segments, spec.name)
+        check_scale(slots[..., :2], spec)
         tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
         tracks, columns, others, notes = without_strangers(tracks, columns, table)
         layouts, chosen = robot_markers(

@@ -167,6 +167,10 @@ def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WI
     return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(np.shape(values))
 
 
+_UNITS = {"com_velocity_": "m/s", "yaw_rate": "rad/s", "residual": "m", "bend_rate_": "rad/s"}
+_UNITS |= {"bend_error_": "rad", "length_": "m"}
+"""Beginnings of names of columns that no plant has → unit."""
+
 MEASURED = "measured"
 """Stands for the plant in the metadata."""
 
@@ -230,11 +234,7 @@ def measured(
         summary: of what was read.
         gait_frequency_hz: None where it is not known.
     """
-    units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
-    of_segments = {"bend_rate": "rad/s", "bend_error": "rad", "length": "m"}
-    units |= {
-        each: unit for name, unit in of_segments.items() for each in columns if each.startswith(f"{name}_")
-    }
+    units = {each: unit for each in columns for name, unit in _UNITS.items() if each.startswith(name)}
     source: dict[str, object] = {
         "file": summary.source.replace("\\", "/").rpartition("/")[2],
         "sha256": summary.sha256,

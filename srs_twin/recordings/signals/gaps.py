@@ -169,7 +169,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 
     Args:
         time: shape (frames,), s.
-        points: shape (frames, tracks, 2), m.
+        points: NaN where they are not known, shape (frames, tracks, axes).
         longest: longest gap, from the last sample before it to the first after it, s.
     """
     allowed = np.ones(len(time), dtype=bool)
@@ -193,7 +193,7 @@ def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
 
     Args:
         time: shape (frames,), s.
-        points: shape (frames, tracks, 2), m.
+        points: NaN where they are not known, shape (frames, tracks, axes).
         way: "spline" (cubic, twice continuously differentiable) or "linear".
     """
     from scipy.interpolate import make_interp_spline

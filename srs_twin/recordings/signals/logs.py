@@ -113,9 +113,8 @@ def read_bends(
         raise table.error(chosen[k], what, row)
     with named_in_errors(table.file.name):
         frames = frame_grid(time)
-    # Gaps are those of tracks in a plane; bends lie on its first axis.
     bend = at_frames(bend, frames)
-    tracks = np.stack([bend, np.where(np.isnan(bend), np.nan, 0.0)], axis=-1)
+    tracks = bend[..., None]
     kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
         raise table.file.error(
