@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FARTHEST = 1e3
-"""Markers farther than this from the origin are no marker positions, m."""
-
 
 @dataclass(frozen=True)
 class MarkerTable:
@@ -48,16 +45,3 @@ class MarkerTable:
     def usual_up(self) -> str:
         """The axis that such files usually have upwards."""
         return "y" if self.kind.startswith("Motive") else "z"
-
-
-def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return points without those that lie beyond any room or lack a coordinate, and words on them."""
-    partly = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
-    with np.errstate(invalid="ignore"):
-        far = (np.abs(points) > FARTHEST).any(axis=-1)
-    said = []
-    if partly.any():
-        said.append(f"{int(partly.sum())} positions lacked a coordinate: taken as not seen")
-    if far.any():
-        said.append(f"{int(far.sum())} positions lay over {FARTHEST:g} m away: taken as not seen")
-    return np.where((partly | far)[..., None], np.nan, points), tuple(said)

@@ -169,10 +169,8 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
         return table
     from scipy.spatial.transform import Rotation
 
-    points: list[np.ndarray] = []
-    labels: list[str] = []
-    places: list[tuple[int, str]] = []
-    for k, label in enumerate(table.labels):
+    points, owners = list[np.ndarray](), list[int]()
+    for k in range(len(table.labels)):
         turns, place = table.rotations[:, k], table.points[:, k]
         known = np.isfinite(turns).all(axis=1)
         arms = np.zeros((1, 3))
@@ -181,12 +179,10 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
             axes[known] = Rotation.from_quat(turns[known]).as_matrix()
             arms = axes[..., int(np.nanvar(axes, axis=0).sum(axis=0).argmax())] * _ARM
         ends = [place + arms, place - arms] if known.any() else [place]
-        points += ends
-        labels += [label] * len(ends)
-        places += [table.places[k]] * len(ends) if table.places else []
-    return replace(
-        table, points=np.stack(points, axis=1), labels=tuple(labels), places=tuple(places), rotations=None
-    )
+        points, owners = points + ends, owners + [k] * len(ends)
+    labels = tuple(table.labels[k] for k in owners)
+    places = tuple(table.places[k] for k in owners) if table.places else ()
+    return replace(table, points=np.stack(points, axis=1), labels=labels, places=places, rotations=None)
 
 
 def _counts(

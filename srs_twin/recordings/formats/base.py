@@ -13,8 +13,11 @@ import numpy as np
 from srs_twin.errors import InputError, did_you_mean
 from srs_twin.io.files import printable
 from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile
-from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
+
+FARTHEST = 1e3
+"""Markers farther than this from the origin are no marker positions, m."""
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
@@ -200,14 +203,20 @@ def marker_table(
     others = ", ".join(sorted({*units} - {"m"}))
     if others:
         notes = [*notes, f"lengths converted from {others} to m"]
-    points, implausible = plausible(points * np.array([[LENGTHS[each]] for each in units]))
+    points = points * np.array([[LENGTHS[each]] for each in units])
+    partly = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
+    with np.errstate(invalid="ignore"):
+        far = (np.abs(points) > FARTHEST).any(axis=-1)
+    points = np.where((partly | far)[..., None], np.nan, points)
+    for which, why in ((partly, "lacked a coordinate"), (far, f"lay over {FARTHEST:g} m away")):
+        if which.any():
+            notes = [*notes, f"{int(which.sum())} positions {why}: taken as not seen"]
     if (turns := more.get("rotations")) is not None:
         unseen = np.isnan(points[..., :1] + turns.sum(axis=-1, keepdims=True))
         more["rotations"] = np.where(unseen, np.nan, turns)
     labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
-    corrections, stated = (*notes, *implausible), ", ".join(sorted({*units}))
-    about = file.name, file.sha256, kind
-    return MarkerTable(*about, time, points, labels, corrections, unit=stated, **more)
+    more["unit"] = ", ".join(sorted({*units}))
+    return MarkerTable(file.name, file.sha256, kind, time, points, labels, tuple(notes), **more)
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.csv_table import Dialect, RecordedFile, laid_out, read_file
 from srs_twin.recordings.formats.base import Unstated, marker_rows, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "TUM trajectory"
 _COMMENTS = re.compile(rb"(?:[ \t]*#[^\n]*\n|[ \t\r]*\n)*")
 _START = re.compile(_COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n")
+_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _UNIT = 0.01  # from the length of a quaternion
 _EPOCH = 1e8  # s: later times are counted from 1970, or from a clock like it
 
@@ -31,11 +31,8 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     Raises:
         InputError: damaged; with line and cell.
     """
-    file = read_file(path)
-    comments = _COMMENTS.match(file.raw)
-    header = file.raw.count(b"\n", 0, comments.end() if comments else 0)
-    cells = re.sub(rb"(?m)^,|,(?=\r?$)", b"", re.sub(rb"[ \t]+", b",", file.raw))
-    time, points, turns, notes = marker_rows(replace(file, data=cells), header, 8, [1], others=range(4, 8))
+    file = laid_out(read_file(path), _POSE)
+    time, points, turns, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
     epoch = None
     if time.min() > _EPOCH:
         epoch = round(1e9 * time[0])
