@@ -1,6 +1,6 @@
 """Formats of motion recordings: which one a file has, and its reader.
 
-Each module of this package reads one format: `NAME`, `recognizes(start)`, and `read(path, unstated)`, or
+Each module of this package reads one format: `NAME`, `recognizes(start)`, and `read(file, unstated)`, or
 `messages(file)` of a bag. Lengths
 come out in m and times in s, in the file's own axes. Damaged files of any format raise one `InputError` that
 names the file. The libraries `c3d` and `rosbags` are the extra `recordings`.
@@ -15,7 +15,7 @@ from types import ModuleType
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable
-from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes, start_of
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes, read_file, start_of
 from srs_twin.recordings.formats import (
     c3d,
     deeplabcut,
@@ -100,8 +100,10 @@ def read_markers(
     unstated = Unstated(rate_hz, unit, scale_m, dialect)
     found = _format(path, dialect)
     if found in _BAGS:
-        return in_unit(topics.read_markers(read_bytes(path), found.NAME, found.messages), unit)
-    return in_unit(found.read(path, unstated), unit)
+        table = topics.read_markers(read_bytes(path), found.NAME, found.messages)
+    else:
+        table = found.read(read_bytes(path) if found is c3d else read_file(path), unstated)
+    return in_unit(table, unit)
 
 
 def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:

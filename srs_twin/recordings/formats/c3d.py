@@ -6,13 +6,12 @@ it frame by frame and cannot without the scales of all analog channels.
 
 from __future__ import annotations
 
-import os
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import RecordedFile, read_bytes
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
     decoding,
@@ -36,13 +35,12 @@ def recognizes(start: RecordedFile) -> bool:
     return raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r"
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the points of a C3D file; frame 1 is at 0 s, and a residual below 0 is not seen.
 
     Raises:
         InputError: damaged, without points, rate or unit, or the library is not installed.
     """
-    file = read_bytes(path)
     with decoding(file, NAME):
         import c3d
 

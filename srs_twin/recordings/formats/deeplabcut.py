@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
     frame_rate,
@@ -28,18 +27,17 @@ def recognizes(start: RecordedFile) -> bool:
     return start.title.lower() == "scorer"
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the tracks of DeepLabCut in a plane, of one animal (3 header rows) or several (4).
 
     Args:
-        path: of its CSV.
+        file: its CSV.
         unstated: frames a second of the video; unit of the coordinates where they are lengths (None or "px":
             pixels); size of a pixel.
 
     Raises:
         InputError: rate or scale are not given, or the file is damaged; with line and column.
     """
-    file = read_file(path)
     rate_hz, unit, scale_m, _ = unstated
     missing = [] if rate_hz else ["`rate_hz` (frames a second of the video)"]
     pixels = unit in (None, "px")

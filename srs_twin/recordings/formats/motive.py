@@ -7,7 +7,6 @@ frames. An unlabeled marker that vanishes comes back in a column of its own.
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from itertools import pairwise
@@ -16,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.errors import did_you_mean
-from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
     announced,
@@ -49,7 +48,7 @@ class _Column(NamedTuple):
     kind: str
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the markers of a take.
 
     Columns of other types are skipped and counted; where a take has no column of type Marker, the markers of
@@ -58,7 +57,6 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     Raises:
         InputError: damaged, or of another version; with file, line and column.
     """
-    file = read_file(path)
     lines = file.head(_HEADER_LINES)
     about = dict(pairwise(lines[0]))
     version = about.get("Format Version", "")

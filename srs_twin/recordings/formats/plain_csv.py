@@ -6,7 +6,6 @@ there as well. Two markers on a connector are ``x_1a,y_1a,x_1b,y_1b``.
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import replace
 
@@ -17,7 +16,6 @@ from srs_twin.recordings.csv_table import (
     RecordedFile,
     laid_out,
     not_used,
-    read_file,
     read_table,
 )
 from srs_twin.recordings.formats.base import Unstated, axis_columns, marker_table
@@ -34,14 +32,14 @@ def recognizes(start: RecordedFile) -> bool:
     return any(_NUMBERED.match(name) or is_clock(name) for name in names) or bool(axis_columns(names))
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the markers of a plain CSV file.
 
     Raises:
         InputError: damaged, no positions, or units that contradict each other; with line and column.
     """
     rate_hz, unit = unstated.rate_hz, unstated.unit
-    file = laid_out(read_file(path), unstated.dialect)
+    file = laid_out(file, unstated.dialect)
     numbered = any(_NUMBERED.match(name) for name in file.names)
     table = read_table(file, CLOCK | dict.fromkeys("xyz" if numbered else "", LENGTHS))
     marks = _marks(table, numbered)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import replace
 from itertools import takewhile
@@ -10,7 +9,7 @@ from itertools import takewhile
 import numpy as np
 
 from srs_twin.io.files import printable
-from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, RecordedFile, read_file
+from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
     announced,
@@ -30,17 +29,17 @@ def recognizes(start: RecordedFile) -> bool:
     return bool(re.match(r"(NO_OF_\w+|FILE_VERSION|FREQUENCY|MARKER_NAMES)\t", start.first_line))
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read a 3D export of Qualisys Track Manager (mm); 0,0,0 is not seen.
 
     Args:
-        path: of a tab-separated file with its header; with or without the columns Frame and Time.
+        file: tab-separated, with its header; with or without the columns Frame and Time.
         unstated: frames a second, where FREQUENCY is EXT and there is no column Time.
 
     Raises:
         InputError: a 2D or 6D export, or damaged; with file and line.
     """
-    file = replace(read_file(path), separator="\t")
+    file = replace(file, separator="\t")
     lines = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MOST_EVENTS)
     header = next((k for k, line in enumerate(lines) if not _QTM_LINE.match(line)), len(lines))
     *above, row = file.head(header + 1)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
-from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
     announced,
@@ -25,13 +24,13 @@ def recognizes(start: RecordedFile) -> bool:
     return start.title == "PathFileType"
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the markers of a TRC file; an empty cell is a marker not seen.
 
     Raises:
         InputError: damaged, or of an unknown unit; with file and line.
     """
-    file = replace(read_file(path), separator="\t")
+    file = replace(file, separator="\t")
     lines = file.head(_AXES + 2)
     if len(lines) <= _AXES or lines[3][:1] != ["Frame#"]:
         raise file.error("the header is cut: 'Frame#', 'Time' and names of markers are wanted in line 4", 4)

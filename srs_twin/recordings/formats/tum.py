@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import Dialect, RecordedFile, laid_out, read_file
+from srs_twin.recordings.csv_table import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.formats.base import Unstated, marker_rows, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 
@@ -25,13 +24,13 @@ def recognizes(start: RecordedFile) -> bool:
     return bool(_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the poses of one body.
 
     Raises:
         InputError: damaged; with line and cell.
     """
-    file = laid_out(read_file(path), _POSE)
+    file = laid_out(file, _POSE)
     time, points, turns, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
     epoch = None
     if time.min() > _EPOCH:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import RecordedFile, read_file
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
     frame_rate,
@@ -28,7 +27,7 @@ def recognizes(start: RecordedFile) -> bool:
     return start.title in _SECTIONS
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the section Trajectories of a Nexus export, or Objects of Tracker's with their rotations.
 
     Raises:
@@ -36,7 +35,6 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     """
     from scipy.spatial.transform import Rotation
 
-    file = read_file(path)
     sections = [(found[1].decode(), found.start()) for found in _SECTION.finditer(file.raw)]
     places_of = dict(reversed(sections))
     axes_of = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
