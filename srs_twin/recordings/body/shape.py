@@ -458,11 +458,10 @@ def marker_arms(
         InputError: more than two at a station, one side twice, or a pair askew.
     """
     arms, place = np.zeros(len(places), dtype=complex), points @ [1, 1j]
-    members: dict[int, list[int]] = {station: [] for station in sorted({each for each, _ in places})}
-    for k, (station, _) in enumerate(places):
-        members[station].append(k)
-    centres = [place[:, which].mean(axis=1) for which in members.values()]
-    for k, which in enumerate(members.values()):
+    station = np.array([each for each, _ in places])
+    members = [np.flatnonzero(station == each).tolist() for each in np.unique(station)]
+    centres = [place[:, which].mean(axis=1) for which in members]
+    for k, which in enumerate(members):
         if len(which) == 1:
             continue
         if len(which) > 2:
