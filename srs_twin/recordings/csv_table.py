@@ -197,6 +197,11 @@ class RecordedFile:
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(f"line {line}, the last, has no line end and may be cut: left out")
+        # The first row alone, before all others are looked at.
+        first = raw[start : max(raw.find(b"\n", start, stop), start)]
+        cells = first.count(self.separator.encode()) + 1
+        if first.strip() and b'"' not in first and cells != width:
+            raise self.error(f"{cells} cells where the header has {width}", header_lines + 1)
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
             most = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
