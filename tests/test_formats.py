@@ -26,6 +26,8 @@ from srs_twin import InputError
 from srs_twin.identification import read_motion
 from srs_twin.recordings.csv_table import read_bytes
 from srs_twin.recordings.formats import FORMATS, identify, mcap, read_markers, read_topics, topics
+from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.recording_map import RecordingMap
 
 pytestmark = [pytest.mark.fast, pytest.mark.filterwarnings("ignore:No analog data")]
 
@@ -658,3 +660,32 @@ def test_size_limits_hold_for_all(tmp_path, monkeypatch):
     for content in FILES.values():
         with pytest.raises(InputError, match="MB; at most 0 MB are read"):
             read_markers(written(tmp_path, content() + b"\n" * (1 << 20)), **TABLE)
+
+
+STATED = {
+    "Motive CSV": "m",
+    "Vicon CSV": "mm",
+    "Qualisys TSV": "mm",
+    "C3D": "mm",
+    "TRC": "mm",
+    "TUM trajectory": "m",
+}
+
+
+@pytest.mark.parametrize("kind", STATED)
+def test_a_unit_against_that_of_the_file_is_refused(tmp_path, kind):
+    path = written(tmp_path, FILES[kind]())
+    words = rf"take.data: lengths are in {STATED[kind]} by the file, in ft by the map or --units; correct one"
+    with pytest.raises(InputError, match=words):
+        read_markers(path, unit="ft")
+    with pytest.raises(InputError, match=words):
+        inspect_file(path, RecordingMap(units="ft"), None)
+    same_unit, alone = read_markers(path, unit=STATED[kind]), read_markers(path)
+    assert np.array_equal(same_unit.points, alone.points, equal_nan=True)
+
+
+def test_a_unit_that_a_file_leaves_open_is_used(tmp_path):
+    path = written(tmp_path, c3d_file(unit="", scale=1e2))
+    found = read_markers(path, unit="cm")
+    same(found, most=1e-5)
+    assert "POINT:UNITS is not given: cm taken" in found.corrections

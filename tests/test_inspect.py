@@ -152,7 +152,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     run(["inspect", "cut.csv", "take.csv", "--json"], 2)
     said = capsys.readouterr()
     assert [each["file"] for each in json.loads(said.out)] == ["take.csv"] and "cut.csv:" in said.err
-    run(["inspect", "take.csv", "--robot", "gen2", "--units", "m"])
+    run(["inspect", "take.csv", "--robot", "gen2", "--units", "mm"])
     assert "layout head" in capsys.readouterr().out
 
 

@@ -13,9 +13,10 @@ from synthetic_takes import Take
 
 from srs_twin import InputError
 from srs_twin.identification import join, read_valves
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording_map import RecordingMap
 from srs_twin.recordings.signals.clock import driven_bends, estimate_offset
-from srs_twin.recordings.signals.logs import ValveLog
+from srs_twin.recordings.signals.logs import ValveLog, log_of_topics
 
 pytestmark = pytest.mark.fast
 
@@ -198,3 +199,31 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, monkeypatch, old, new, 
         read_valves("valves.csv", SPEC)
     assert says in str(error.value)
     assert error.value.exit_code == 2
+
+
+def test_set_points_hold_until_the_next_row(tmp_path):
+    """A regulator keeps its set-point; measured pressures are interpolated."""
+    path = tmp_path / "air.csv"
+    for kind, between in (("setpoint", 10e3), ("pressure", 15e3)):
+        head = HEAD.replace("valve", kind).replace(",", "_kpa,").replace("time_kpa", "time") + "_kpa"
+        rows = [[1.0, *[10.0] * 8], [2.0, *[20.0] * 8], [3.0, *[0.0] * 8]]
+        path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
+        found = read_valves(path, SPEC)
+        assert found.at(np.array([1.0, 1.5, 2.0, 3.0]))[:, 2, 1] == pytest.approx([10e3, between, 20e3, 0.0])
+        time, values = found.breakpoints()
+        assert (np.diff(time) > 0).all()
+        assert np.interp([1.5, 1.99999, 2.0, 2.5], time, values[:, 2, 1]) == pytest.approx(
+            [between, 10e3 if kind == "setpoint" else 19999.9, 20e3, 20e3 if kind == "setpoint" else 10e3]
+        )
+
+
+def test_set_points_of_signals_hold_until_their_next_message(tmp_path):
+    signals = {}
+    for k, (side, j) in enumerate((side, j) for side in ("plus", "minus") for j in range(1, 5)):
+        start = np.array([0.0, 1.0, 2.0]) + 0.1 * k
+        signals[f"setpoint_kpa_{side}_{j}"] = (start, np.array([10.0, 20.0, 30.0]))
+    topics = RecordedTopics("a.mcap", "", 0, None, signals, ())
+    found = log_of_topics(topics, SPEC, RecordingMap(log={name: name for name in signals}))
+    assert found.at(np.array([0.95, 1.45]))[:, 3, 0] == pytest.approx([10e3, 20e3])
+    assert found.at(np.array([1.05]))[0, 0, 0] == pytest.approx(20e3)
+    assert found.at(np.array([1.05]))[0, 3, 1] == pytest.approx(10e3)

@@ -192,7 +192,8 @@ def pressures(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
     log = recording.valves
     if log is None or log.kind == "valve":
         return None
-    return log.time - recording.trajectory.time[0], log.values
+    time, values = log.breakpoints()
+    return time - recording.trajectory.time[0], values
 
 
 def commands(recording: Recording, name: str) -> Schedule:

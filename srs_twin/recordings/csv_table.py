@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,6 +41,7 @@ MAX_COLUMNS = 20_000
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 """What stands where nothing was seen."""
 
+_PEEK = 1 << 16  # bytes that tell a format
 _BLOCK = 8 << 20  # bytes that Arrow takes at a time; no line is longer
 _LISTED = 5  # columns that a message lists
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
@@ -55,7 +57,6 @@ _CALLED = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces", "|": "
 _SINCE_1970 = (1e9, 4.2e9)  # s: from 2001 to 2103
 _SLOWEST = 100.0  # s between rows: a size taken as time since 1970 would be a mistaken unit
 _MOST_COMMENTS = 1000  # lines
-_DIGITS = 12  # of times behind the decimal point
 
 
 class Dialect(NamedTuple):
@@ -123,6 +124,18 @@ class RecordedFile:
         return self.data.removeprefix(b"\xef\xbb\xbf") if self.body is None else self.body
 
     @cached_property
+    def first_line(self) -> str:
+        """The first line of text that is not blank."""
+        wide = self.data.startswith((b"\xff\xfe", b"\xfe\xff"))  # the reader says how to save it
+        text = self.data.removeprefix(b"\xef\xbb\xbf").decode("utf-16" if wide else "utf-8", "replace")
+        return next((line for line in text.splitlines() if line.strip()), "")
+
+    @property
+    def title(self) -> str:
+        """The first cell of that line."""
+        return re.split(r"[,\t]", self.first_line)[0].strip(' "')
+
+    @cached_property
     def sha256(self) -> str:
         """Hash of the file, hexadecimal."""
         return hashlib.sha256(self.data).hexdigest()
@@ -133,7 +146,7 @@ class RecordedFile:
         return InputError(f"{self.name}{place}: {what}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the cells of up to that many lines, those after the first `after`.
+        """Return the stripped cells of up to that many lines, those after the first `after`.
 
         Raises:
             InputError: the lines are longer than any header, or are no CSV.
@@ -147,9 +160,10 @@ class RecordedFile:
         for number, line in enumerate(found[:lines], start=after + 1):
             text = line.decode("utf-8", "replace").rstrip("\r")
             try:
-                rows.append(next(csv.reader([text], delimiter=self.separator, strict=True), []))
+                cells = next(csv.reader([text], delimiter=self.separator, strict=True), [])
             except csv.Error as error:
                 raise self.error(f"no line of a CSV file ({error})", number) from error
+            rows.append([cell.strip() for cell in cells])
         return rows
 
     def _start_of(self, line: int) -> int:
@@ -208,51 +222,47 @@ class RecordedFile:
         end = _EMPTY_LINE.search(self.raw, start) if section else None
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
-    def timed(self, clock: int, unit: str, columns: Sequence[int]) -> TimedRows:
-        """Read the rows of a plain table with their times; times since 1970 begin at 0.
+    def times(self, clock: int, unit: str) -> tuple[np.ndarray, list[str], int | None]:
+        """Read the times of a plain table's rows; times since 1970 begin at 0.
 
         Args:
-            clock: which column holds the time, as a number or as a date, counted from 0.
-            unit: of the times; empty: s, or the unit in which they are times since 1970.
-            columns: which columns to read.
+            clock: which column holds them, as numbers or as dates, counted from 0.
+            unit: of numbers; empty: s, or the unit in which they are times since 1970.
+
+        Returns:
+            Shape (rows,), s; what was subtracted, in words; and in ns, None from other times.
 
         Raises:
             InputError: as `rows`, or a row without a time.
         """
         import pyarrow as pa
-        from pyarrow.compute import subtract
 
         top, start, width = self.header_lines, self._start_of(self.header_lines), len(self.names)
-        cut = memoryview(self.raw)[start : self._end_of(start)]
+        cut, notes = memoryview(self.raw)[start : self._end_of(start)], list[str]()
         first = _cells(bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"), self.separator)
-        dated = clock < len(first) and _DATE.match(first[clock])
-        places = [*([] if dated else [clock]), *columns]
-        values, notes = self.rows(top, places, width) if places else (np.empty((0, 0)), [])
-        if dated:
-            zone = "UTC" if _ZONE.search(first[clock]) else None
-            (dates,) = self._parsed(cut, top, [clock], width, pa.timestamp("ns", zone))
-            missing, exact, unit = dates.is_null().to_numpy(), dates.cast(pa.int64()), "ns"
+        exact: list[Any] = []
+        if clock < len(first) and _DATE.match(first[clock]):
+            kind, unit = pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None), "ns"
+            exact = self._parsed(cut, top, [clock], width, kind)[0].cast(pa.int64()).to_pylist()
+            time = np.array(exact, dtype=float)
         else:
-            time, values = values[:, 0], values[:, 1:]
-            missing = np.isnan(time)
-        if missing.any():
+            values, notes = self.rows(top, [clock], width)
+            time = values[:, 0]
+        if (missing := np.isnan(time)).any():
             raise self.error("a row without a time", top + 1 + int(missing.argmax()), clock + 1)
-        if not dated:
+        if not exact:
             since_1970 = _epoch_unit(time, unit)
             if not since_1970:
                 with np.errstate(over="ignore"):
-                    return TimedRows(time * TIMES[unit or "s"], values, notes, None)
-            unit = since_1970
-            try:
-                # Exact: a double has a resolution of 256 ns at times since 1970 in ns.
-                (exact,) = self._parsed(cut, top, [clock], width, pa.decimal128(37, _DIGITS))
-            except InputError:
-                exact = pa.chunked_array([pa.array(time).cast(pa.decimal128(37, 6))])
-        origin = pa.compute.min(exact)
-        since = subtract(exact, origin).cast(pa.float64()).to_numpy() * TIMES[unit]
-        epoch_ns = round(origin.as_py() * round(TIMES[unit] * 1e9))
+                    return time * TIMES[unit or "s"], notes, None
+            # A double has a resolution of 256 ns at times since 1970 in ns.
+            (texts,), unit = self._parsed(cut, top, [clock], width, pa.string()), since_1970
+            exact = [Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()]
+        origin = min(exact)
+        since = np.array([float(each - origin) for each in exact]) * TIMES[unit]
+        epoch_ns = round(origin * round(TIMES[unit] * 1e9))
         notes.append(f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s subtracted")
-        return TimedRows(since, values, notes, epoch_ns)
+        return since, notes, epoch_ns
 
     def _parsed(
         self, cut: memoryview, header_lines: int, columns: Sequence[int], width: int, kind: Any = None
@@ -319,6 +329,16 @@ def recording_file(path: str | os.PathLike[str]) -> Path:
     return existing(bags[0] if bags else place, suffix=".csv")
 
 
+def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> RecordedFile:
+    """Read the first bytes of a file, laid out as a table.
+
+    Raises:
+        InputError: it is missing or cannot be read.
+    """
+    place = recording_file(path)
+    return laid_out(RecordedFile(shown(place), _bytes(place, _PEEK)), dialect)
+
+
 def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
     """Read a recorded file of any kind.
 
@@ -326,17 +346,22 @@ def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
         InputError: missing, no regular file, not readable, empty, or too large.
     """
     place = recording_file(path)
-    name = shown(place)
-    try:
-        if (megabytes := place.stat().st_size / (1 << 20)) > MAX_BYTES >> 20:
-            limit = f"at most {MAX_BYTES >> 20} MB are read (export a shorter take)"
-            raise InputError(f"{name}: {megabytes:.0f} MB; {limit}")
-        file = RecordedFile(name, place.read_bytes())
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
+    file = RecordedFile(shown(place), _bytes(place, MAX_BYTES + 1))
+    if len(file.data) > MAX_BYTES:
+        megabytes, most = place.stat().st_size / (1 << 20), MAX_BYTES >> 20
+        raise file.error(f"{megabytes:.0f} MB; at most {most} MB are read (export a shorter take)")
     if not file.raw.strip():
         raise file.error("empty; a recording has a header and rows of numbers")
     return file
+
+
+def _bytes(place: Path, most: int) -> bytes:
+    """Return the first bytes of a file."""
+    try:
+        with place.open("rb") as stream:
+            return stream.read(most)
+    except OSError as error:
+        raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
 
 
 def read_file(path: str | os.PathLike[str]) -> RecordedFile:
@@ -523,16 +548,21 @@ class CsvTable:
         with np.errstate(over="ignore"):  # callers refuse what is too large
             return values * [column.factor for column in columns], [*self.file.notes, *self.notes, *notes]
 
-    def read_timed(self, clock: CsvColumn, columns: Sequence[CsvColumn]) -> TimedRows:
-        """Return the numbers of columns in SI with their times.
+    def read_timed(
+        self, clock: CsvColumn | None, columns: Sequence[CsvColumn], rate_hz: float | None = None
+    ) -> TimedRows:
+        """Return the numbers of columns in SI with their times; without a clock, rows are counted.
 
         Raises:
             InputError: as `RecordedFile.timed`.
         """
-        found = self.file.timed(clock.place, clock.unit, [column.place for column in columns])
-        with np.errstate(over="ignore"):
-            values = found.values * [column.factor for column in columns]
-        return found._replace(values=values, notes=[*self.file.notes, *self.notes, *found.notes])
+        values, notes = self.read(columns) if columns else (np.empty((0, 0)), [])
+        if clock is None:
+            rate = rate_hz or 1.0
+            counted = f"frames counted, {rate:g} a second"
+            return TimedRows(np.arange(len(values)) / rate, values, [*notes, counted], None)
+        time, noted, epoch_ns = self.file.times(clock.place, clock.unit)
+        return TimedRows(time, values, list(dict.fromkeys([*notes, *noted])), epoch_ns)
 
     def unused_columns(self) -> list[str]:
         """Return which columns were not used, in words; empty where all were."""
@@ -583,12 +613,14 @@ def read_table(
         if name not in file.names:
             raise UnknownNameError("column", name, file.names)
     taken = {each.name for each in meanings.values()}
-    clocks = [text.lower() for text in file.names if is_clock(text)] if "time" in known.keys() - taken else []
-    clock = min(clocks, key=lambda text: text not in ("time", "t"), default=None)
+    if "time" in known.keys() - taken:
+        clocks = [text for text in file.names if is_clock(text) and text not in meanings]
+        clock = min(clocks, key=lambda text: text.lower() not in ("time", "t"), default="")
+        meanings |= {clock: Meaning("time")} if clock else {}
     seen: dict[tuple[str, int, str], CsvColumn] = {}
     unused, notes = [], []
     for place, text in enumerate(file.names):
-        meaning = meanings.get(text) or (Meaning("time") if text.lower() == clock else None)
+        meaning = meanings.get(text)
         own = meaning is None and bracketed(text)[0] not in taken
         try:
             column, note = _column(place, text, known, meaning) if meaning or own else (None, "")

@@ -8,21 +8,30 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.recordings.body.floor import on_floor
-from srs_twin.recordings.body.markers import SOLID, body_order, forward_distance, median_and_spread
+from srs_twin.recordings.body.markers import CARRIED, SOLID, body_order, forward_distance, median_and_spread
 from srs_twin.recordings.body.shape import noise_of
 from srs_twin.recordings.body.tracking import distances, follow
-from srs_twin.recordings.csv_table import CLOCK, Meaning, RecordedFile, laid_out, read_file, read_table
+from srs_twin.recordings.csv_table import (
+    CLOCK,
+    Meaning,
+    RecordedFile,
+    laid_out,
+    read_file,
+    read_table,
+    start_of,
+)
 from srs_twin.recordings.facts import plain_facts
 from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_topics
-from srs_twin.recordings.formats.base import axis_columns, start_of
+from srs_twin.recordings.formats.base import axis_columns, in_unit
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_strangers
@@ -47,7 +56,6 @@ _CRAWLED = 0.3  # of the distance of neighbours: less does not tell the head
 _CARRIER = 10.0  # openings a second: more are no gait's
 _MOST_SIGNALS = 200
 _MILLIMETRES = 2.0  # m between neighbours: more is a unit that was mistaken
-_FROM = re.compile(r"(?:converted from|given:) (?:.*, )?(mm|cm|in|ft|px)\b")
 
 
 @dataclass(frozen=True)
@@ -75,17 +83,18 @@ def inspect_file(
         InputError: it cannot be read; says why.
     """
     start = start_of(path, map.dialect)
-    timed = {clean(name) for name in map.meanings(["time"])} & set(start.table.names)
+    timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
     kind = plain_csv.NAME if timed else identify(path, map.dialect)
     if kind == plain_csv.NAME:
         file = laid_out(read_file(path), map.dialect)
         if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
-            return _whole(_log_facts(file, map)), None
+            return _whole(_table_facts(file, map)), None
     topics = read_topics(path)
     if topics is not None and topics.markers is None and topics.signals:
         return _whole(_topics_facts(topics, kind, map)), None
-    table = topics.markers if topics is not None else None
-    if table is None:
+    if topics is not None and topics.markers is not None:
+        table = in_unit(topics.markers, map.units)
+    else:
         table = read_markers(
             path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect
         )
@@ -106,46 +115,36 @@ def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> dict[
     """Return the facts of the signals of a bag."""
     signals = list(topics.signals.items())[:_MOST_SIGNALS]
     time = max((each for _, (each, _) in signals), key=len, default=np.zeros(0))
-    return {
-        "file": topics.name, "format": kind, "content": "log", "sha256": topics.sha256,
-        "signals": [{"name": name, **_signal_facts(name, *series, map)} for name, series in signals],
-        "notes": list(topics.notes), **_clock_facts(time),
-    }  # fmt: skip
+    found = [_signal_facts(name, *series, map) for name, series in signals]
+    return _log_facts(topics, kind, found, topics.notes, time)
 
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
-    frames = frame_grid(table.time)
+    frames, whole = frame_grid(table.time), bodies_as_pairs(table)
     facts: dict[str, Any] = {
         "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
         "rate_hz": 1 / frames.period, "duration_s": float(frames.time[-1] - frames.time[0]),
         "frames": int((frames.rows >= 0).sum()), "frames_missing": int((frames.rows < 0).sum()),
-        "announced_frames": table.header_frames, "units": _length_unit(table),
+        "announced_frames": table.header_frames, "units": table.unit,
         "notes": [*table.corrections, *frames.corrections],
     }  # fmt: skip
-    turned = np.zeros(len(table.labels), dtype=bool)
-    if table.rotations is not None:
-        turned = np.isfinite(table.rotations).any(axis=(0, 2))
-    whole = bodies_as_pairs(table)
     try:
-        floor = on_floor(whole.points, map.up or "auto", "y" if table.kind.startswith("Motive") else "z")
+        floor = on_floor(whole.points, map.up or "auto", table.usual_up)
     except InputError as error:
         facts["notes"].append(str(error))
         return facts, None
-    facts |= {"up": floor.up, "bodies": [table.labels[k] for k in np.flatnonzero(turned)]}
-    facts["notes"] += floor.corrections
     seen = at_frames(floor.points, frames)
-    owner = np.repeat(np.arange(len(turned)), 1 + turned)
+    turned = np.zeros(len(table.labels), dtype=bool)
+    if table.rotations is not None:
+        turned = np.isfinite(table.rotations).any(axis=(0, 2))
+    owner = np.repeat(np.arange(len(turned)), 1 + turned)  # bodies with a rotation have two columns
+    facts["notes"] += floor.corrections
+    facts |= {"up": floor.up, "bodies": [table.labels[k] for k in np.flatnonzero(turned)]}
     facts["markers"] = [
         _marker_facts(name, seen[:, owner == k].mean(axis=1), frames, bool(turned[k]))
         for k, name in enumerate(table.labels)
     ]
     return facts, _chain_facts(whole, seen, frames, facts)
-
-
-def _length_unit(table: MarkerTable) -> str:
-    """Return the unit of a file's lengths, which its reader notes where it converts them."""
-    found = (_FROM.search(each) for each in table.corrections)
-    return next((each[1] for each in found if each), "m")
 
 
 def _marker_facts(name: str, place: np.ndarray, frames: FrameGrid, body: bool) -> dict[str, Any]:
@@ -177,16 +176,14 @@ def _chain_facts(
     tracks, origin, _, notes = without_strangers(tracks, origin, table)
     facts["notes"] += notes
     solid = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= SOLID)
+    places, count = tracks[:, solid], len(solid)
     names = _names(origin[:, solid], table.labels, facts)
-    places = tracks[:, solid]
-    facts |= {"tracks": len(solid), "positions_of_nothing": int(dropped)}
-    complete = np.isfinite(places[..., 0]).all(axis=1)
-    if complete.sum() < LEAST_FRAMES or len(solid) < 2:
-        facts["notes"].append(f"{int(complete.sum())} frames with all {len(solid)} lasting markers at once")
+    facts |= {"tracks": count, "positions_of_nothing": int(dropped)}
+    whole = places[np.isfinite(places[..., 0]).all(axis=1)]
+    if len(whole) < LEAST_FRAMES or count < 2:
+        facts["notes"].append(f"{len(whole)} frames with all {count} lasting markers at once")
         return Scene(places, names, (), (), facts["file"])
-    whole = places[complete]
-    noise = noise_of(places)
-    middle, spread = median_and_spread(whole)
+    noise, (middle, spread) = noise_of(places), median_and_spread(whole)
     closest = np.nanmin(middle, axis=0)
     rigid = (spread < _RIGID * np.sqrt(2) * noise) & (middle <= 1.5 * np.minimum.outer(closest, closest))
     # Of a body that bends little many distances hardly vary; a marker has one partner on a rigid part.
@@ -197,19 +194,20 @@ def _chain_facts(
     except InputError as error:
         facts["notes"].append(str(error))
         order = ()
-    facts["noise_mm"] = 1e3 * noise
+    facts |= {"noise_mm": 1e3 * noise, "order": [names[k] for k in order]}
     facts["rigid_pairs"] = [[names[a], names[b]] for a, b in pairs]
-    facts["order"] = [names[k] for k in order]
     facts["distances"] = [
         {"markers": [names[a], names[b]], "median_mm": 1e3 * middle[a, b], "spread_mm": 1e3 * spread[a, b]}
-        for a, b in zip(order, order[1:], strict=False)
+        for a, b in pairwise(order)
         if names[a] != names[b]  # two markers of ours stand for a rigid body
     ]
-    count = len(solid)
-    facts["layouts"] = {"single": count, "head": count - 1} | (
-        {"pair": count // 2, "head_middles": count // 2} if count % 2 == 0 else {"middles": (count + 1) // 2}
-    )
-    facts["head"] = _head_facts(whole, frames.period, order, pairs, names, near)
+    facts["layouts"] = {
+        layout: (count - more) // each
+        for layout, (each, more) in CARRIED.items()
+        if (count - more) % each == 0
+    }
+    heads = _heads(whole[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
+    facts["head"] = [{"marker": names[end], "why": why} for end, why in heads]
     return Scene(places, names, order, pairs, facts["file"])
 
 
@@ -227,22 +225,17 @@ def _names(origin: np.ndarray, labels: Sequence[str], facts: dict[str, Any]) -> 
     return tuple(labels[k] for k in chosen)
 
 
-def _head_facts(
-    whole: np.ndarray, period: float, order: Sequence[int], pairs: Sequence[tuple[int, int]],
-    names: Sequence[str], near: float,
-) -> list[dict[str, Any]]:  # fmt: skip
-    """Return which ends may be the head, the likeliest first."""
-    if len(order) < 3:
-        return []
-    found = []
+def _heads(
+    body: np.ndarray, period: float, order: Sequence[int], pairs: Sequence[tuple[int, int]], near: float
+) -> Iterator[tuple[int, str]]:
+    """Yield which ends may be the head, the likeliest first, and why."""
     for end, second in (order[:2], order[:-3:-1]):
         if [{end, second}] == [set(pair) for pair in pairs]:
-            found.append((end, "the only end with a second marker on a rigid part"))
-    crawled = forward_distance(period, whole[:, list(order)])
+            yield end, "the only end with a second marker on a rigid part"
+    crawled = forward_distance(period, body)
     if abs(crawled) > _CRAWLED * near:
         end = order[0] if crawled > 0 else order[-1]
-        found.append((end, f"the body crawled {abs(crawled):.3g} m towards this end"))
-    return [{"marker": names[end], "why": why} for end, why in found]
+        yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
 def _beside_robot(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> dict[str, Any]:
@@ -261,44 +254,42 @@ def _beside_robot(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSp
     }  # fmt: skip
 
 
-def _log_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
+def _table_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
     """Return the facts of a table of numbers over time."""
     given = map.meanings(QUANTITIES)
     timed = {name: each for name, each in given.items() if each.name == "time" and clean(name) in file.names}
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
-    notes, time, beginning = [*file.notes], None, 0.0
+    notes, time, epoch_ns, unit = [*file.notes], None, None, "no time"
     if clock is not None:
-        rows = file.timed(clock.place, clock.unit, [])
-        time, beginning = rows.time, (rows.epoch_ns or 0) / 1e9
-        notes += rows.notes
+        time, noted, epoch_ns = file.times(clock.place, clock.unit)
+        notes += noted
+        unit = f"time in {clock.unit}" if clock.unit else "time without a unit"
     signals: list[dict[str, Any]] = []
     for k, name in enumerate(file.names[:_MOST_SIGNALS]):
         if clock is not None and k == clock.place:
             continue
         try:
             values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
+            signals.append(_signal_facts(name, time, values, map))
         except InputError as error:
             if "is no number" not in str(error):
                 raise
             signals.append({"name": name, "looks_like": "text", "understood": False})
-            continue
-        when = np.arange(len(values), dtype=float) if time is None else time
-        signals.append({"name": name, **_signal_facts(name, when, values, map, timed=time is not None)})
-    unit = "no time" if clock is None else f"time in {clock.unit}" if clock.unit else "time without a unit"
     notes.insert(0, f"a log of {len(signals)} signals, {unit}")
-    facts: dict[str, Any] = {
-        "file": file.name, "format": plain_csv.NAME, "content": "log", "sha256": file.sha256,
-        "signals": signals, "notes": notes,
-    }  # fmt: skip
-    return facts if time is None else facts | _clock_facts(time, beginning)
+    return _log_facts(file, plain_csv.NAME, signals, notes, time, (epoch_ns or 0) / 1e9)
 
 
-def _clock_facts(time: np.ndarray, beginning: float = 0.0) -> dict[str, Any]:
-    """Return begin, duration, rate and number of rows of a log; nothing of a single one."""
-    if len(time) < 2:
-        return {}
+def _log_facts(
+    source: RecordedFile | RecordedTopics, kind: str, signals: Sequence[Mapping[str, Any]],
+    notes: Sequence[str], time: np.ndarray | None, beginning: float = 0.0,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the facts of a log: begin, duration, rate and rows are left out where it has fewer than two."""
+    about = {"file": source.name, "format": kind, "content": "log", "sha256": source.sha256}
+    facts = {**about, "signals": signals, "notes": notes}
+    if time is None or len(time) < 2:
+        return facts
     step = np.diff(time)
-    return {
+    return facts | {
         "starts_s": beginning + float(time[0]), "duration_s": float(np.ptp(time)), "rows": len(time),
         "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
         "steps_back": int((step < 0).sum()),
@@ -306,17 +297,18 @@ def _clock_facts(time: np.ndarray, beginning: float = 0.0) -> dict[str, Any]:
 
 
 def _signal_facts(
-    name: str, time: np.ndarray, values: np.ndarray, map: RecordingMap, *, timed: bool = True
+    name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap
 ) -> dict[str, Any]:
-    """Return range, guess and switching of one signal."""
+    """Return range, guess and switching of one signal; no switching without its times."""
     known = values[np.isfinite(values)]
     if not known.size:
-        return {"looks_like": "nothing", "understood": False}
+        return {"name": name, "looks_like": "nothing", "understood": False}
     facts: dict[str, Any] = {
+        "name": name, "looks_like": _looks_like(name, known, map),
+        "understood": bool(LOG_NAME.fullmatch(_canonical(name))),
         "low": float(known.min()), "high": float(known.max()), "distinct": len(np.unique(known)),
-        "looks_like": _looks_like(name, known, map), "understood": bool(LOG_NAME.fullmatch(_canonical(name))),
     }  # fmt: skip
-    if facts["distinct"] <= 3 and timed:
+    if facts["distinct"] <= 3 and time is not None:
         opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
         rate = float(1 / np.median(np.diff(opened))) if len(opened) > 2 and np.ptp(opened) > 0 else 0.0
         facts["openings_per_s"] = rate

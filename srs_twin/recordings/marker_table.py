@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FARTHEST = 1e3
-"""Markers farther than this from the origin are no marker positions, m."""
-
 
 @dataclass(frozen=True)
 class MarkerTable:
@@ -28,6 +25,7 @@ class MarkerTable:
         rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
             shape (frames, columns, 4); None for markers alone.
         epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
+        unit: unit of the file's lengths, as stated, given or assumed.
     """
 
     name: str
@@ -41,16 +39,9 @@ class MarkerTable:
     header_frames: int | None = None
     rotations: np.ndarray | None = None
     epoch_ns: int | None = None
+    unit: str = "m"
 
-
-def plausible(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return points without those that lie beyond any room or lack a coordinate, and words on them."""
-    partly = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
-    with np.errstate(invalid="ignore"):
-        far = (np.abs(points) > FARTHEST).any(axis=-1)
-    said = []
-    if partly.any():
-        said.append(f"{int(partly.sum())} positions lacked a coordinate: taken as not seen")
-    if far.any():
-        said.append(f"{int(far.sum())} positions lay over {FARTHEST:g} m away: taken as not seen")
-    return np.where((partly | far)[..., None], np.nan, points), tuple(said)
+    @property
+    def usual_up(self) -> str:
+        """The axis that such files usually have upwards."""
+        return "y" if self.kind.startswith("Motive") else "z"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -126,10 +126,10 @@ def read_motion(
         table = bodies_as_pairs(map.applied(table))
         geometry = spec.geometry
         frames = frame_grid(table.time)
-        floor = on_floor(table.points, up, "y" if table.kind.startswith("Motive") else "z")
+        floor = on_floor(table.points, up, table.usual_up)
         slots, columns = in_slots(table, at_frames(floor.points, frames))
         gap_frames = max(1, round(longest_gap_s / frames.period))
-        check_scale(slots[..., :2], geometry.pitch, spec.segments, spec.name)
+        check_scale(slots[..., :2], spec)
         tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
         tracks, columns, others, notes = without_strangers(tracks, columns, table)
         layouts, chosen = robot_markers(
@@ -153,7 +153,9 @@ def read_motion(
         markers = CapturedMarkers(table, layouts[0], time, whole, origin, int(jumps.sum()), other)
         markers = likeliest_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
-        summary = _summary(frames, floor, markers, body, notes)
+        said = *table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections
+        counts, unseen = _counts(frames, floor, markers, body), int(markers.missing.sum())
+        summary = LogSummary.of(table, table.kind, frames, kept, unseen, said, counts)
         trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
         return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
 
@@ -167,10 +169,8 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
         return table
     from scipy.spatial.transform import Rotation
 
-    points: list[np.ndarray] = []
-    labels: list[str] = []
-    places: list[tuple[int, str]] = []
-    for k, label in enumerate(table.labels):
+    points, owners = list[np.ndarray](), list[int]()
+    for k in range(len(table.labels)):
         turns, place = table.rotations[:, k], table.points[:, k]
         known = np.isfinite(turns).all(axis=1)
         arms = np.zeros((1, 3))
@@ -179,21 +179,19 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
             axes[known] = Rotation.from_quat(turns[known]).as_matrix()
             arms = axes[..., int(np.nanvar(axes, axis=0).sum(axis=0).argmax())] * _ARM
         ends = [place + arms, place - arms] if known.any() else [place]
-        points += ends
-        labels += [label] * len(ends)
-        places += [table.places[k]] * len(ends) if table.places else []
-    return replace(
-        table, points=np.stack(points, axis=1), labels=tuple(labels), places=tuple(places), rotations=None
-    )
+        points, owners = points + ends, owners + [k] * len(ends)
+    labels = tuple(table.labels[k] for k in owners)
+    places = tuple(table.places[k] for k in owners) if table.places else ()
+    return replace(table, points=np.stack(points, axis=1), labels=labels, places=places, rotations=None)
 
 
-def _summary(
-    frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody, notes: Sequence[str]
-) -> LogSummary:
-    """Return what became of the samples of a file."""
+def _counts(
+    frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody
+) -> MarkerCounts:
+    """Return what became of the markers of a file."""
     table, time, columns = markers.table, markers.time, markers.columns
     gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
-    counts = MarkerCounts(
+    return MarkerCounts(
         header_frames=table.header_frames,
         frames_missing=int((frames.rows < 0).sum()),
         columns=len(table.labels),
@@ -209,19 +207,6 @@ def _summary(
         residual_m=float(np.sqrt((body.shape.residual**2).mean())),
         noise_m=body.shape.noise,
         bend_error_rad=float(np.sqrt((body.shape.bend_error**2).mean())),
-    )
-    return LogSummary(
-        source=table.name,
-        sha256=table.sha256,
-        kind=table.kind,
-        frames_read=int((frames.rows >= 0).sum()),
-        rate_hz=1 / frames.period,
-        samples_filled=int(markers.missing.sum()),
-        frames_kept=len(time),
-        start=float(time[0]),
-        end=float(time[-1]),
-        corrections=(*table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections),
-        markers=counts,
     )
 
 

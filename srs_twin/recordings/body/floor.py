@@ -168,7 +168,10 @@ def _found(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
     ever = np.isfinite(points).any(axis=(0, -1))
     heights = np.nanmedian(points[:, ever] @ normal, axis=0) if points.ndim > 2 else np.zeros(1)
     if tilt > _LEVEL or tilt * np.ptp(heights) > _SHIFT:
-        points = (points - centre) @ _turn(normal, axis).T + centre
+        from scipy.spatial.transform import Rotation
+
+        level, _ = Rotation.align_vectors(np.eye(3)[axis], normal)
+        points = (points - centre) @ level.as_matrix().T + centre
         notes.append(f"levelled by {np.degrees(tilt):.1f}°")
     return up, points, notes
 
@@ -201,11 +204,3 @@ def _plane(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, axes = np.linalg.eigh(kept.T @ kept / len(kept) + 1e-18 * np.eye(3))
         normal = axes[:, 0]
     return np.sqrt(np.maximum(values, 0.0)), axes
-
-
-def _turn(normal: np.ndarray, axis: int) -> np.ndarray:
-    """Return the smallest rotation that turns a normal onto an axis, shape (3, 3)."""
-    target = np.eye(3)[axis]
-    v, c = np.cross(normal, target), float(normal @ target)
-    k = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + k + k @ k / (1 + c)

@@ -29,7 +29,10 @@ from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import RobotSpec
 
-LAYOUTS = ("auto", "single", "head", "pair", "middles", "head_middles")
+CARRIED = {"single": (1, 0), "head": (1, 1), "pair": (2, 0), "middles": (2, -1), "head_middles": (2, 0)}
+"""Layout → markers per connector, and how many more or fewer in all."""
+
+LAYOUTS = ("auto", *CARRIED)
 
 Places = dict[int, tuple[int, str]]
 """Marker → its station (0, 2, … the connectors, head first; 1, 3, … the segments' middles) and side."""
@@ -68,10 +71,7 @@ def robot_markers(
         near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
         there = seen[some_frames(len(points), _NEAR_SAMPLED)][:, solid]
         solid = solid[near.sum(axis=0) > 0.5 * there.sum(axis=0)]
-    layouts = {
-        "single": connectors, "head": connectors + 1, "pair": 2 * connectors,
-        "middles": 2 * connectors - 1, "head_middles": 2 * connectors,
-    }  # fmt: skip
+    layouts = {each: per * connectors + more for each, (per, more) in CARRIED.items()}
     if named:
         layout, layouts = "named", {"named": named}
     fitting = [layout]
@@ -152,28 +152,26 @@ def median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return middle, np.nan_to_num(0.74 * (high - low), nan=np.inf)
 
 
-def check_scale(points: np.ndarray, pitch: float, segments: int, robot: str) -> None:
+def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
     """Refuse markers that are as far from each other as those of no such robot, before any is followed.
 
     Args:
         points: in slots, shape (frames, slots, 2), m.
-        pitch: length of a straight segment, m.
-        segments: how many there are.
-        robot: its name.
+        spec: the robot.
 
     Raises:
         InputError: the nearest two are farther apart than neighbours can be, or all of them hardly apart.
     """
+    pitch, straight = spec.geometry.pitch, spec.segments * spec.geometry.pitch
     apart = distances(points, _SAMPLED)
-    apart = apart.reshape(len(apart), -1)
-    apart = apart[np.isfinite(apart).sum(axis=1) >= 2]
+    apart = apart[np.isfinite(apart).any(axis=(1, 2))]
     if not len(apart):
-        raise InputError(f"never two markers at once; {segments + 1} or more are wanted")
-    nearest, farthest = np.median(np.nanmin(apart, axis=1)), np.median(np.nanmax(apart, axis=1))
-    if nearest > _FAR * pitch or farthest < _TINY * segments * pitch:
+        raise InputError(f"never two markers at once; {spec.segments + 1} or more are wanted")
+    nearest, farthest = (np.median(each(apart, axis=(1, 2))) for each in (np.nanmin, np.nanmax))
+    if nearest > _FAR * pitch or farthest < _TINY * straight:
         raise InputError(
-            f"markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of {robot} "
-            f"{1e3 * pitch:.4g} mm{unit_hint(float(farthest / (segments * pitch)))}"
+            f"markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
+            f"{spec.name} {1e3 * pitch:.4g} mm{unit_hint(float(farthest / straight))}"
         )
 
 

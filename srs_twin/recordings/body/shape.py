@@ -35,7 +35,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import comb
-from typing import Any
 
 import numpy as np
 
@@ -99,38 +98,26 @@ class Marks:
             (frames, markers), (frames, markers, 3 + 2 segments), (frames, N), all complex, (frames, N).
         """
         count = self.geometry.connectors - 1
-        bend, length, gap = state[:, 3 : 3 + count], state[:, 3 + count :], self.geometry.rigid_gap / 2
-        theta = state[:, 2:3] - np.concatenate([np.zeros((len(state), 1)), np.cumsum(bend, axis=1)], axis=1)
-        facing = np.exp(1j * theta)
-        arc, arc_slope = _mean_direction(bend)
-        half, half_slope = _mean_direction(bend / 2)
-        back = np.exp(-1j * bend)
+        # Half segments: each ends at a station. The gap is before the first and behind the second.
+        turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
+        before, after = (np.tile(each, count) * self.geometry.rigid_gap / 2 for each in ([1, 0], [0, 1]))
+        theta = state[:, 2:3] - np.pad(np.cumsum(turn, axis=1), ((0, 0), (1, 0)))
+        facing, back = np.exp(1j * theta), np.exp(-1j * turn)
         ahead = facing[:, :-1]
-        span = ahead * (gap + length * arc + gap * back)
-        node = np.empty(theta.shape, dtype=complex)
-        node[:, 0] = state[:, 0] + 1j * state[:, 1]
-        node[:, 1:] = node[:, :1] - np.cumsum(span, axis=1)
-        segment, middle = np.divmod(self.station, 2)
-        middle = np.flatnonzero(middle)
-        within = segment[middle]
-        base, aim = node[:, segment], facing[:, segment].copy()
-        base[:, middle] -= ahead[:, within] * (gap + length[:, within] / 2 * half[:, within])
-        aim[:, middle] *= np.exp(-0.5j * bend[:, within])
-        mark = base + self.arm * aim
-        lever = np.zeros((*mark.shape, state.shape[1]), dtype=complex)
-        lever[..., 0], lever[..., 1] = 1, 1j
-        lever[..., 2] = 1j * (mark - node[:, :1])
-        along = ahead * (length * arc_slope - 1j * gap * back)
-        for k in range(count):
-            behind = segment > k
-            lever[:, behind, 3 + k] = -along[:, k : k + 1] - 1j * (mark[:, behind] - node[:, k + 1 : k + 2])
-            lever[:, behind, 3 + count + k] = -(ahead * arc)[:, k : k + 1]
-        lever[:, middle, 3 + within] = (
-            -ahead[:, within] * length[:, within] / 4 * half_slope[:, within]
-            - 0.5j * self.arm[middle] * aim[:, middle]
-        )
-        lever[:, middle, 3 + count + within] = -ahead[:, within] * half[:, within] / 2
-        return mark, lever, node, theta
+        arc, arc_slope = _mean_direction(turn)
+        span = ahead * (before + length * arc + after * back)
+        place = state[:, :1] + 1j * state[:, 1:2] - np.pad(np.cumsum(span, axis=1), ((0, 0), (1, 0)))
+        mark = place[:, self.station] + self.arm * facing[:, self.station]
+        lever = np.empty((*mark.shape, state.shape[1]), dtype=complex)
+        lever[..., 0], lever[..., 1], lever[..., 2] = 1, 1j, 1j * (mark - place[:, :1])
+        # What a half segment moves: the stations behind it.
+        moved = self.station[:, None] > np.arange(2 * count)
+        along = ahead * (length * arc_slope - 1j * after * back)
+        by_turn = -along[:, None] - 1j * (mark[..., None] - place[:, None, 1:])
+        for k, halves in ((3, by_turn), (3 + count, -(ahead * arc)[:, None])):
+            halves = np.where(moved, halves, 0)
+            lever[..., k : k + count] = (halves[..., ::2] + halves[..., 1::2]) / 2
+        return mark, lever, place[:, ::2], theta[:, ::2]
 
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -244,7 +231,7 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
         marks: where the markers are on the body.
         way: "free" or "fixed", see `determined`.
     """
-    seen = points @ [1, 1j]
+    seen, missing = points @ [1, 1j], missing.copy()
     straight, alike = marks.geometry.segment_length, np.ones(marks.geometry.connectors - 1)
     known = slice(0, _NOISE_FROM)
     noise = noise_of(np.where(missing[known, :, None], np.nan, points[known]))
@@ -252,55 +239,44 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
     whole = np.flatnonzero(~missing.any(axis=1))
     if len(whole) < 4:
         whole, missing = np.arange(len(time)), np.zeros_like(missing)
-    some = whole[some_frames(len(whole), _SAMPLED)]
-    _learn(seen[some], _start(seen[some], marks), marks, prior)
-    width, bends = 3 + 2 * len(alike), slice(3, 3 + len(alike))
-    state, error = np.empty((len(time), width)), np.empty((len(time), len(alike)))
+    _learn(seen[whole[some_frames(len(whole), _SAMPLED)]], marks, prior)
+    bends = slice(3, 3 + len(alike))
+    state, error = np.empty((len(time), 3 + 2 * len(alike))), np.empty((len(time), len(alike)))
     away = np.empty(seen.shape)
 
-    def lay(rows: np.ndarray) -> np.ndarray:
-        start, weight = _start(seen[rows], marks), np.full(seen[rows].shape, prior.noise**-2)
-        if prior.open is not None:
-            start = _turned(start, seen[rows], marks, prior)
-        fitted = _fit(start, seen[rows], weight, marks, prior)
-        state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
-        return fitted.chi
+    def explain(frames: np.ndarray, fit: Callable[[np.ndarray], _Fitted]) -> np.ndarray:
+        """Fill in the frames on all processors, as NumPy's loops hold no lock; return the sum of chi."""
 
-    chi, redundant = np.sum(_in_threads(lay, whole), axis=0)
+        def work(rows: np.ndarray) -> np.ndarray:
+            fitted = fit(rows)
+            state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
+            return fitted.chi
+
+        with ThreadPoolExecutor(processors()) as pool:
+            return np.sum([*pool.map(work, np.split(frames, range(_CHUNK, len(frames), _CHUNK)))], axis=0)
+
+    chi, redundant = explain(
+        whole, lambda rows: _fit(_start(seen[rows], marks, prior), seen[rows], marks, prior)
+    )
     scale = float(np.sqrt(chi / redundant)) if redundant > _REDUNDANT * len(whole) else 1.0
     if prior.open is not None:
         scale = max(scale, 1.0)
-    missing = missing.copy()
     odd = away[whole] > max(_ODD * prior.noise * scale, _NEAR)
     if odd.mean() < _RARE:
         missing[whole] |= odd
-    good = np.flatnonzero(~missing.any(axis=1))
-    torn = np.flatnonzero(missing.any(axis=1))
+    good, torn = (np.flatnonzero(each) for each in (~missing.any(axis=1), missing.any(axis=1)))
     if torn.size and len(good) >= 4:
         from scipy.interpolate import CubicSpline
 
         state[good, 2] = np.unwrap(state[good, 2])
-        near = CubicSpline(time[good], state[good])
-
-        def mend(rows: np.ndarray) -> None:
-            aim = near(time[rows])
-            aim[:, bends] = np.clip(aim[:, bends], -np.pi, np.pi)
-            fitted = _fit_torn(aim, seen[rows], missing[rows], marks, prior)
-            state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
-
-        _in_threads(mend, torn)
+        state[torn] = CubicSpline(time[good], state[good])(time[torn])
+        state[torn, bends] = np.clip(state[torn, bends], -np.pi, np.pi)
+        explain(torn, lambda rows: _fit_torn(state[rows], seen[rows], missing[rows], marks, prior))
     state[:, 2] = np.unwrap(state[:, 2])
     _, _, node, theta = Marks(np.zeros(0, dtype=int), np.zeros(0), marks.geometry).places(state)
     residual = np.sqrt(np.ma.masked_array(away**2, missing).mean(axis=1).filled(0.0))
     length, noise = state[:, bends.stop :], prior.noise * scale
     return Shape(node, theta, error * scale, length, prior.spread, noise, residual, missing)
-
-
-def _in_threads(work: Callable[[np.ndarray], Any], rows: np.ndarray) -> list[Any]:
-    """Return what work gives for some rows at a time, on all processors: NumPy's loops hold no lock."""
-    parts = np.split(rows, range(_CHUNK, len(rows), _CHUNK))
-    with ThreadPoolExecutor(processors()) as pool:
-        return list(pool.map(work, parts))
 
 
 @dataclass(frozen=True)
@@ -318,28 +294,24 @@ class _Fitted:
 
 
 def _fit(
-    state: np.ndarray,
-    seen: np.ndarray,
-    weight: np.ndarray,
-    marks: Marks,
-    prior: _Prior,
-    *,
-    near: bool = False,
+    state: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior, missing: np.ndarray | None = None
 ) -> _Fitted:
     """Return the states that explain frames.
 
     Args:
         state: to start from, shape (frames, 3 + 2 segments).
         seen: markers, shape (frames, markers), complex, m.
-        weight: of each, 1/m².
         marks: where they are on the body.
         prior: of what they do not tell.
-        near: hold the bends near those of `state`, q̂.
+        missing: markers that were interpolated, shape (frames, markers); the bends are then held near those
+            of `state`, q̂. None: all were seen.
     """
     count, width = len(prior.mean), state.shape[1]
     matrix, aim = prior.information(), np.zeros_like(state)
     aim[:, 3 + count :] = prior.mean
-    if near:
+    weight = np.full(seen.shape, prior.noise**-2)
+    if missing is not None:
+        weight[missing] = HIDDEN**-2
         held = np.arange(3, 3 + count)
         matrix[held, held] += BENDS**-2
         aim[:, held] = state[:, held]
@@ -350,12 +322,9 @@ def _fit(
     for _ in range(_STEPS):
         mark, lever, _, _ = marks.places(state[moving])
         away[moving] = left = seen[moving] - mark
-        # Real and imaginary part of every marker.
-        parts = lever.view(float).reshape(len(moving), -1, width, 2)
-        rows = parts.transpose(0, 1, 3, 2).reshape(len(moving), -1, width)
-        weighed = (rows * np.repeat(weight[moving], 2, axis=1)[..., None]).transpose(0, 2, 1)
-        data[moving] = inner = weighed @ rows
-        right = (weighed @ left.view(float)[..., None])[..., 0] + (aim - state)[moving] @ matrix
+        weighed = (lever.conj() * weight[moving][..., None]).transpose(0, 2, 1)
+        data[moving] = inner = (weighed @ lever).real
+        right = (weighed @ left[..., None])[..., 0].real + (aim - state)[moving] @ matrix
         step = np.clip(np.linalg.solve(inner + matrix, right[..., None])[..., 0], -limit, limit)
         # Explanations that are wrong lead anywhere.
         state[moving] = np.clip(state[moving] + step, -bound, bound)
@@ -377,75 +346,63 @@ def _fit_torn(
 
     Which of a pair was seen alone, its followed way may tell wrongly: what costs less is taken.
     """
-
-    def fit(rows: np.ndarray, seen: np.ndarray, missing: np.ndarray) -> _Fitted:
-        given = np.where(missing, HIDDEN**-2, prior.noise**-2)
-        return _fit(state[rows], seen, given, marks, prior, near=True)
-
-    best = fit(np.arange(len(state)), seen, missing)
+    best = _fit(state, seen, marks, prior, missing)
     for station in np.unique(marks.station):
         pair = np.flatnonzero(marks.station == station)
         if len(pair) != 2 or marks.arm[pair].sum() != 0:
             continue
         odd = (np.where(missing, 0.0, best.away) > _STRANGE * prior.noise).any(axis=1)
         rows = np.flatnonzero(odd & (missing[:, pair].sum(axis=1) == 1))
-        if not rows.size:
-            continue
-        changed, hidden = seen[rows], missing[rows]
-        changed[:, pair], hidden[:, pair] = changed[:, pair[::-1]], hidden[:, pair[::-1]]
-        other = fit(rows, changed, hidden)
+        swapped = np.arange(len(marks.station))
+        swapped[pair] = pair[::-1]
+        other = _fit(state[rows], seen[rows][:, swapped], marks, prior, missing[rows][:, swapped])
         won = other.cost < best.cost[rows]
         for name in ("state", "inverse", "away", "cost"):
             getattr(best, name)[rows[won]] = getattr(other, name)[won]
     return best
 
 
-def _start(seen: np.ndarray, marks: Marks) -> np.ndarray:
+def _start(seen: np.ndarray, marks: Marks, prior: _Prior) -> np.ndarray:
     """Return states near frames: headings between the directions from station to station."""
     from scipy.interpolate import make_interp_spline
 
-    geometry, count = marks.geometry, marks.geometry.connectors - 1
-    stations = np.unique(marks.station)
+    if prior.open is not None:
+        return _start_fixed(seen, marks, prior)
+    stations, headings = np.unique(marks.station), list[tuple[float, np.ndarray]]()
     centre = np.empty((len(seen), len(stations)), dtype=complex)
-    known: list[tuple[float, np.ndarray]] = []
     for k, station in enumerate(stations):
-        (which,) = np.nonzero(marks.station == station)
-        if len(which) == 1:
-            centre[:, k] = seen[:, which[0]]
-            continue
-        arm = marks.arm[which]
-        line = (seen[:, which[0]] - seen[:, which[1]]) / (arm[0] - arm[1])
-        facing = line / np.maximum(np.abs(line), 1e-12)
+        which = np.flatnonzero(marks.station == station)
+        arm, facing = marks.arm[which], np.zeros(len(seen))
+        if len(which) == 2:
+            line = (seen[:, which[0]] - seen[:, which[1]]) / (arm[0] - arm[1])
+            facing = line / np.maximum(np.abs(line), 1e-12)
+            headings.append((float(station), np.angle(facing)))
         centre[:, k] = (seen[:, which] - arm * facing[:, None]).mean(axis=1)
-        known.append((float(station), np.angle(facing)))
     between = (stations[1:] + stations[:-1]) / 2
-    directions = [(float(at), np.angle(each)) for at, each in zip(between, -np.diff(centre).T, strict=True)]
-    at, angles = zip(*sorted(known + directions, key=lambda each: each[0]), strict=True)
+    headings += zip(between.tolist(), np.angle(-np.diff(centre).T), strict=True)
+    at, angles = zip(*sorted(headings, key=lambda each: each[0]), strict=True)
     heading = make_interp_spline(at, np.unwrap(angles, axis=0), k=1)  # beyond the last two goes on straight
-    theta = heading(2 * np.arange(count + 1)).T
-    length = np.full((len(seen), count), geometry.segment_length)
-    state = np.concatenate(
-        [np.zeros((len(seen), 2)), theta[:, :1], theta[:, :-1] - theta[:, 1:], length], axis=1
+    theta = heading(2 * np.arange(len(prior.mean) + 1)).T
+    place, length = (
+        np.zeros((len(seen), 2)),
+        np.full((len(seen), len(prior.mean)), marks.geometry.segment_length),
     )
-    mark, _, _, _ = marks.places(state)
-    shift = (seen - mark).mean(axis=1)
+    state = np.column_stack([place, theta[:, 0], -np.diff(theta), length])
+    shift = (seen - marks.places(state)[0]).mean(axis=1)
     state[:, 0], state[:, 1] = shift.real, shift.imag
     return state
 
 
-def _learn(seen: np.ndarray, start: np.ndarray, marks: Marks, prior: _Prior) -> None:
+def _learn(seen: np.ndarray, marks: Marks, prior: _Prior) -> None:
     """Find noise, means and spread of the lengths, and σ_ε, by expectation-maximisation on some frames."""
-    count, swing = len(prior.mean), prior.swing
+    count, swing, start = len(prior.mean), prior.swing, _start(seen, marks, prior)
     for turn in range(_ROUNDS):
-        state = start if prior.open is None else _turned(start, seen, marks, prior)
-        fitted = _fit(state, seen, np.full(seen.shape, prior.noise**-2), marks, prior)
+        fitted = _fit(start, seen, marks, prior)
         length = fitted.state[:, 3 + count :]
         variance = fitted.error(slice(3 + count, None)) ** 2
         prior.mean = np.median(length, axis=0) if prior.open is not None else length.mean(axis=0)
         prior.spread = float(np.sqrt(((length - prior.mean) ** 2 + variance).mean()))
-        if prior.open is None:
-            start = fitted.state
-        else:
+        if prior.open is not None:
             epsilon = fitted.state[:, 3 : 3 + count] @ swing
             spread = np.einsum("u,fuv,v->f", swing, fitted.inverse[:, 3 : 3 + count, 3 : 3 + count], swing)
             prior.open = float(np.sqrt((epsilon**2 + spread).mean()))
@@ -454,38 +411,33 @@ def _learn(seen: np.ndarray, start: np.ndarray, marks: Marks, prior: _Prior) -> 
             # Noise and lengths that vary are hardly told apart; but that differences saw the motion is seen.
             if prior.open is None or (scale < _MOTION and 2 * turn >= _ROUNDS):
                 prior.noise = max(prior.noise * scale, _LEAST_NOISE)
+        start = fitted.state if prior.open is None else _start(seen, marks, prior)
 
 
-def _turned(start: np.ndarray, seen: np.ndarray, marks: Marks, prior: _Prior) -> np.ndarray:
-    """Return states with the ε that the lengths between connectors fit best, of a coarse grid."""
-    count = len(prior.mean)
-    sign = (-1.0) ** np.arange(count)
-    order = np.argsort(marks.station)
-    span = -np.diff(seen[:, order], axis=1)
+def _start_fixed(seen: np.ndarray, marks: Marks, prior: _Prior) -> np.ndarray:
+    """Return states with the ε that the lengths between connectors fit best, of a coarse grid.
+
+    Each connector has one marker. Its heading mirrors that before it in the line between the two:
+    θ_{j+1} = 2α_j − θ_j.
+    """
+    count, order = len(prior.mean), np.argsort(marks.station)
+    sign, span = (-1.0) ** np.arange(count + 1), -np.diff(seen[:, order], axis=1)
     assert span.shape[1] == count and prior.open is not None, "one marker at each connector"
     alpha = np.unwrap(np.angle(span), axis=1)
-    theta = np.empty((len(seen), count + 1))
-    theta[:, 0] = alpha[:, 0]
-    for j in range(count):
-        theta[:, j + 1] = 2 * alpha[:, j] - theta[:, j]
-    bend = theta[:, :-1] - theta[:, 1:]
-    swing = (bend * sign).mean(axis=1, keepdims=True)
-    bend = bend - sign * swing
-    heading = theta[:, :1] - swing / 2
-    spread = 2 * prior.noise**2 + prior.spread**2
-    costs = []
-    for epsilon in _STARTS:
-        turn = bend + 2 * sign * epsilon
+    # (−1)^j θ_j changes by −2 (−1)^j α_j from connector to connector.
+    turned = np.cumsum(np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1)
+    bend = -np.diff(sign * turned)
+    swing = (bend * sign[:-1]).mean(axis=1, keepdims=True)
+    costs, bends = [], [bend - sign[:-1] * (swing - 2 * epsilon) for epsilon in _STARTS]
+    for epsilon, turn in zip(_STARTS, bends, strict=True):
         length = prior.mean * np.abs(_mean_direction(turn)[0]) + marks.geometry.rigid_gap * np.cos(turn / 2)
-        costs.append(((length - np.abs(span)) ** 2).sum(axis=1) / spread + (epsilon / prior.open) ** 2)
-    best = _STARTS[np.argmin(costs, axis=0)][:, None]
-    state = start.copy()
-    first = seen[:, order[0]]
-    state[:, 0], state[:, 1] = first.real, first.imag
-    state[:, 2] = (heading + best)[:, 0]
-    state[:, 3 : 3 + count] = bend + 2 * sign * best
-    state[:, 3 + count :] = prior.mean
-    return state
+        missed = ((length - np.abs(span)) ** 2).sum(axis=1) / (2 * prior.noise**2 + prior.spread**2)
+        costs.append(missed + (epsilon / prior.open) ** 2)
+    best = np.argmin(costs, axis=0)
+    first, heading = seen[:, order[0]], alpha[:, 0] - swing[:, 0] / 2 + _STARTS[best]
+    bend = np.stack(bends)[best, np.arange(len(seen))]
+    length = np.tile(prior.mean, (len(seen), 1))
+    return np.column_stack([first.real, first.imag, heading, bend, length])
 
 
 def marker_arms(
@@ -506,11 +458,10 @@ def marker_arms(
         InputError: more than two at a station, one side twice, or a pair askew.
     """
     arms, place = np.zeros(len(places), dtype=complex), points @ [1, 1j]
-    members: dict[int, list[int]] = {station: [] for station in sorted({each for each, _ in places})}
-    for k, (station, _) in enumerate(places):
-        members[station].append(k)
-    centres = [place[:, which].mean(axis=1) for which in members.values()]
-    for k, which in enumerate(members.values()):
+    station = np.array([each for each, _ in places])
+    members = [np.flatnonzero(station == each).tolist() for each in np.unique(station)]
+    centres = [place[:, which].mean(axis=1) for which in members]
+    for k, which in enumerate(members):
         if len(which) == 1:
             continue
         if len(which) > 2:

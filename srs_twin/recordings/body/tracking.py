@@ -22,7 +22,6 @@ Errors raised here do not name the file; `read_motion` puts its name before them
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -156,7 +155,7 @@ def follow(
         known.shortest = _SHORT
     for group in np.split(order, np.flatnonzero(np.diff(first[order])) + 1):
         known.join(int(first[group[0]]), slot[group], last[group])
-    slots = known.slots[:, known.samples >= _SHORT]
+    slots = known.slots[:, known.samples >= _SHORT].astype(int)
     if not slots.shape[1]:
         slots = np.full((len(points), 1), -1)
     lost, at = slots < 0, np.maximum(slots, 0)
@@ -169,17 +168,17 @@ class _Tracker:
     """Tracks up to the frame that has been reached.
 
     Attributes:
-        slots: in which slot each track is, −1 where it was not seen, shape (frames, tracks).
-        samples: of each track, shape (tracks,).
+        slots: in which slot each track is, −1 where it was not seen, shape (frames, `MOST`).
+        samples: of each track, 0 where it is not in use, shape (`MOST`,).
         shortest: samples that a tracklet has, unless it goes on as expected.
     """
 
     def __init__(self, points: np.ndarray, gate: float, longest: int, reach: float) -> None:
         self._points, self._gate, self._longest, self._reach = points, gate, longest, reach
-        self.slots = np.full((len(points), points.shape[1]), -1)
-        self.samples, self.shortest = np.zeros(points.shape[1], dtype=int), 1
-        self._end = np.full(points.shape[1], -1)
-        self._last, self._velocity = np.zeros((2, *points.shape[1:]))
+        self.slots = np.full((len(points), MOST), -1, dtype=np.int8)
+        self.samples, self.shortest = np.zeros(MOST, dtype=int), 1
+        self._end = np.full(MOST, -1)
+        self._last, self._velocity = np.zeros((2, MOST, points.shape[-1]))
 
     def join(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
         """Give tracklets that begin on one frame to tracks that ended before it, or to new ones.
@@ -204,25 +203,14 @@ class _Tracker:
                 self._write(int(track), int(slots[row]), first, int(last[row]))
             left = np.setdiff1d(np.flatnonzero(last - first >= self.shortest - 1), rows[good])
             slots, last = slots[left], last[left]
-        unused = iter(np.flatnonzero(self.samples == 0).tolist())
-        for slot, end in zip(slots.tolist(), last.tolist(), strict=True):
-            self._write(self._new(unused), slot, first, end)
-
-    def _new(self, unused: Iterator[int]) -> int:
-        """Return a track that is not in use."""
-        track = next(unused, len(self.samples))
-        if track == len(self.samples):
-            if track >= MOST:
-                raise InputError(
-                    f"markers jump from frame to frame, none can be followed (over {MOST} tracks); is the "
-                    "unit of length or of time another?"
-                )
-            self.slots = np.pad(self.slots, ((0, 0), (0, 1)), constant_values=-1)
-            self.samples, self._end = np.append(self.samples, 0), np.append(self._end, -1)
-            self._last, self._velocity = (
-                np.pad(each, ((0, 1), (0, 0))) for each in (self._last, self._velocity)
+        unused = np.flatnonzero(self.samples == 0)
+        if len(slots) > len(unused):
+            raise InputError(
+                f"markers jump from frame to frame, none can be followed (over {MOST} tracks); is the unit "
+                "of length or of time another?"
             )
-        return track
+        for track, slot, end in zip(unused.tolist(), slots.tolist(), last.tolist(), strict=False):
+            self._write(track, slot, first, end)
 
     def _write(self, track: int, slot: int, first: int, last: int) -> None:
         """Let a track go on in a slot; its velocity is that of the last step, unless this is a jump."""

@@ -14,12 +14,15 @@ at 120 Hz 97 % of 2 Hz; at the text's 15 frames a second nothing of it, and 82 %
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody
+from srs_twin.recordings.csv_table import RecordedFile
+from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.signals.gaps import FrameGrid
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -92,6 +95,16 @@ class LogSummary:
     corrections: tuple[str, ...]
     markers: MarkerCounts | None = None
 
+    @classmethod
+    def of(
+        cls, source: MarkerTable | RecordedFile, kind: str, frames: FrameGrid, kept: slice, filled: int,
+        corrections: Iterable[str], markers: MarkerCounts | None = None,
+    ) -> LogSummary:  # fmt: skip
+        """Return the summary of a file of which some frames are kept."""
+        used, time, start = int((frames.rows >= 0).sum()), frames.time[kept], float(frames.time[kept][0])
+        about = source.name, source.sha256, kind, used, 1 / frames.period, filled
+        return cls(*about, len(time), start, float(time[-1]), tuple(corrections), markers)
+
     def text(self) -> str:
         """Return it for people, one fact a line."""
         lines = [f"{self.source}: {self.kind}, SHA-256 {self.sha256[:16]}…"]
@@ -153,6 +166,10 @@ def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WI
     y, ty = np.split(sums[:, 3:], 2, axis=1)
     return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(np.shape(values))
 
+
+_UNITS = {"com_velocity_": "m/s", "yaw_rate": "rad/s", "residual": "m", "bend_rate_": "rad/s"}
+_UNITS |= {"bend_error_": "rad", "length_": "m"}
+"""Beginnings of names of columns that no plant has → unit."""
 
 MEASURED = "measured"
 """Stands for the plant in the metadata."""
@@ -217,11 +234,7 @@ def measured(
         summary: of what was read.
         gait_frequency_hz: None where it is not known.
     """
-    units = {"com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s", "residual": "m"}
-    of_segments = {"bend_rate": "rad/s", "bend_error": "rad", "length": "m"}
-    units |= {
-        each: unit for name, unit in of_segments.items() for each in columns if each.startswith(f"{name}_")
-    }
+    units = {each: unit for each in columns for name, unit in _UNITS.items() if each.startswith(name)}
     source: dict[str, object] = {
         "file": summary.source.replace("\\", "/").rpartition("/")[2],
         "sha256": summary.sha256,

@@ -1,6 +1,7 @@
 """Formats of motion recordings: which one a file has, and its reader.
 
-Each module of this package reads one format: `NAME`, `recognizes(start)`, and `read(path, unstated)`. Lengths
+Each module of this package reads one format: `NAME`, `recognizes(start)`, and `read(file, unstated)`, or
+`messages(file)` of a bag. Lengths
 come out in m and times in s, in the file's own axes. Damaged files of any format raise one `InputError` that
 names the file. The libraries `c3d` and `rosbags` are the extra `recordings`.
 """
@@ -14,7 +15,7 @@ from types import ModuleType
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import printable
-from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes, read_file, start_of
 from srs_twin.recordings.formats import (
     c3d,
     deeplabcut,
@@ -24,12 +25,13 @@ from srs_twin.recordings.formats import (
     qualisys,
     ros1_bag,
     ros2_bag,
+    topics,
     trc,
     tum,
     vicon,
 )
-from srs_twin.recordings.formats.base import Unstated, start_of
-from srs_twin.recordings.formats.topics import RecordedTopics, read
+from srs_twin.recordings.formats.base import Unstated, in_unit
+from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
 
 _BAGS = (mcap, ros1_bag, ros2_bag)
@@ -96,13 +98,17 @@ def read_markers(
         InputError: with file, line and column, and what is allowed.
     """
     unstated = Unstated(rate_hz, unit, scale_m, dialect)
-    table: MarkerTable = _format(path, dialect).read(path, unstated)
-    return table
+    found = _format(path, dialect)
+    if found in _BAGS:
+        table = topics.read_markers(read_bytes(path), found.NAME, found.messages)
+    else:
+        table = found.read(read_bytes(path) if found is c3d else read_file(path), unstated)
+    return in_unit(table, unit)
 
 
 def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:
     start = start_of(path, dialect)
-    name, raw = start.name, start.raw
+    name, raw = start.name, start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
     for each in _READERS:
@@ -111,12 +117,12 @@ def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Module
     for sign, what, remedy in _OTHERS:
         if re.match(sign, raw, re.DOTALL) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
             raise InputError(f"{name}: {what}, which is not read; {remedy}. Formats: {', '.join(FORMATS)}")
-    if start.table.problem and b"\0" not in raw:
-        raise InputError(f"{name}:{start.table.header_lines + 1}: {start.table.problem}")
+    if start.problem and b"\0" not in raw:
+        raise InputError(f"{name}:{start.header_lines + 1}: {start.problem}")
     looks = (
         "a binary file of a kind that is not known"
         if b"\0" in raw
-        else f"its first line is '{start.line[:40]}'"
+        else f"its first line is '{start.first_line[:40]}'"
     )
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
     raise InputError(printable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
@@ -129,4 +135,4 @@ def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
         InputError: damaged, too large, or the libraries are not installed.
     """
     bag = next((each for each in _BAGS if each.recognizes(start_of(path))), None)
-    return None if bag is None else read(read_bytes(path), bag.NAME, bag.messages)
+    return None if bag is None else topics.read(read_bytes(path), bag.NAME, bag.messages)

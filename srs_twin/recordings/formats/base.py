@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
-from srs_twin.io.files import printable, shown
-from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile, laid_out, recording_file
-from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.io.files import printable
+from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile
+from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
-_PEEK = 1 << 16  # bytes that tell a format
+FARTHEST = 1e3
+"""Markers farther than this from the origin are no marker positions, m."""
+
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
     r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?(?:[ _]*" + _UNIT + ")?", re.IGNORECASE
@@ -47,54 +46,6 @@ class Unstated(NamedTuple):
     unit: str | None = None
     scale_m: float | None = None
     dialect: Dialect = AS_FOUND
-
-
-@dataclass(frozen=True)
-class Start:
-    """The start of a file.
-
-    Attributes:
-        name: of the file, as messages show it.
-        raw: its first bytes, with a byte order mark where it has one.
-        dialect: layout of a plain table, where it is not found.
-    """
-
-    name: str
-    raw: bytes
-    dialect: Dialect = AS_FOUND
-
-    @cached_property
-    def table(self) -> RecordedFile:
-        """The start as a plain table."""
-        return laid_out(RecordedFile(self.name, self.raw), self.dialect)
-
-    @cached_property
-    def line(self) -> str:
-        """The first line of text that is not blank."""
-        raw = self.raw.removeprefix(b"\xef\xbb\xbf")
-        wide = raw.startswith((b"\xff\xfe", b"\xfe\xff"))  # the reader says how to save it
-        text = raw.decode("utf-16" if wide else "utf-8", "replace")
-        return next((line for line in text.splitlines() if line.strip()), "")
-
-    @property
-    def title(self) -> str:
-        """The first cell of that line."""
-        return re.split(r"[,\t]", self.line)[0].strip(' "')
-
-
-def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Start:
-    """Read the start of a file.
-
-    Raises:
-        InputError: it is missing or cannot be read.
-    """
-    place = recording_file(path)
-    name = shown(place)
-    try:
-        with place.open("rb") as stream:
-            return Start(name, stream.read(_PEEK), dialect)
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
@@ -133,18 +84,25 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
     return np.asarray(counted) if np.abs(counted - time).max() < 0.5 / rate else time
 
 
-def length_unit(file: RecordedFile, unit: str, line: int | None = None, column: int | None = None) -> float:
-    """Return the factor from a unit of length to m.
+def length_unit(file: RecordedFile, text: str, line: int | None = None, column: int | None = None) -> str:
+    """Return the symbol of a unit of length.
 
     Raises:
         InputError: it is not known.
     """
-    factor = LENGTHS.get(symbol(unit, LENGTHS))
-    if factor is None:
-        hint, allowed = did_you_mean(unit, LENGTHS), ", ".join(LENGTHS)
-        what = printable(f"unit of length '{unit[:20]}' is not known")
+    if not (found := symbol(text, LENGTHS)):
+        hint, allowed = did_you_mean(text, LENGTHS), ", ".join(LENGTHS)
+        what = printable(f"unit of length '{text[:20]}' is not known")
         raise file.error(f"{what}{hint}; allowed: {allowed}", line, column)
-    return factor
+    return found
+
+
+def is_rate(given: str) -> bool:
+    """Say whether a text is a number of frames a second."""
+    try:
+        return 0 < float(given) < 1e6
+    except ValueError:
+        return False
 
 
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
@@ -153,22 +111,64 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
     Raises:
         InputError: no positive number.
     """
-    try:
-        rate = float(given)
-    except ValueError:
-        rate = 0.0
-    if not 0 < rate < 1e6:
+    if not is_rate(given):
         raise file.error(f"frame rate '{given[:20]}' is not allowed; frames a second are wanted", line)
-    return rate
+    return float(given)
 
 
-def numbered(
-    file: RecordedFile, numbers: np.ndarray, header_lines: int, what: str, column: int = 1
-) -> np.ndarray:
-    """Return a column, counted from 1, of which no cell may be blank."""
-    if (missing := np.isnan(numbers)).any():
-        raise file.error(f"a row without a {what}", header_lines + 1 + int(missing.argmax()), column)
-    return numbers
+class Rows(NamedTuple):
+    """Rows of a table of markers.
+
+    Attributes:
+        time: shape (frames,), s.
+        points: in the file's unit, shape (frames, markers, 3).
+        others: other columns, shape (frames, others).
+        notes: samples that were left out, in words.
+    """
+
+    time: np.ndarray
+    points: np.ndarray
+    others: np.ndarray
+    notes: list[str]
+
+
+def marker_rows(
+    file: RecordedFile,
+    header_lines: int,
+    width: int,
+    first: Sequence[int],
+    *,
+    clock: Sequence[int] = (0,),
+    rate: float | None = None,
+    others: Sequence[int] = (),
+    section: bool = False,
+) -> Rows:
+    """Read the rows of a table of markers.
+
+    Args:
+        file: the table.
+        header_lines: lines above its rows.
+        width: cells of a row.
+        first: first of each marker's three columns, counted from 0.
+        clock: columns of the frame number and the time; of one of the two; none where rows are counted.
+        rate: frames a second; None: the column holds times.
+        others: other columns to read.
+        section: whether the rows end at an empty line.
+
+    Raises:
+        InputError: as `RecordedFile.rows`, or a row without its time.
+    """
+    columns = [*clock, *(k + axis for k in first for axis in range(3)), *others]
+    values, notes = file.rows(header_lines, columns, width, section=section)
+    count, end = len(clock), len(clock) + 3 * len(first)
+    time = values[:, count - 1] if clock else np.arange(len(values)) + 0.0
+    if (missing := np.isnan(time)).any():
+        what = "time" if rate is None or count > 1 else "frame number"
+        line = header_lines + 1 + int(missing.argmax())
+        raise file.error(f"a row without a {what}", line, clock[-1] + 1)
+    if rate is not None:
+        time = counted_times(values[:, 0], time, rate) if count > 1 else time / rate
+    return Rows(time, values[:, count:end].reshape(len(values), -1, 3), values[:, end:], notes)
 
 
 def announced(text: str) -> int | None:
@@ -176,27 +176,59 @@ def announced(text: str) -> int | None:
     return int(text) if text.isdecimal() and len(text) < 10 else None
 
 
-def converted(units: Iterable[str]) -> list[str]:
-    """Return that lengths were converted, in words; empty where all are m."""
-    others = ", ".join(sorted({*units} - {"m"}))
-    return [f"lengths converted from {others} to m"] if others else []
-
-
 def marker_table(
-    file: RecordedFile, kind: str, time: np.ndarray, points: np.ndarray, names: Sequence[str],
-    notes: Sequence[str], *, frames: int | None = None, rotations: np.ndarray | None = None,
-    epoch_ns: int | None = None,
-) -> MarkerTable:  # fmt: skip
-    """Return markers as a reader found them, without implausible points and with printable names."""
-    points, implausible = plausible(points)
-    if rotations is not None:
-        rotations = np.where(
-            np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True)), np.nan, rotations
-        )
+    file: RecordedFile,
+    kind: str,
+    time: np.ndarray,
+    points: np.ndarray,
+    names: Sequence[str],
+    notes: Sequence[str],
+    *,
+    unit: str | Sequence[str] = "m",
+    **more: Any,
+) -> MarkerTable:
+    """Return markers as a reader found them, without implausible points and with printable names.
+
+    Args:
+        file: the recording.
+        kind: its format.
+        time: shape (frames,), s.
+        points: in `unit`, shape (frames, markers, 2 or 3).
+        names: of the markers.
+        notes: on the file, in words.
+        unit: of all lengths, or of each marker's.
+        **more: attributes of `MarkerTable`.
+    """
+    units = [unit] if isinstance(unit, str) else unit
+    others = ", ".join(sorted({*units} - {"m"}))
+    if others:
+        notes = [*notes, f"lengths converted from {others} to m"]
+    points = points * np.array([[LENGTHS[each]] for each in units])
+    partly = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
+    with np.errstate(invalid="ignore"):
+        far = (np.abs(points) > FARTHEST).any(axis=-1)
+    points = np.where((partly | far)[..., None], np.nan, points)
+    for which, why in ((partly, "lacked a coordinate"), (far, f"lay over {FARTHEST:g} m away")):
+        if which.any():
+            notes = [*notes, f"{int(which.sum())} positions {why}: taken as not seen"]
+    if (turns := more.get("rotations")) is not None:
+        unseen = np.isnan(points[..., :1] + turns.sum(axis=-1, keepdims=True))
+        more["rotations"] = np.where(unseen, np.nan, turns)
     labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
-    corrections = (*notes, *implausible)
-    about = file.name, file.sha256, kind
-    return MarkerTable(*about, time, points, labels, corrections, (), frames, rotations, epoch_ns)
+    more["unit"] = ", ".join(sorted({*units}))
+    return MarkerTable(file.name, file.sha256, kind, time, points, labels, tuple(notes), **more)
+
+
+def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
+    """Return a table, whose lengths are in the unit that a map or an option gives, or where none is given.
+
+    Raises:
+        InputError: the file states another unit.
+    """
+    if given not in (None, table.unit):
+        what = f"lengths are in {table.unit} by the file, in {given} by the map or --units"
+        raise InputError(f"{table.name}: {what}; correct one")
+    return table
 
 
 @contextmanager

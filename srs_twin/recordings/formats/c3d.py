@@ -6,17 +6,14 @@ it frame by frame and cannot without the scales of all analog channels.
 
 from __future__ import annotations
 
-import os
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import RecordedFile, read_bytes
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import (
-    Start,
     Unstated,
-    converted,
     decoding,
     frame_rate,
     length_unit,
@@ -32,19 +29,18 @@ _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters that list labels of points which are no positions (Vicon's models)."""
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the bytes of a C3D header."""
-    raw = start.raw
+    raw = start.data
     return raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r"
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the points of a C3D file; frame 1 is at 0 s, and a residual below 0 is not seen.
 
     Raises:
         InputError: damaged, without points, rate or unit, or the library is not installed.
     """
-    file = read_bytes(path)
     with decoding(file, NAME):
         import c3d
 
@@ -61,20 +57,20 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
         keys = ["POINT:LABELS", *(f"POINT:LABELS{k}" for k in range(2, 2 + count // 255))]
         names = ([name for key in keys for name in _strings(reader, key)] + [""] * count)[:count]
         # One unit of all points, or one of each.
-        given = [unit.lower() for unit in _strings(reader, "POINT:UNITS") if unit] or ["mm"]
-        units = (given if len(given) >= count else given[:1] * count)[:count]
+        stated = [unit.lower() for unit in _strings(reader, "POINT:UNITS") if unit]
+        given = stated or [unstated.unit or "mm"]
         others = {label for kind in _OTHER_KINDS for label in _strings(reader, f"POINT:{kind}") if label}
         chosen = [k for k in range(count) if names[k] not in others] or list(range(count))
-        factors = np.array([length_unit(file, units[k]) for k in chosen])
-        stated = any(_strings(reader, "POINT:UNITS"))
-    notes = converted(units[k] for k in chosen) if stated else ["POINT:UNITS is not given: mm taken"]
+        units = [length_unit(file, given[k if len(given) >= count else 0]) for k in chosen]
+    notes = [] if stated else [f"POINT:UNITS is not given: {given[0]} taken"]
     if len(chosen) < count:
         notes.append(f"{count - len(chosen)} points that are angles, forces or the like skipped")
     if len(samples) < announced:
         notes.append(f"the file ends after {len(samples)} of {announced} frames")
     time = (np.arange(len(samples)) + max(first - 1, 0)) / rate
-    points = np.where(samples[..., 3:] <= -1, np.nan, samples[..., :3])[:, chosen] * factors[:, None]
-    return marker_table(file, NAME, time, points, [names[k] for k in chosen], notes, frames=announced)
+    points = np.where(samples[..., 3:] <= -1, np.nan, samples[..., :3])[:, chosen]
+    labels = [names[k] for k in chosen]
+    return marker_table(file, NAME, time, points, labels, notes, unit=units, header_frames=announced)
 
 
 def _samples(file: RecordedFile, reader: Any) -> tuple[np.ndarray, int, int]:

@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-import os
+from dataclasses import replace
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import read_file
-from srs_twin.recordings.formats.base import Start, Unstated, frame_rate, length_unit, marker_table, numbered
+from srs_twin.recordings.csv_table import RecordedFile
+from srs_twin.recordings.formats.base import (
+    Unstated,
+    frame_rate,
+    length_unit,
+    marker_rows,
+    marker_table,
+)
 from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.signals.units import LENGTHS
 
 NAME = "DeepLabCut CSV"
 LEAST_LIKELIHOOD = 0.6
 """Samples that DeepLabCut deems less likely are not seen; its own default (`pcutoff`)."""
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the row of the scorer."""
     return start.title.lower() == "scorer"
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the tracks of DeepLabCut in a plane, of one animal (3 header rows) or several (4).
 
     Args:
-        path: of its CSV.
+        file: its CSV.
         unstated: frames a second of the video; unit of the coordinates where they are lengths (None or "px":
             pixels); size of a pixel.
 
     Raises:
         InputError: rate or scale are not given, or the file is damaged; with line and column.
     """
-    file = read_file(path)
     rate_hz, unit, scale_m, _ = unstated
     missing = [] if rate_hz else ["`rate_hz` (frames a second of the video)"]
     pixels = unit in (None, "px")
@@ -40,20 +46,17 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     if missing:
         raise file.error(f"DeepLabCut counts frames and pixels; give {' and '.join(missing)}")
     rate = frame_rate(file, str(rate_hz))
-    factor = float(scale_m or 0.0) if pixels else length_unit(file, unit or "")
+    factor = float(scale_m or 0.0) if pixels else LENGTHS[length_unit(file, unit or "")]
     if not 0 < factor < 1e3:
         raise file.error(f"scale_m {factor:g} is not allowed; m per pixel are wanted")
-    lines = {cells[0].strip(): cells for cells in file.head(4) if cells}
+    lines = {cells[0]: cells for cells in file.head(4) if cells}
     if not {"bodyparts", "coords"} <= lines.keys():
         raise file.error("the header is cut: rows scorer, (individuals,) bodyparts and coords are wanted", 2)
-    rows = 4 if "individuals" in lines else 3
-    width = len(lines["coords"])
-    coords = [cell.strip() for cell in lines["coords"][1:]]
-    if len(coords) % 3 or coords != ["x", "y", "likelihood"] * (len(coords) // 3) or not coords:
-        raise file.error("columns x,y,likelihood are wanted for each body part", rows)
-    values, notes = file.rows(rows, range(width), width)
-    frame = numbered(file, values[:, 0], rows, "frame number")
-    samples = values[:, 1:].reshape(len(values), -1, 3)
+    top, coords = 4 if "individuals" in lines else 3, lines["coords"]
+    width = len(coords)
+    if width < 4 or coords[1:] != ["x", "y", "likelihood"] * (width // 3):
+        raise file.error("columns x,y,likelihood are wanted for each body part", top)
+    time, samples, _, notes = marker_rows(file, top, width, range(1, width, 3), rate=rate)
     points = samples[..., :2] * [factor, -factor]
     unlikely = ~(samples[..., 2] >= LEAST_LIKELIHOOD) & np.isfinite(points).all(axis=-1)
     points[unlikely] = np.nan
@@ -64,6 +67,6 @@ def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
     ]
     parts, animals = lines["bodyparts"], lines.get("individuals")
     if len(parts) != width or (animals and len(animals) != width):
-        raise file.error(f"rows of the header have other than {width} cells", rows)
-    names = (f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in range(1, width, 3))
-    return marker_table(file, NAME, frame / rate, points, list(names), notes)
+        raise file.error(f"rows of the header have other than {width} cells", top)
+    names = [f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in range(1, width, 3)]
+    return replace(marker_table(file, NAME, time, points, names, notes), unit=unit or "px")

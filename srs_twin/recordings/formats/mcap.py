@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Iterator
 
-from srs_twin.recordings.csv_table import RecordedFile, read_bytes
-from srs_twin.recordings.formats.base import Start, Unstated
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.topics import (
     ChunkError,
     CutError,
     Message,
     Topic,
     check_unpacked,
-    read_markers,
     unpacked,
 )
-from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "MCAP"
 MAGIC = b"\x89MCAP0\r\n"
@@ -28,14 +24,9 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish t
 _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, size when unpacked, its checksum
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with MCAP's magic bytes."""
-    return start.raw.startswith(MAGIC)
-
-
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
-    """Read the topics with positions; see `topics.read_markers`."""
-    return read_markers(read_bytes(path), NAME, messages)
+    return start.data.startswith(MAGIC)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:

@@ -6,120 +6,98 @@ there as well. Two markers on a connector are ``x_1a,y_1a,x_1b,y_1b``.
 
 from __future__ import annotations
 
-import os
 import re
-
-import numpy as np
+from dataclasses import replace
 
 from srs_twin.recordings.csv_table import (
     CLOCK,
     CsvColumn,
     CsvTable,
+    RecordedFile,
     laid_out,
     not_used,
-    read_file,
     read_table,
 )
-from srs_twin.recordings.formats.base import Start, Unstated, axis_columns
-from srs_twin.recordings.marker_table import MarkerTable, plausible
+from srs_twin.recordings.formats.base import Unstated, axis_columns, marker_table
+from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 NAME = "plain CSV"
 _NUMBERED = re.compile(r"[xyz]_\d+(?![A-Za-z0-9]{2})", re.IGNORECASE)
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the names of columns: of a clock, or of positions."""
-    names = start.table.names
+    names = start.names
     return any(_NUMBERED.match(name) or is_clock(name) for name in names) or bool(axis_columns(names))
 
 
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
-    """Read the markers of a plain CSV file."""
+def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
+    """Read the markers of a plain CSV file.
+
+    Raises:
+        InputError: damaged, no positions, or units that contradict each other; with line and column.
+    """
     rate_hz, unit = unstated.rate_hz, unstated.unit
-    file = laid_out(read_file(path), unstated.dialect)
+    file = laid_out(file, unstated.dialect)
     numbered = any(_NUMBERED.match(name) for name in file.names)
     table = read_table(file, CLOCK | dict.fromkeys("xyz" if numbered else "", LENGTHS))
-    clock = next((each for each in table.columns if each.name in CLOCK), None)
-    marks = _marks(table) if numbered else _foreign(table)
-    if clock is None and not rate_hz:
+    marks = _marks(table, numbered)
+    clock = [each for each in table.columns if each.name in CLOCK]
+    if not clock and not rate_hz:
         how = "(the first line names the columns: time,x_1,y_1,x_2,y_2,…), and no rate_hz or --rate"
         raise file.error(f"no column 'time' {how}", file.header_lines or 1)
-    chosen = [column for mark in marks.values() for column in mark]
-    for each in chosen if unit else ():
-        if each.unit and each.unit != unit:
-            what = f"'{each.text}' is in {each.unit} by its name, in {unit} by the map or --units"
-            raise table.error(each, f"{what}; correct one")
-    epoch_ns = None
-    if clock is not None:
-        time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    else:
-        values, notes = table.read(chosen)
-        time = np.arange(len(values)) / float(rate_hz or 1.0)
-        notes.append(f"frames counted, {rate_hz:g} a second")
     if unit == "px" and not unstated.scale_m:
         raise file.error("units px need scale_m, the size of a pixel in m")
-    if unit:
-        factor = unstated.scale_m if unit == "px" else LENGTHS[unit]
-        values = values * np.array([1.0 if each.unit else factor for each in chosen])
-    timed = [clock] if clock is not None else []
-    units = sorted({each.unit or unit or "" for each in [*timed, *chosen]} - {"", "m", "s"})
+    scale = unstated.scale_m if unit == "px" else LENGTHS.get(unit or "m")
+    chosen = []
+    for each in (column for mark in marks.values() for column in mark):
+        if unit and each.unit not in ("", unit):
+            what = f"'{each.text}' is in {each.unit} by its name, in {unit} by the map or --units"
+            raise table.error(each, f"{what}; correct one")
+        chosen.append(each if each.unit else replace(each, factor=scale or 1.0))
+    time, values, notes, epoch_ns = table.read_timed(clock[0] if clock else None, chosen, rate_hz)
+    used = [*clock, *chosen]
+    units = sorted({each.unit or unit or "" for each in used} - {"", "m", "s"})
     if units:
         notes.append(f"converted from {', '.join(units)} to SI")
-    without = [each.text for each in [*timed, *chosen] if not each.unit]
+    without = [each.text for each in used if not each.unit]
     if without and not unit:
         notes.append(f"{len(without)} columns without a unit taken as s and m ({without[0]}, …)")
-    points, implausible = plausible(values.reshape(len(time), len(marks), -1))
-    used = {each.place for each in [*timed, *chosen]}
-    notes += not_used([name or "''" for place, name in enumerate(file.names) if place not in used])
+    others = {*range(len(file.names))} - {each.place for each in used}
+    notes += not_used([file.names[place] or "''" for place in sorted(others)])
     places = tuple((2 * (column.number - 1), "") for column, *_ in marks.values()) if numbered else ()
-    return MarkerTable(
-        file.name, file.sha256, NAME, time, points, tuple(marks), (*notes, *implausible), places,
-        epoch_ns=epoch_ns,
-    )  # fmt: skip
+    points = values.reshape(len(time), len(marks), -1)
+    found = marker_table(file, NAME, time, points, list(marks), notes, places=places, epoch_ns=epoch_ns)
+    return replace(found, unit=unit or min({each.unit for each in chosen} - {""}, default="m"))
 
 
-def _foreign(table: CsvTable) -> dict[str, list[CsvColumn]]:
-    """Return the columns of each marker named by anybody: NAME_x, NAME_y, and z where it is there."""
+def _marks(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
+    """Return the columns x, y, and z where it is there, of each marker; numbered ones head first."""
     file, line = table.file, table.file.header_lines or 1
-    marks = axis_columns(file.names)
+    marks: dict[str, dict[str, CsvColumn]] = {}
+    columns = [each for each in table.columns if each.name not in CLOCK]
+    for each in sorted(columns, key=lambda column: (column.number, column.letter)):
+        if each.number == 0:
+            raise table.error(each, f"{each.text}: a number is wanted: {each.name}_1 at the head")
+        marks.setdefault(f"{each.number}{each.letter}", {})[each.name] = each
+    for name, found in {} if numbered else axis_columns(file.names).items():
+        for axis, (place, unit) in found.items():
+            each = CsvColumn(place, axis, 0, "", unit, LENGTHS.get(unit, 1.0), file.names[place])
+            marks.setdefault(name, {})[axis] = each
+            if file.names.count(each.text) > 1:
+                raise table.error(each, f"{each.text}: two columns have this name")
     if not marks:
         what = "no positions: columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y are wanted"
         raise file.error(what, line)
-    axes = "xyz" if any("z" in each for each in marks.values()) else "xy"
-    found: dict[str, list[CsvColumn]] = {}
-    for name, each in marks.items():
-        if len(each) < len(axes):
-            raise file.error(f"{name}_z is missing, other markers have one", line)
-        for place, unit in (each[axis] for axis in axes):
-            text = file.names[place]
-            if file.names.count(text) > 1:
-                raise file.error(f"{text}: two columns have this name", line, place + 1)
-            found.setdefault(name, []).append(CsvColumn(place, "", 0, "", unit, LENGTHS.get(unit, 1.0), text))
-    return found
-
-
-def _marks(table: CsvTable) -> dict[str, list[CsvColumn]]:
-    """Return the columns of each marker's coordinates, head first."""
-    marks: dict[tuple[int, str], list[CsvColumn]] = {}
-    for each in sorted(table.columns, key=lambda column: (column.number, column.letter, column.name)):
-        if each.name in CLOCK:
-            continue
-        if each.number == 0:
-            raise table.error(each, f"{each.text}: a number is wanted: {each.name}_1 at the head")
-        marks.setdefault((each.number, each.letter), []).append(each)
-    if not marks:
-        raise table.file.error("no positions: columns x_1,y_1,x_2,y_2,… are wanted, head first")
-    axes = "xyz" if any(len(mark) == 3 for mark in marks.values()) else "xy"
-    for (number, letter), mark in marks.items():
-        missing = [axis for axis in axes if axis not in [each.name for each in mark]]
-        if missing:
-            raise table.error(mark[0], f"{mark[0].text}: {missing[0]}_{number}{letter} is missing")
-    numbers = {number for number, _ in marks}
-    hole = next(k for k in range(1, len(numbers) + 2) if k not in numbers)
-    if hole <= len(numbers):
-        raise table.file.error(
-            f"x_{hole} is missing; connectors are numbered from 1 at the head",
-            table.file.header_lines or 1,
-        )
-    return {f"{number}{letter}": mark for (number, letter), mark in marks.items()}
+    axes = "xyz" if any("z" in mark for mark in marks.values()) else "xy"
+    for name, axis in ((name, axis) for name, mark in marks.items() for axis in axes if axis not in mark):
+        if numbered:
+            first = next(iter(marks[name].values()))
+            raise table.error(first, f"{first.text}: {axis}_{name} is missing")
+        raise file.error(f"{name}_{axis} is missing, other markers have one", line)
+    numbers = {column.number for mark in marks.values() for column in mark.values()}
+    if numbered and len(numbers) < max(numbers):
+        hole = min({*range(1, max(numbers))} - numbers)
+        raise file.error(f"x_{hole} is missing; connectors are numbered from 1 at the head", line)
+    return {name: [mark[axis] for axis in axes] for name, mark in marks.items()}

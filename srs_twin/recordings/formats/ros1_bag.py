@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 
-from srs_twin.recordings.csv_table import RecordedFile, read_bytes
-from srs_twin.recordings.formats.base import Start, Unstated
+from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.topics import (
     CutError,
     Message,
     Topic,
     check_unpacked,
-    read_markers,
     unpacked,
 )
-from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "ROS 1 bag"
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = b"\2", b"\5", b"\7"
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file starts with the magic line of bags."""
-    return start.raw.startswith(_MAGIC)
-
-
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
-    """Read the topics with positions; see `topics.read_markers`."""
-    return read_markers(read_bytes(path), NAME, messages)
+    return start.data.startswith(_MAGIC)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 
-from srs_twin.recordings.csv_table import RecordedFile, read_bytes
-from srs_twin.recordings.formats.base import Start, Unstated
-from srs_twin.recordings.formats.topics import ChunkError, Message, Topic, read_markers, unpacked
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.csv_table import RecordedFile
+from srs_twin.recordings.formats.topics import ChunkError, Message, Topic, unpacked
 
 NAME = "ROS 2 bag"
 _MAGIC = b"SQLite format 3\0"
@@ -18,14 +15,9 @@ _JOURNALS = slice(18, 20)  # bytes of the header that ask for a journal beside t
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
-def recognizes(start: Start) -> bool:
+def recognizes(start: RecordedFile) -> bool:
     """Say whether a file is a database of SQLite."""
-    return start.raw.startswith(_MAGIC)
-
-
-def read(path: str | os.PathLike[str], unstated: Unstated) -> MarkerTable:
-    """Read the topics with positions; see `topics.read_markers`."""
-    return read_markers(read_bytes(path), NAME, messages)
+    return start.data.startswith(_MAGIC)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:

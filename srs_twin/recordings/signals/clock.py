@@ -110,12 +110,10 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 
 def _losses(bends: np.ndarray, model: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return S over the variance, the lags (steps by which the model comes later), and samples in common."""
-    padded = 1 << (len(bends) + len(model) - 2).bit_length()
+    from scipy.signal import fftconvolve
 
     def against(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        spectrum = np.fft.rfft(a, padded, axis=0) * np.conj(np.fft.rfft(b, padded, axis=0))
-        product = np.fft.irfft(spectrum, padded, axis=0)
-        return np.concatenate([product[padded - len(model) + 1 :], product[: len(bends)]])
+        return np.asarray(fftconvolve(a, b[::-1], axes=0))
 
     bends, model = bends - bends.mean(axis=0), model - model.mean(axis=0)
     ones, other_ones = np.ones((len(bends), 1)), np.ones((len(model), 1))
@@ -198,6 +196,8 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         raise InputError(
             f"{log.source}: the log or the motion is not of {spec.name}'s {spec.segments} segments"
         )
+    if offset is not None and not np.isfinite(offset):
+        raise InputError(f"offset {offset!r} is not allowed; it must be finite")
     notes: list[str] = []
     known = None
     if recording.epoch_ns is not None and log.epoch_ns is not None:
@@ -206,24 +206,19 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         if offset is None and min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) <= 0:
             notes.append(f"{log.source}: by times since 1970 it is {known:.6g} s away: these are not used")
             known = None
-    if known is not None and (offset is None or np.isfinite(offset)):
-        found = Offset(known + (offset or 0.0), 0.0, 1.0, False)
-    elif offset is None:
+    found = Offset((known or 0.0) + (offset or 0.0), 0.0, 1.0, False)
+    if known is None and offset is None:
         clock, driven = driven_bends(log, spec)
         with named_in_errors(log.source):
             found = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
-    elif np.isfinite(offset):
-        found = Offset(float(offset), 0.0, 1.0, False)
-    else:
-        raise InputError(f"offset {offset!r} is not allowed; it must be finite")
     moved = log.shifted(found.seconds)
     time = trajectory.time
     covered = (time >= moved.time[0] - 1e-9) & (time <= moved.time[-1] + 1e-9)
     if covered.sum() < LEAST_FRAMES:
         raise InputError(
             f"{log.source}: with an offset of {found.seconds:g} s it goes from {moved.time[0]:g} to "
-            f"{moved.time[-1]:g} s, the motion "
-            f"from {time[0]:g} to {time[-1]:g} s: {int(covered.sum())} frames in common"
+            f"{moved.time[-1]:g} s, the motion from {time[0]:g} to {time[-1]:g} s: {int(covered.sum())} "
+            "frames in common"
         )
     columns = {name: column[covered] for name, column in trajectory.columns.items()}
     values = moved.at(columns["time"])

@@ -169,7 +169,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 
     Args:
         time: shape (frames,), s.
-        points: shape (frames, tracks, 2), m.
+        points: NaN where they are not known, shape (frames, tracks, axes).
         longest: longest gap, from the last sample before it to the first after it, s.
     """
     allowed = np.ones(len(time), dtype=bool)
@@ -193,20 +193,14 @@ def filled(time: np.ndarray, points: np.ndarray, way: str) -> np.ndarray:
 
     Args:
         time: shape (frames,), s.
-        points: shape (frames, tracks, 2), m.
+        points: NaN where they are not known, shape (frames, tracks, axes).
         way: "spline" (cubic, twice continuously differentiable) or "linear".
     """
-    whole = points.copy()
-    for track in range(points.shape[1]):
-        missing = np.isnan(points[:, track, 0])
-        if not missing.any():
-            continue
-        seen, known = ~missing, points[~missing, track]
-        if way == "spline" and seen.sum() > 3:
-            from scipy.interpolate import CubicSpline
+    from scipy.interpolate import make_interp_spline
 
-            whole[missing, track] = CubicSpline(time[seen], known)(time[missing])
-        else:
-            for axis in range(2):
-                whole[missing, track, axis] = np.interp(time[missing], time[seen], known[:, axis])
+    whole = points.copy()
+    for track, missing in zip(whole.swapaxes(0, 1), np.isnan(points[..., 0]).T, strict=True):
+        if missing.any():
+            degree = 3 if way == "spline" and (~missing).sum() > 3 else 1
+            track[missing] = make_interp_spline(time[~missing], track[~missing], degree)(time[missing])
     return whole

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,15 +27,15 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
 from srs_twin.recordings.csv_table import (
     CLOCK,
-    CsvColumn,
     CsvTable,
     Meaning,
+    RecordedFile,
     laid_out,
     read_file,
     read_table,
+    start_of,
 )
 from srs_twin.recordings.formats import read_topics
-from srs_twin.recordings.formats.base import start_of
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, QUANTITIES, RecordingMap, log_meaning
@@ -47,7 +47,7 @@ from srs_twin.recordings.signals.gaps import (
     longest_complete,
     time_order,
 )
-from srs_twin.recordings.signals.units import ABSOLUTE, PRESSURES, clean, looks_absolute, symbol
+from srs_twin.recordings.signals.units import ABSOLUTE, clean, looks_absolute, symbol
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
@@ -72,10 +72,10 @@ def is_bend_log(path: str | os.PathLike[str], map: RecordingMap = NO_MAP) -> boo
         InputError: it cannot be read.
     """
     start = start_of(path, map.dialect)
-    if "\0" in start.line:
+    if "\0" in start.first_line:
         return False
     mapped = {clean(name).lower() for name in map.meanings(["bend"])}
-    return any(_BEND.match(name.lower()) or name.lower() in mapped for name in start.table.names)
+    return any(_BEND.match(name.lower()) or name.lower() in mapped for name in start.names)
 
 
 def read_bends(
@@ -113,9 +113,8 @@ def read_bends(
         raise table.error(chosen[k], what, row)
     with named_in_errors(table.file.name):
         frames = frame_grid(time)
-    # Gaps are those of tracks in a plane; bends lie on its first axis.
     bend = at_frames(bend, frames)
-    tracks = np.stack([bend, np.where(np.isnan(bend), np.nan, 0.0)], axis=-1)
+    tracks = bend[..., None]
     kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < LEAST_FRAMES:
         raise table.file.error(
@@ -125,18 +124,8 @@ def read_bends(
     notes += frames.corrections
     if not any(each.unit for each in chosen):
         notes.append("bends without a unit taken as rad")
-    summary = LogSummary(
-        source=table.file.name,
-        sha256=table.file.sha256,
-        kind="bend log",
-        frames_read=len(time),
-        rate_hz=1 / frames.period,
-        samples_filled=unknown,
-        frames_kept=len(kept_time),
-        start=float(kept_time[0]),
-        end=float(kept_time[-1]),
-        corrections=(*notes, *table.unused_columns()),
-    )
+    notes += table.unused_columns()
+    summary = LogSummary.of(table.file, "bend log", frames, kept, unknown, notes)
     columns = _bent_body(kept_time, filled(kept_time, tracks[kept], "linear")[..., 0], spec)
     return Recording(measured(columns, spec, summary, gait_frequency_hz), summary, epoch_ns=epoch_ns)
 
@@ -184,6 +173,7 @@ class ValveLog:
         sha256: of the file.
         corrections: what was sorted, converted and assumed, in words.
         epoch_ns: time since 1970 at 0 s, ns; None where its clock does not tell.
+        holds: whether pressures hold until the next row, as set-points do; else they are interpolated.
     """
 
     kind: str
@@ -193,6 +183,7 @@ class ValveLog:
     sha256: str
     corrections: tuple[str, ...]
     epoch_ns: int | None = None
+    holds: bool = False
 
     def shifted(self, offset: float) -> ValveLog:
         """Return the same log on a clock that shows `offset` (s) more."""
@@ -214,12 +205,24 @@ class ValveLog:
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Return the values at times within the log, shape (times, segments, 2)."""
-        if self.kind == "valve":
-            row = np.clip(np.searchsorted(self.time, time + 1e-9, side="right") - 1, 0, len(self.time) - 1)
-            return np.asarray(self.values[row])
+        if self.kind == "valve" or self.holds:
+            return _held(time + 1e-9, self.time, self.values)
         flat = self.values.reshape(len(self.time), -1)
         columns = [np.interp(time, self.time, column) for column in flat.T]
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
+
+    def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return times and pressures that `at` interpolates linearly; two at each step of set-points."""
+        if not self.holds:
+            return self.time, self.values
+        time = np.repeat(self.time, 2)[1:]
+        time[1::2] = np.nextafter(time[1::2], -np.inf)
+        return time, np.repeat(self.values, 2, axis=0)[:-1]
+
+
+def _held(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the values of the last row at or before each time; before the first row its own."""
+    return np.asarray(values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)])
 
 
 def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
@@ -234,7 +237,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
         InputError: no such file, columns missing, values that no valve or chamber has; says where.
     """
     if (topics := read_topics(path)) is not None:
-        return _topics_log(topics, spec, map)
+        return log_of_topics(topics, spec, map)
     table = _table(path, map, ("valve", "duty", *AIR))
     file = table.file
     clock = table.clock("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures")
@@ -246,57 +249,106 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
     time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    if kind in AIR:
-        values = _gauge(values, map, notes)
-    if kind != "duty":
-        _check_values(table, kind, chosen, values)
-    if kind in AIR and not any(each.unit for each in chosen):
-        notes.append("pressures without a unit taken as Pa")
-    with named_in_errors(file.name):
-        values = values.reshape(-1, spec.segments, 2)
-        found = _log(file.name, file.sha256, kind, time, values, map, [*notes, *table.unused_columns()])
-        return replace(found, epoch_ns=epoch_ns)
+    units, unused = [each.unit for each in chosen], table.unused_columns()
+
+    def error(row: int, k: int, what: str) -> InputError:
+        return table.error(chosen[k], f"{chosen[k].text}: {what}", row)
+
+    log = _log(file, kind, time, values, units, map, notes, error)
+    return replace(log, epoch_ns=epoch_ns, corrections=(*log.corrections, *unused))
 
 
-def _gauge(values: np.ndarray, map: RecordingMap, notes: list[str]) -> np.ndarray:
-    """Return gauge pressures; note what was subtracted, or that it looks as if it should be."""
-    if map.ambient:
-        notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
-    elif looks_absolute(values):
-        notes.append(f"pressures of {np.nanmin(values) / 1e3:.4g} kPa and more: {ABSOLUTE}")
-    return values - map.ambient
+def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
+    """Read a log from topics; each chamber's signal holds, but measured pressures are interpolated.
+
+    Raises:
+        InputError: signals are missing, or have values that no valve or chamber has.
+    """
+    meanings = map.meanings(("valve", "duty", *AIR))
+    names = {meaning.name: signal for signal, meaning in meanings.items()}
+    kinds = {what.partition("_")[0] for what in names}
+    wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
+    with named_in_errors(topics.name):
+        if len(kinds) != 1 or sorted(wanted) != sorted(names):
+            found = ", ".join(list(topics.signals)[:12]) or "none"
+            raise InputError(
+                f"which signals are the air of {spec.segments} segments is not known; a map has log: "
+                f"{{valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …}}; signals: {found}"
+            )
+        for each in names.values():
+            if each not in topics.signals:
+                raise UnknownNameError("signal", each, topics.signals)
+    (kind,), chosen = kinds, [names[each] for each in wanted]
+    series = [topics.signals[each] for each in chosen]
+    time = np.unique(np.concatenate([each for each, _ in series]))
+    time = time[time >= max(each[0] for each, _ in series)]
+    units = [symbol(meanings[each].unit or meanings[each].default, QUANTITIES[kind]) for each in chosen]
+    way = np.interp if kind == "pressure" else _held
+    factors = [QUANTITIES[kind].get(unit, 1.0) for unit in units]
+    values = np.stack([way(time, *own) for own in series], axis=1) * factors
+
+    def error(row: int, k: int, what: str) -> InputError:
+        return InputError(f"{topics.name}: {chosen[k]}: {what}, at {time[row]:g} s")
+
+    return _log(topics, kind, time, values, units, map, [*topics.notes], error)
 
 
 def _log(
-    source: str,
-    sha256: str,
-    kind: str,
-    time: np.ndarray,
-    values: np.ndarray,
-    map: RecordingMap,
-    notes: list[str],
-) -> ValveLog:
-    """Return valves or pressures in the order of time; values of any kind, shape (rows, segments, 2)."""
-    if np.abs(time).max() > _LATEST:
-        raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
-    order, moved = time_order(time)
-    time, values = time[order], values[order]
-    # Of rows at one time the last holds, as it would on the valve.
-    kept = np.append(np.diff(time) > 0, True)
-    notes += moved
-    if not kept.all():
-        notes.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
-    if kept.sum() < 2:
-        raise InputError("a log has 2 rows or more")
-    time, values = time[kept], values[kept]
-    if kind == "setpoint":
-        notes.append("set-points taken as the chambers' pressures")
-    elif kind == "duty":
-        time, values = _switched(time, values, map.carrier_hz, notes)
-    elif kind == "valve" and not (values == -1).any() and (values == 0).any():
-        values = np.where(values == 0, -1.0, values)
-        notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
-    return ValveLog("pressure" if kind in AIR else "valve", time, values, source, sha256, tuple(notes))
+    source: RecordedFile | RecordedTopics, kind: str, time: np.ndarray, values: np.ndarray,
+    units: Sequence[str], map: RecordingMap, notes: list[str], error: Callable[[int, int, str], InputError],
+) -> ValveLog:  # fmt: skip
+    """Return valves or gauge pressures in the order of time.
+
+    Args:
+        source: of the values.
+        kind: valve, duty, pressure or setpoint.
+        time: shape (rows,), s.
+        values: in SI, shape (rows, 2 segments).
+        units: of the columns; empty where they have none.
+        map: ambient pressure and carrier.
+        notes: on the source, in words.
+        error: row, column and what is wrong there → error.
+
+    Raises:
+        InputError: blanks, and what no valve or chamber does; times that no log has.
+    """
+    if kind in AIR:
+        if map.ambient:
+            notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
+        elif looks_absolute(values):
+            notes.append(f"pressures of {np.nanmin(values) / 1e3:.4g} kPa and more: {ABSOLUTE}")
+        if not all(units):
+            notes.append("pressures without a unit taken as Pa")
+        values = values - map.ambient
+    allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
+    if kind in AIR:
+        allowed, words, unit = (values >= _LOWEST) & (values <= _HIGHEST), _ALLOWED, " Pa"
+    wrong = np.argwhere(~allowed)
+    if wrong.size and kind != "duty":
+        row, k = (int(each) for each in wrong[0])
+        given = "nothing" if np.isnan(values[row, k]) else f"{values[row, k]:g}{unit}"
+        raise error(row, k, f"{given} is not allowed; {words}")
+    with named_in_errors(source.name):
+        if np.abs(time).max() > _LATEST:
+            raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
+        order, moved = time_order(time)
+        # Of rows at one time the last holds, as it would on the valve.
+        kept = np.append(np.diff(time[order]) > 0, True)
+        notes += moved
+        if not kept.all():
+            notes.append(f"{int((~kept).sum())} rows repeat the time of another: the last of each kept")
+        if kept.sum() < 2:
+            raise InputError("a log has 2 rows or more")
+        time, values = time[order][kept], values[order][kept].reshape(kept.sum(), -1, 2)
+        if kind == "setpoint":
+            notes.append("set-points taken as the chambers' pressures")
+        elif kind == "duty":
+            time, values = _switched(time, values, map.carrier_hz, notes)
+        elif kind == "valve" and not (values == -1).any() and (values == 0).any():
+            values = np.where(values == 0, -1.0, values)
+            notes.append("states are 0 and 1 only: 0 taken as venting (−1), as of 3/2 valves")
+    known, about = "pressure" if kind in AIR else "valve", (source.name, source.sha256, tuple(notes))
+    return ValveLog(known, time, values, *about, holds=kind == "setpoint")
 
 
 def _switched(
@@ -316,66 +368,13 @@ def _switched(
         duty = duty / 100
         notes.append("duties taken as per cent")
     begins = np.arange(time[0], time[-1], 1 / carrier_hz)
-    share = duty[np.searchsorted(time, begins + 1e-9, side="right") - 1]
+    share = _held(begins + 1e-9, time, duty)
     ends = begins[:, None, None] + share / carrier_hz
     edges = np.unique(np.concatenate([begins, ends.ravel(), time[-1:]]))
     edges = edges[edges <= time[-1]]
-    filling = edges[:, None, None] < ends[np.searchsorted(begins, edges + 1e-9, side="right") - 1] - 1e-9
+    filling = edges[:, None, None] < _held(edges + 1e-9, begins, ends) - 1e-9
     notes.append(f"duties switched at {carrier_hz:g} Hz, filling first")
     return edges, np.where(filling, 1.0, -1.0)
-
-
-def _topics_log(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
-    """Read a log from topics; each chamber's signal holds (valves, duties) or is interpolated (pressures)."""
-    with named_in_errors(topics.name):
-        meanings = map.meanings(("valve", "duty", *AIR))
-        names = {meaning.name: signal for signal, meaning in meanings.items()}
-        kinds = {what.partition("_")[0] for what in names}
-        wanted = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
-        if len(kinds) != 1 or sorted(wanted) != sorted(names):
-            found = ", ".join(list(topics.signals)[:12]) or "none"
-            raise InputError(
-                f"which signals are the air of {spec.segments} segments is not known; a map has log: "
-                f"{{valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …}}; signals: {found}"
-            )
-        for each in names.values():
-            if each not in topics.signals:
-                raise UnknownNameError("signal", each, topics.signals)
-        (kind,), series = kinds, [topics.signals[names[each]] for each in wanted]
-        time = np.unique(np.concatenate([each for each, _ in series]))
-        time = time[time >= max(each[0] for each, _ in series)]
-        notes = list(topics.notes)
-        if kind in AIR:
-            given = [meanings[names[each]] for each in wanted]
-            units = [symbol(each.unit or each.default, PRESSURES) for each in given]
-            factors = [PRESSURES.get(unit, 1.0) for unit in units]
-            columns = [factor * np.interp(time, *own) for factor, own in zip(factors, series, strict=True)]
-        else:
-            columns = [values[np.searchsorted(own, time, side="right") - 1] for own, values in series]
-        values = np.stack(columns, axis=1).reshape(-1, spec.segments, 2)
-        if kind == "valve" and not np.isin(values, (-1, 0, 1)).all():
-            raise InputError("valves are -1 (vent), 0 (hold) or 1 (fill)")
-        if kind in AIR:
-            values = _gauge(values, map, notes)
-            if not all(units):
-                notes.append("pressures without a unit taken as Pa")
-            if not ((values >= _LOWEST) & (values <= _HIGHEST)).all():
-                raise InputError(f"{_ALLOWED} are wanted; is the unit right?")
-        return _log(topics.name, topics.sha256, kind, time, values, map, notes)
-
-
-def _check_values(table: CsvTable, kind: str, chosen: list[CsvColumn], values: np.ndarray) -> None:
-    """Refuse blanks and what no valve or chamber does."""
-    if kind == "valve":
-        allowed, words, unit = np.isin(values, (-1, 0, 1)), "-1 (vent), 0 (hold) or 1 (fill)", ""
-    else:
-        allowed, unit = (values >= _LOWEST) & (values <= _HIGHEST), " Pa"
-        words = _ALLOWED
-    wrong = np.argwhere(~allowed)
-    if wrong.size:
-        row, k = (int(each) for each in wrong[0])
-        given = "nothing" if np.isnan(values[row, k]) else f"{values[row, k]:g}{unit}"
-        raise table.error(chosen[k], f"{chosen[k].text}: {given} is not allowed; {words}", row)
 
 
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
