@@ -283,5 +283,5 @@ def test_a_seed_or_a_duration_leaves_the_interval_in_force_and_another_robot_doe
 
 
 def test_an_interval_of_another_contact_says_so():
-    other = load_scenario("gen2_straight", set={"plants.twin.contact": "loaded"})
-    assert "is for a twin with contact preloaded, not loaded" in kept_intervals(other)["stale"]
+    other = load_scenario("gen2_straight", set={"plants.twin.contact": "preloaded"})
+    assert "is for a twin with contact loaded, not preloaded" in kept_intervals(other)["stale"]
