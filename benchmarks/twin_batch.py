@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from srs_twin import PreloadedContact
 from srs_twin.rollout import Recorder
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
@@ -21,14 +22,14 @@ _SEEN = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 
 def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory]:
-    """Run the twins of scenarios that differ in gait and supply only.
+    """Run the preloaded twins of scenarios that differ in gait and supply only; MuJoCo steps them alone.
 
     Args:
         scenarios: with one duration of whole seconds and one record_hz.
         threads: of the engine.
     """
     first = scenarios[0]
-    twins = [scenario.build_plant("twin") for scenario in scenarios]
+    twins = [scenario.build_plant("twin", contact=PreloadedContact()) for scenario in scenarios]
     models = [twin.physics.model.ptr for twin in twins]
     engine = Batch(models[0], len(twins), threads)
     engine.set_models(models)

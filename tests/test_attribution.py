@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from srs_twin import rollout
+from srs_twin import Numerics, rollout
 from srs_twin.attribution import Ladder, contributions, explain, subsets
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.errors import DivergedError, InputError
@@ -111,7 +111,7 @@ def test_compliance_is_most_of_it_and_the_matched_plants_agree(found):
     assert abs(attribution.matched[0]) < 0.04 * attribution.reference[0]
     assert abs(attribution.matched[3]) < 0.1 * shape
     assert abs(attribution.remainder[3]) < 0.25 * shape
-    for name in ("out-of-plane motion", "link mass", "contact softness"):
+    for name in ("out-of-plane motion", "link mass", "friction solver"):
         assert abs(shares[name][0]) < 0.02 * attribution.reference[0], name
 
 
@@ -131,8 +131,8 @@ def test_shares_are_what_a_switch_and_refinements_change():
     finer = ran("analytical", inertia="connector", timestep=0.002 / 4, slip_speed=0.00025 / 4)
     expected = {
         "connector inertia": gap_between(runs["analytical"], twin) - gap,
-        "twin time step": 2 * (gap - gap_between(model, ran("twin", timestep=coarse / 2))),
-        "wheel inertia": 4 / 3 * (gap - gap_between(model, ran("twin", wheel_spin=0.25))),
+        "twin time step": 4 / 3 * (gap - gap_between(model, ran("twin", timestep=coarse / 2))),
+        "wheel inertia": gap - gap_between(model, ran("twin", numerics=Numerics(wheel_spin=0.0))),
         "model time step": 4 / 3 * (gap - gap_between(finer, twin)),
     }
     attribution = explain(s, runs)

@@ -105,7 +105,7 @@ def test_of_a_yielding_body_the_common_scale_cancels():
 @pytest.mark.slow
 def test_the_twin_as_the_plant():
     truth = {"friction.mu_t": 0.05, "bending.stiffness_nm_per_rad": 0.38}
-    data = runs(TWIN, truth, [(2.0, 0.1)], seconds=0.5)
+    data = runs(TWIN, truth, [(2.0, 0.1)], seconds=1.0)
     found = fit_locomotion(data, SPEC, list(truth), model=TWIN, against="shapes", starts=1)
     assert found["friction.mu_t"].value == pytest.approx(0.05, rel=0.01)
     assert found["bending.stiffness_nm_per_rad"].value == pytest.approx(0.38, rel=0.01)

@@ -271,7 +271,7 @@ MOVING = {
     "complete": lambda: AnalyticalSnake(load_robot("gen2")),
     "compliant": lambda: AnalyticalSnake(load_robot("gen2"), model="compliant", friction="wheel"),
     "loaded": lambda: TwinSnake(load_robot("gen2"), contact="loaded", pneumatics="orifice"),
-    "preloaded": lambda: TwinSnake(load_robot("gen2"), hinges_per_segment=3),
+    "preloaded": lambda: TwinSnake(load_robot("gen2"), contact="preloaded", hinges_per_segment=3),
 }
 
 

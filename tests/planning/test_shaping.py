@@ -106,7 +106,7 @@ def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
 
 @pytest.mark.slow
 def test_where_no_shaped_path_is_free_the_plan_says_so():
-    tight = World((Circle(0.5, 0.25, 0.1), Circle(0.5, -0.25, 0.1), Circle(1.0, 0.02, 0.1)), FIELD.bounds)
+    tight = World((Circle(0.5, 0.25, 0.1), Circle(0.5, -0.25, 0.1), Circle(1.0, 0.02, 0.11)), FIELD.bounds)
     answer = plan_shaped(
         Problem(START, Goal(1.3, 0.0, 0.0, 0.001, 0.0), tight, OPEN.reduced(0.4)), Settings()
     )
