@@ -168,7 +168,7 @@ class Ladder:
                 axle_time=contact.axle_time / 2,
                 preload=2 * contact.pressed,
             )
-            title = "contacts that slip before they hold"
+            title = "slip of MuJoCo's smoothed friction"
             return [Refinement("contact softness", title, {"contact": stiffer}, 2.0)]
         models = "across" if self._model.load == "momentary" else "static"
         shared = {"contact": replace(contact, load=models)}
@@ -184,7 +184,7 @@ class Ladder:
         static = {"contact": replace(contact, load="static")}
         pressed = {"contact": PreloadedContact(bodies[contact.law])}
         solver = Refinement(
-            "friction solver", "a law that holds, against MuJoCo's own friction", pressed, 1.0, base=static
+            "friction solver", "the law that sticks → MuJoCo's own friction", pressed, 1.0, base=static
         )
         return [loads, solver]
 

@@ -254,7 +254,7 @@ def test_a_contact_refuses_what_it_does_not_know():
             Numerics(),
         ),
         ({"wheel_spin": 0.0, "slip_speed": 2e-3}, LoadedContact(slip_speed=2e-3), Numerics(wheel_spin=0.0)),
-        ({"axle_time": 0.001}, LoadedContact(), Numerics()),
+        ({"axle_time": 0.001, "slip_time": 0.001}, LoadedContact(), Numerics()),
     ],
 )
 def test_former_keywords_of_a_twin_still_work_and_warn(former, contact, numerics):
@@ -263,6 +263,15 @@ def test_former_keywords_of_a_twin_still_work_and_warn(former, contact, numerics
     assert (twin.contact, twin._settings.numerics) == (contact, numerics)
 
 
-def test_a_keyword_that_never_was_is_refused():
+def test_former_keywords_are_refused_where_they_were():
     with pytest.raises(TypeError, match="'wheel'"):
         TwinSnake(SPEC, wheel="skid")
+    for former, words in (
+        ({"preload": 3.0}, "preload is not allowed with contact 'loaded'"),
+        ({"contact": "preloaded", "load": "static"}, "load is not allowed with contact 'preloaded'"),
+        ({"contact": "preloaded", "friction": "wheel"}, "friction is not allowed with contact 'preloaded'"),
+        ({"wheels": "round"}, "wheels 'round' is unknown"),
+        ({"contact": None}, "contact 'None' is unknown"),
+    ):
+        with pytest.raises(InputError, match=words):
+            TwinSnake(SPEC, **former)

@@ -63,7 +63,7 @@ def test_a_setting_beside_the_preset_wins(twin, used):
 
 
 def test_a_law_needs_the_loaded_contact():
-    with pytest.raises(InputError, match="friction is contact: loaded's"):
+    with pytest.raises(InputError, match="friction needs contact: loaded"):
         scenario({"contact": "preloaded", "friction": "wheel"})
 
 

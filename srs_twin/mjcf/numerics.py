@@ -17,8 +17,9 @@ LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 """Friction laws that can act on momentary loads."""
 
 LOADS = ("momentary", "across", "static")
-"""Load of a wheel that such a law takes: what presses it at that moment; its connector's weight, shared
-between the two as they are loaded at that moment (as in the analytical model); half of that weight."""
+"""Load of a wheel that such a law takes. momentary: the contact force; across: the connector's weight,
+divided in the ratio of the contact forces of its two wheels (as in the analytical model); static: half of
+that weight."""
 
 Wheels = Literal["rolling", "skid"]
 WHEELS: tuple[Wheels, ...] = get_args(Wheels)
@@ -97,17 +98,17 @@ ContactName = Literal["loaded", "preloaded"]
 
 
 def as_contact(contact: Contact | str) -> Contact:
-    """Return a contact, also by its name with its defaults.
+    """Return a contact; a name stands for its default object.
 
     Raises:
-        InputError: another name.
+        InputError: something else.
     """
-    if not isinstance(contact, str):
+    if isinstance(contact, LoadedContact | PreloadedContact):
         return contact
     kinds: dict[str, type[LoadedContact] | type[PreloadedContact]] = {
         kind.name: kind for kind in (LoadedContact, PreloadedContact)
     }
-    one_of("contact", contact, kinds)
+    one_of("contact", str(contact), kinds)
     return kinds[contact]()
 
 
@@ -130,7 +131,7 @@ class Numerics:
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What an MJCF model is built with and what does not belong to the robot.
+    """Settings of an MJCF model that are not properties of the robot.
 
     Attributes:
         timestep: s.
@@ -153,7 +154,7 @@ class ModelSettings:
 
     @property
     def contact_time(self) -> float:
-        """Time constant of the normal contact, s: on loads 2 steps, below which they flutter."""
+        """Time constant of the normal contact, s; loaded: two steps, because loads oscillate with one."""
         return 2 * self.timestep if self.loaded else _PRESSED_CONTACT_S
 
 

@@ -355,7 +355,7 @@ class FootprintFile(Strict):
     title: str = Field(min_length=1, max_length=200, description="One line for people.")
     robot: str = Field(min_length=1, max_length=200, description="Robot whose footprint this is.")
     contact: ContactName | None = Field(
-        None, description="ContactName of the twin that it was measured on; none where it was not (default)."
+        None, description="Contact of the twin that it was measured on; none where it was not (default)."
     )
     offset: Offsets = Field(description="Phase offsets, rising, -1 to 1; positive turns left.")
     curvature_per_m: Curvatures = Field(description="1/radius of the path, 1/m, left positive, -100 to 100.")
@@ -372,7 +372,7 @@ class FootprintFile(Strict):
 
     @property
     def twin_contact(self) -> ContactName | None:
-        """ContactName of the twin that it was measured on; None: not measured on a twin."""
+        """Contact of the twin that it was measured on; None: not measured on a twin."""
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (BEFORE_CONTACTS if measured else None)
 

@@ -324,25 +324,32 @@ class TwinSnake(PneumaticPlant):
 
 
 def _take_former(contact: Contact, numerics: Numerics, former: dict[str, Any]) -> tuple[Contact, Numerics]:
-    """Return contact and switches with the deprecated keywords of `TwinSnake` taken over.
+    """Return contact and switches with deprecated keywords of `TwinSnake` applied.
 
     Raises:
-        TypeError: a keyword that there never was.
+        TypeError: an unknown keyword.
+        InputError: a keyword that the contact does not have, or a bad value.
     """
     given = dict(former)
-    if isinstance(contact, LoadedContact):
-        wheels = given.pop("wheels", None)
-        law = given.pop("friction", None) or LAW_OF.get(wheels or "")
-        given |= {"law": law} if law else {}
-    switches = {name: given.pop(name) for name in list(given) if name in vars(numerics)}
-    fields = {name: given.pop(name) for name in list(given) if name in vars(contact)}
-    unknown = given.keys() - {"friction", "wheels", *vars(LoadedContact()), *vars(PreloadedContact())}
+    unknown = given.keys() - {"friction", *vars(LoadedContact()), *vars(PreloadedContact()), *vars(numerics)}
     if unknown:
         raise TypeError(f"TwinSnake has no argument {min(unknown)!r}")
+    switches = {name: given.pop(name) for name in list(given) if name in vars(numerics)}
+    if isinstance(contact, LoadedContact):
+        wheels, law = given.pop("wheels", None), given.pop("friction", None)
+        if wheels is not None:
+            one_of("wheels", wheels, LAW_OF)
+            law = law or LAW_OF[wheels]
+        given |= {"law": law} if law else {}
+        # A loaded twin always ignored these.
+        given = {name: value for name, value in given.items() if name not in ("slip_time", "axle_time")}
+    for name in given:
+        if name not in vars(contact):
+            raise InputError(f"{name} is not allowed with contact {contact.name!r}")
     warnings.warn(
         f"{', '.join(former)} of TwinSnake: give contact=LoadedContact(…) or PreloadedContact(…), or "
-        f"numerics=Numerics(…){f'; {min(given)} has no effect on contact {contact.name!r}' if given else ''}",
+        "numerics=Numerics(…)",
         DeprecationWarning,
         stacklevel=3,
     )
-    return replace(contact, **fields), replace(numerics, **switches)
+    return replace(contact, **given), replace(numerics, **switches)

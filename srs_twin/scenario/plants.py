@@ -106,15 +106,15 @@ class TwinFile(_PlantFile):
     on_a_floor = ("preset", "wheels", "contact", "friction")
 
     preset: Preset | None = None
-    """Time step by a name, where timestep_s is not given; fast: 2 ms, to search and to learn with; reference:
-    0.25 ms, to publish."""
+    """Time step by a name, where timestep_s is not given; fast: 2 ms, for search and learning; reference:
+    0.25 ms, for published results."""
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Wheels = constructor_default()
     """What it stands on; rolling: wheels (friction law wheel), skid: runners (law ellipse)."""
     contact: ContactName = LoadedContact.name
     """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
-    own friction on wheels or skids that are pressed down, a check."""
+    own friction on wheels or skids that are pressed down, for comparison."""
     friction: LawOnLoads | None = None
     """Law of a loaded contact (default: what suits the wheels)."""
     hinges_per_segment: int = quantity(1, 32)
@@ -142,7 +142,7 @@ class TwinFile(_PlantFile):
 
     @property
     def searched_with(self) -> str | None:
-        """The preset for searching in words, with what was given besides; None: it ran with none."""
+        """`fast`, with the keys that override it; None if the preset is another one."""
         if self.preset != "fast":
             return None
         own = ((key, getattr(self, key), value) for key, value in preset_keys(self.preset).items())
@@ -152,12 +152,12 @@ class TwinFile(_PlantFile):
     @model_validator(mode="after")
     def _law_is_taken(self) -> TwinFile:
         if self.friction is not None and self.contact == "preloaded":
-            raise ValueError("friction is contact: loaded's; a preloaded one has MuJoCo's own, by its wheels")
+            raise ValueError("friction needs contact: loaded; with preloaded, wheels decide")
         return self
 
 
 def preset_keys(preset: Any) -> dict[str, Any]:
-    """Return what a preset gives by the keys of files; none: the defaults; nothing of an unknown one."""
+    """Return the keys that a preset sets, with values; of none the defaults, of an unknown one nothing."""
     given = PRESETS.get(str(preset), {}) if preset else {"timestep": ModelSettings.timestep}
     return {f"{name}_s": value for name, value in given.items()}
 

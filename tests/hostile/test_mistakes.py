@@ -63,7 +63,11 @@ WRITTEN = [
     ("duration_s: 2", "duration_s: 2\n\tseed: 1", "YAML is indented with spaces, not tabs"),
     ("twin: {}", "twin: {wheels: skis}", "one of rolling, skid, not text 'skis'; did you mean skid?"),
     ("twin: {}", "twin: {timestep_ms: 1}", "plants.twin.timestep_ms: unknown key; did you mean timestep_s?"),
-    ("twin: {}", "twin: {contact: preloaded, friction: wheel}", "plants.twin: friction is contact: loaded's"),
+    (
+        "twin: {}",
+        "twin: {contact: preloaded, friction: wheel}",
+        "plants.twin: friction needs contact: loaded",
+    ),
     ("analytical: {}", "analytical: {model: compliance}", "did you mean compliant?"),
     (
         "twin: {}}",
