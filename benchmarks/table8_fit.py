@@ -102,9 +102,9 @@ def main() -> None:
 
 
 def with_tables(text: str, tables: Sequence[str]) -> str:
-    """Return a page in which each table stands in place of the one with the same first two headings."""
+    """Return a page in which each table stands in place of the one with the same first three headings."""
     for each in tables:
-        head = "|".join(each.split("|")[:3])
+        head = "|".join(each.split("|")[:4])
         text, count = re.subn(rf"(?m)^{re.escape(head)}\|.*(\n\|.*)*", lambda _, new=each: new, text)
         if count != 1:
             raise InputError(f"{count} tables begin with {head}|, where one is wanted")
