@@ -2,8 +2,8 @@
 
     uv run python benchmarks/predictive.py --out runs/predictive [--robots 400]
 
-A robot is drawn from the priors of generation 2 and walks (offset 0.4, 2 Hz) as the finer twin has it: wheels
-on momentary loads, four hinges a segment, half of the step, chambers behind orifices. The predictor is the
+A robot is drawn from the priors of generation 2 and walks (offset 0.4, 2 Hz) as the finer twin has it: four
+hinges a segment, half of the step, chambers behind orifices. The predictor is the
 twin as shipped. A robot is known as its file says (prior), or with each number measured to ±10 % besides.
 The table counts intervals that hold, a metric at a time; then what each assumption alone changes.
 """
@@ -26,9 +26,9 @@ from srs_twin.uncertainty import Priors, Propagation, Study
 from srs_twin.uncertainty.propagation import OWN_ROWS
 from srs_twin.uncertainty.surrogates import Chaos
 
-FINER: dict[str, Any] = {"contact": "loaded", "hinges_per_segment": 4, "timestep_s": 0.0005}
+FINER: dict[str, Any] = {"hinges_per_segment": 4, "timestep_s": 0.0005}
 ASSUMPTIONS: dict[str, Mapping[str, Any]] = {
-    "loads that follow the motion": {"plants.twin": {"contact": "loaded"}},
+    "MuJoCo's friction on static loads": {"plants.twin": {"contact": "preloaded"}},
     "four hinges a segment": {"plants.twin": {"hinges_per_segment": 4}},
     "half of the step": {"plants.twin": {"timestep_s": 0.0005}},
     "orifices": {"pneumatics": {"kind": "orifice"}},
