@@ -99,6 +99,9 @@ class _Cache(FunctionCache):
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
+        except ReferenceError:
+            # The index names a kernel that was an argument in another process; it cannot be extended.
+            self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError, AttributeError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 

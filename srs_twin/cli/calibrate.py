@@ -396,7 +396,7 @@ def footprint(
         frequency: Of the gait. [default: 2, ilc 1.5]
         target: Bend that ilc aims at.
         plant: twin or analytical.
-        contact: Contact of the twin, loaded or preloaded. [default: loaded]
+        contact: Contact of the twin, loaded or preloaded. [default: the twin's]
         chambers: lag, or orifice for compressible flow.
         offsets: As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
         transients: Measure changes of offset.
