@@ -25,7 +25,7 @@ import numpy as np
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, Wheels
+from srs_twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact
 from srs_twin.plants.base import Plant
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, rollout, run_many
@@ -178,7 +178,7 @@ class Ladder:
             shared,
             1.0,
         )
-        bodies: dict[str, Wheels] = {"wheel": "rolling", "ellipse": "skid"}
+        bodies = {law: wheels for wheels, law in LAW_OF.items()}
         if contact.law not in bodies or self._scenario.world.uneven:
             return [loads]
         static = {"contact": replace(contact, load="static")}

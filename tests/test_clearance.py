@@ -87,7 +87,7 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
 def test_clearance_is_mujocos_least_distance(name, hinges, unequal):
-    # Pressed down, for a snake that stands on its wheels sinks in by micrometres and pitches.
+    # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body pitches.
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
     run, distance = seen(twin, places), mujoco_distances(twin, places)

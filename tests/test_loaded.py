@@ -239,6 +239,13 @@ def test_a_contact_refuses_what_it_does_not_know():
     for make in (partial(LoadedContact, "viscous"), partial(LoadedContact, load="dynamic")):
         with pytest.raises(InputError, match="unknown; allowed"):
             make()
+    for make in (
+        partial(LoadedContact, slip_speed=0.0),
+        partial(PreloadedContact, slip_time=math.nan),
+        partial(PreloadedContact, preload=-1.0),
+    ):
+        with pytest.raises(InputError, match="is not allowed; it must be finite and"):
+            make()
     with pytest.raises(TypeError):
         LoadedContact(preload=3.0)
 

@@ -1,4 +1,4 @@
-"""Long snakes: they crawl as the compliant model does and go on from saved states."""
+"""Long snakes: bends like those of the compliant model, and restored states."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
 
@@ -24,11 +25,11 @@ that weight."""
 Wheels = Literal["rolling", "skid"]
 WHEELS: tuple[Wheels, ...] = get_args(Wheels)
 
-LAW_OF: dict[str, Law] = {"rolling": "wheel", "skid": "ellipse"}
-"""What a snake stands on → the friction law that describes it."""
+LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
+"""Friction law of wheels and of skids."""
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
-"""What a snake stands on → by how many times its static load each wheel or skid is pressed down.
+"""Preload of a wheel and of a skid, as a multiple of its static load.
 
 A skid slides along as well as across, so its contact wants to open more: with κ = 19 connectors rocked from
 one skid to the other and their loads swung by as much as their mean, with κ = 59 still the tail's.
@@ -55,16 +56,17 @@ class LoadedContact:
     def __post_init__(self) -> None:
         one_of("law", self.law, LAWS_ON_LOADS)
         one_of("load", self.load, LOADS)
+        _check_positive(self, "slip_speed")
 
 
 @dataclass(frozen=True)
 class PreloadedContact:
-    """Floor contact with MuJoCo's own friction, on wheels or skids that are pressed down besides.
+    """Floor contact with MuJoCo's own friction, on wheels or skids with a preload.
 
     Friction is then that of the static load, as in the analytical model.
 
     Attributes:
-        wheels: what the snake stands on, "rolling" (wheels on hinges) or "skid" (runners).
+        wheels: "rolling" (wheels on hinges) or "skid" (runners).
         preload: κ, by how many times its static load each wheel is pressed down; None: `PRELOAD`.
         slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
         axle_time: the same for the axles' friction, s.
@@ -81,10 +83,13 @@ class PreloadedContact:
 
     def __post_init__(self) -> None:
         one_of("wheels", self.wheels, WHEELS)
+        _check_positive(self, "slip_time", "axle_time", "slip_speed")
+        if not 0.0 <= self.pressed < math.inf:
+            raise InputError(f"preload {self.preload} is not allowed; it must be finite and 0 or more")
 
     @property
     def rolling(self) -> bool:
-        """Whether it stands on wheels."""
+        """Whether the snake has wheels, not skids."""
         return self.wheels == "rolling"
 
     @property
@@ -93,12 +98,18 @@ class PreloadedContact:
         return PRELOAD[self.wheels] if self.preload is None else self.preload
 
 
+def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> None:
+    for name in names:
+        if not 0.0 < (value := getattr(contact, name)) < math.inf:
+            raise InputError(f"{name} {value} is not allowed; it must be finite and above 0")
+
+
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 
 
 def as_contact(contact: Contact | str) -> Contact:
-    """Return a contact; a name stands for its default object.
+    """Return a contact; a name gives the contact with its default options.
 
     Raises:
         InputError: something else.
@@ -120,8 +131,8 @@ class Numerics:
         link_share: mass between the hinges of a segment, as a share of the lightest connector's; the
             dissertation lumps all of it at the connectors.
         wheel_spin: the wheels' inertia about their axles, as a multiple of what they have.
-        constant_curvature: force the hinges of a segment to bend alike, as the analytical model has it; left
-            alone a segment under load takes the shape of an S besides.
+        constant_curvature: force equal angles on the hinges of a segment, as in the analytical model;
+            otherwise a loaded segment also bends into an S.
     """
 
     link_share: float = 0.02
@@ -135,7 +146,7 @@ class ModelSettings:
 
     Attributes:
         timestep: s.
-        hinges_per_segment: bending hinges a segment, 1 or more.
+        hinges_per_segment: bending hinges per segment, 1 or more.
         contact: how the floor holds the snake.
         base: "free", or "clamped": the head is held, the rest hangs in the air and bends in the plane only.
         numerics: rarely changed switches.

@@ -14,6 +14,7 @@ from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
 from srs_twin.memory import fingerprint, names
 from srs_twin.mjcf.numerics import (
     LAW_OF,
+    WHEELS,
     Contact,
     ContactName,
     LoadedContact,
@@ -87,7 +88,7 @@ class TwinSnake(PneumaticPlant):
             contact: how the floor holds it; "loaded" and "preloaded" stand for `LoadedContact()` and
                 `PreloadedContact()`.
             timestep: s; the tick is a multiple of it.
-            hinges_per_segment: bending hinges a segment.
+            hinges_per_segment: bending hinges per segment.
             supply_pa: supply pressure, Pa; default the robot's nominal one.
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
@@ -338,7 +339,7 @@ def _take_former(contact: Contact, numerics: Numerics, former: dict[str, Any]) -
     if isinstance(contact, LoadedContact):
         wheels, law = given.pop("wheels", None), given.pop("friction", None)
         if wheels is not None:
-            one_of("wheels", wheels, LAW_OF)
+            one_of("wheels", wheels, WHEELS)
             law = law or LAW_OF[wheels]
         given |= {"law": law} if law else {}
         # A loaded twin always ignored these.

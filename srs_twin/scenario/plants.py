@@ -111,7 +111,7 @@ class TwinFile(_PlantFile):
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Wheels = constructor_default()
-    """What it stands on; rolling: wheels (friction law wheel), skid: runners (law ellipse)."""
+    """rolling: wheels (friction law wheel); skid: runners (law ellipse)."""
     contact: ContactName = LoadedContact.name
     """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
     own friction on wheels or skids that are pressed down, for comparison."""
@@ -129,7 +129,7 @@ class TwinFile(_PlantFile):
 
     @property
     def law(self) -> LawOnLoads:
-        """The friction law that describes what it stands on."""
+        """Friction law: the given one, else that of the wheels or skids."""
         return self.friction or LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
