@@ -111,7 +111,7 @@ class TwinFile(_PlantFile):
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Wheels = constructor_default()
-    """rolling: wheels (friction law wheel); skid: runners (law ellipse)."""
+    """Wheels: rolling (friction law wheel) or skid (runners, law ellipse)."""
     contact: ContactName = LoadedContact.name
     """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
     own friction on wheels or skids that are pressed down, for comparison."""
