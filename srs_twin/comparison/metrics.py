@@ -119,7 +119,7 @@ bend_amplitude_rad: the same of each segment, head first
 bend_bias_rad: mean bend of each segment, head first
 valve_switches: openings of each segment's + and - valve, head first
 mechanical_power_w: work of the torques of the segments, over time
-internal_power_w: part of the mechanical power that a twin's segments dissipate inside, without bending
+internal_power_w: mechanical power dissipated by a segment's hinges as they move against each other
 cost_of_transport: mechanical power over weight times speed
 pneumatic_power_w: energy of the air that the chambers draw, over time
 pneumatic_cost_of_transport: pneumatic power over weight times speed

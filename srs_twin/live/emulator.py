@@ -139,7 +139,7 @@ class EmulatedRobot:
                 "robot": {"base": robot, "modules": {"gain_spread": gain_spread, "tau_spread": tau_spread}},
                 "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
                 **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
-                "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"contact": "loaded", "tick_s": tick}},
+                "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"tick_s": tick}},
             },
             name=f"emulate {robot}",
         )  # fmt: skip

@@ -1,9 +1,9 @@
 """RobotSpec → MuJoCo model: the chain of connectors and segments, and the floor it crawls on.
 
 A free-floating chain in three dimensions, grown both ways from its middle connector. Connector i is a body
-with two real hinge wheels or two skids (`wheels`); a segment is a chain of n equal bending hinges
-(stiffness n·k and damping n·c each, in series k and c) with one pitch and one roll hinge in its middle, so
-that the floor's load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
+with two feet on the floor (`wheels`). A segment is a chain of n equal bending hinges (stiffness n·k and
+damping n·c each, in series k and c) with one pitch and one roll hinge in its middle, so that the floor's
+load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
 ``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose length is the segment's bend q_j.
 
 On a bench (`ModelSettings.base` "clamped") the head is fixed to the world and there is no floor: no wheels,
@@ -39,8 +39,8 @@ def robot_mjcf(
         hull: whether it has a body that touches obstacles (`surroundings`).
 
     Raises:
-        InputError: the time step is too long for the robot's damping time, or its tail has two axles and the
-            contact is not "loaded".
+        InputError: the time step is too long for the robot's damping time, or the tail has two axles and the
+            contact is preloaded.
     """
     if spec.tail is not None and not isinstance(settings.contact, LoadedContact):
         raise InputError("a tail on two axles needs contact 'loaded': pressed down it could not lift")

@@ -1,6 +1,9 @@
-"""What a snake stands on: two wheels or two skids a connector, their contacts with the floor, their preload.
+"""The two feet of each connector, their contacts with the floor, and their preload.
 
-Either way a connector touches the floor in two points at ± half the track, straight below its own frame.
+A connector touches the floor in two points at ± half the track, straight below its own frame.
+
+Loaded contact: the feet are balls without friction, and friction is a law on their contact forces
+(`plants.loaded`). Preloaded contact:
 
 - ``rolling``: hinge wheels. They touch the floor as spheres, isotropic with μ_n; the axle's `frictionloss`
   is μ_t × load × radius.

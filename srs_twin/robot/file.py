@@ -242,7 +242,7 @@ class GaitFile(Records):
 
 
 class TailFile(Records):
-    """A tail assembly with a second axle behind the last connector's; for the twin with contact: loaded."""
+    """A tail assembly with a second axle behind the last connector's; a preloaded twin refuses it."""
 
     axle_m: Number = number(1e-3, 1.0)
     """From the last connector's axle back to the second."""
