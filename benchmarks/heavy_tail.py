@@ -230,7 +230,7 @@ def loads_by_height() -> dict[float, np.ndarray]:
     cases = [Case("twin", f, height=height) for height in HEIGHTS for f in (0.75, 1.0)]
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
         found = list(pool.map(Case.loads, cases))
-    head = ["height mm", "f Hz", "mean", "least", "std", "% of the time below 0",
+    head = ["height mm", "f Hz", "mean", "least", "std", "% of the time without load",
             "tail's acceleration along, g: RMS, most", "across"]  # fmt: skip
     print(table(head, [load_row(*each) for each in zip(cases, found, strict=True)]))
     return {
@@ -250,7 +250,7 @@ def load_row(case: Case, found: tuple[np.ndarray, np.ndarray]) -> list[str]:
     return [
         f"{1e3 * (case.height or 0):g}", f"{case.frequency:g}", each(loads.mean(axis=(0, 2))),
         each(loads.min(axis=(0, 2))), each(loads.std(axis=0).mean(axis=1)),
-        each(100 * (loads < 0).mean(axis=(0, 2)), ".0f"),
+        each(100 * (loads <= 0).mean(axis=(0, 2)), ".0f"),
         *(f"{np.sqrt((a**2).mean()):.2f}, {np.abs(a).max():.2f}" for a in acceleration.T),
     ]  # fmt: skip
 

@@ -53,8 +53,8 @@ def main(folder: Path) -> None:
     robot = hidden_robot()
     for name, seed in (("pulls", 1), ("pulls_check", 2)):
         write(folder / f"{name}.csv", pulls(seed))
-    for name, seed, levels in (("held", 3, (12, 24, 36, 48)), ("held_check", 4, (18, 42))):
-        write(folder / f"{name}.csv", held(robot, levels, seed))
+    for name, seed, pressures in (("held", 3, (12, 24, 36, 48)), ("held_check", 4, (18, 42))):
+        write(folder / f"{name}.csv", held(robot, pressures, seed))
     for name, seed, pressures in (("levels", 12, (12, 24, 36, 48)), ("levels_check", 13, (18, 42))):
         write(folder / f"{name}.csv", levels(robot, pressures, seed))
     for name, seed, fills in (("steps", 5, (0.6, 0.35, 0.9)), ("steps_check", 6, (0.5, 0.8))):

@@ -283,8 +283,9 @@ def attribution_plot(attribution: Attribution) -> Figure:
     names = [*(attribution.shares[i].name for i in order), "not explained", "twin − analytical"]
     rows = len(MEASURES) // 2
     height = rows * (_ROW * len(names) + 0.55) + 0.3
+    left = 0.35 + 0.07 * max(map(len, names))  # in, of labels of 9.5 pt
     figure, grid = side_by_side(
-        height, 2, rows, left=1.85, right=0.15, top=0.6, bottom=0.3, space=0.13, sharey=True
+        height, 2, rows, left=left, right=0.15, top=0.6, bottom=0.3, space=0.13, sharey=True
     )
     caption = "What each assumption contributes; bars above the line add up to the bar below it"
     figure.suptitle(caption, x=0.01, ha="left", fontsize=11)
@@ -311,7 +312,7 @@ def _write_values(axes: Axes, bars: np.ndarray, ends: np.ndarray) -> None:
     low, high = np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)
     span = max(float(high.max() - low.min()), 1e-12)
     digits = max(0, 1 - math.floor(math.log10(span)))
-    axes.set_xlim(low.min() - 0.2 * span, high.max() + 0.2 * span)
+    axes.set_xlim(low.min() - 0.24 * span, high.max() + 0.24 * span)
     for row, bar in enumerate(bars):
         text = f"{bar:+.{digits}f}".replace("-", "−") if round(bar, digits) else "0"
         place, side = (low[row] - 0.02 * span, "right") if bar < 0 else (high[row] + 0.02 * span, "left")
