@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 import srs_twin.reproduction.computations as computations
 import srs_twin.reproduction.traces as traces
@@ -49,7 +49,15 @@ Tolerance = Literal["dissertation", "measurement", "ours"]
 Limitation = Literal["fitted_robot", "tuned_controller", "chosen_obstacles", "between_models"]
 Group = Literal["headline", "own_tolerance"] | Limitation
 Category = Group | Literal["shape", "by_construction", "law", "fit"]
-Falsifiability = Annotated[str, Field(pattern=r"^(Yes|No): \S", max_length=500)]
+
+
+def _check_answer(text: str) -> str:
+    if not text.startswith(("Yes: ", "No: ")):
+        raise ValueError("could_fail must begin with 'Yes: ' or 'No: '")
+    return text
+
+
+Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
 """Whether a row could have been missed, in a sentence."""
 
 _BOUND = 1e9
@@ -195,9 +203,9 @@ class Claim(Section):
     use: Use
     """fit, holdout, law or shape."""
     could_fail: Falsifiability | None = None
-    """Outcome that would have missed it and origin of the tolerance ("Yes: …"), or why none could ("No: …")."""
+    """Outcome that misses and origin of the tolerance ("Yes: …"), or why no outcome can miss ("No: …")."""
     tolerance: Tolerance | None = None
-    """Origin of the tolerance of a prediction: the dissertation's statement, its measurement error, or ours."""
+    """Origin of a prediction's tolerance: the dissertation's statement, its measurement error, or ours."""
     limitation: Limitation | None = None
     """Why a prediction is no headline, whatever its tolerance."""
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
