@@ -42,11 +42,11 @@ _CAPABILITIES = {
     "following": ("follow-", "experiments", "table9"),
 }
 _APART: dict[Category, str] = {
-    "own_tolerance": "tolerance of ours",
-    "fitted_robot": "fitted robot",
-    "tuned_controller": "tuned controller",
-    "chosen_obstacles": "obstacles of ours",
-    "between_models": "between our models",
+    "own_tolerance": "own tolerance",
+    "fitted_robot": "fitted",
+    "tuned_controller": "tuned",
+    "chosen_obstacles": "own obstacles",
+    "between_models": "models",
 }
 _MOST, _MANY, _SMALL = 0.75, 0.4, 0.2
 
@@ -107,7 +107,7 @@ def _validation(counts: Mapping[Category, tuple[int, int]]) -> Grade:
     apart = ", ".join(
         f"{words} {counts[name][0]} of {counts[name][1]}" for name, words in _APART.items() if counts[name][1]
     )
-    text = f"{met} of {rows} headline predictions met" if rows else "no headline prediction"
+    text = f"headline {met} of {rows}" if rows else "no headline"
     text += f" (apart: {apart})" if apart else ""
     grade = 0 if not met else 2 if met >= _MOST * rows else 1
     return Grade(grade, f"{text}; {UNVALIDATED}")

@@ -60,7 +60,7 @@ def test_validation_rests_on_headline_predictions_alone(verdict, grade):
 
 def test_predictions_of_other_groups_are_named_apart():
     why = scorecard(load_claims(), load_baseline())["following"]["validation"].why
-    assert why.startswith("no headline prediction (apart: obstacles of ours 10 of 11)")
+    assert why.startswith("no headline (apart: own obstacles 10 of 11)")
 
 
 def test_the_command_prints_it_and_runs_nothing(srs_twin, tmp_path):
