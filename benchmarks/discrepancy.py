@@ -32,7 +32,9 @@ def main() -> None:
                     offset = float(found[2]) / 10 * (-1 if found[1] == "m" else 1)
                     value = kept[name][plant].value
                     if quantity == "radius":  # curvature: a straight walk has one too
-                        rows.append((offset, 1 / claim.value, 1 / value))
+                        # At offset 0 the side is not printed; the fit takes it to be the right.
+                        side = -1 if offset == 0 else 1
+                        rows.append((offset, side / claim.value, side / value))
                     else:
                         rows.append((offset, claim.value, value))
             offset, measured, model = np.array(sorted(rows)).T

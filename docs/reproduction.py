@@ -11,7 +11,7 @@ from pathlib import Path
 
 from srs_twin.io.files import atomic_write
 from srs_twin.reproduction import Baseline, Claim, Judged, Outcome, load_baseline, load_claims
-from srs_twin.reproduction.report import TITLES, USES, cell, count, published
+from srs_twin.reproduction.report import MEANINGS, TITLES, by_category, cell, count, published
 from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED
 
 ROOT = Path(__file__).parents[1]
@@ -24,17 +24,18 @@ def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...
 
 
 def markdown(rows: Sequence[Judged]) -> str:
-    """Return the tables of docs/reproduction.md: a section a use, and under it why rows are missed."""
+    """Return the tables of docs/reproduction.md: one section per category, and why its rows are missed."""
     parts = []
-    for use in USES:
-        chosen = [row for row in rows if row.claim.use == use]
+    for name, chosen in by_category(rows).items():
         lines = [
-            f"### {TITLES[use]}",
+            f"### {TITLES[name]}",
+            "",
+            MEANINGS[name],
             "",
             _counted(chosen),
             "",
-            "| row | statement | published | analytical | twin |",
-            "| --- | --- | --- | --- | --- |",
+            "| row | statement | published | analytical | twin | could it have failed? |",
+            "| --- | --- | --- | --- | --- | --- |",
             *map(_line, chosen),
         ]
         why = list(dict.fromkeys(_reasons(chosen)))
@@ -46,14 +47,15 @@ def markdown(rows: Sequence[Judged]) -> str:
 
 
 def table(rows: Sequence[Judged]) -> str:
-    """Return the table of the README: what is met of all rows, a line a use."""
+    """Return the table of the README: rows met by category, headline first."""
     columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
-    lines = [f"{len(rows)} rows; met of those judged:", "", f"| use | {' | '.join(columns.values())} |"]
+    lines = [f"{len(rows)} rows; met of those judged:", "", f"| rows | {' | '.join(columns.values())} |"]
     lines += [f"|{' --- |' * (len(columns) + 1)}"]
-    for use in USES:
-        counts = [count(rows, column, (use,)) for column in columns]
+    for name, chosen in by_category(rows).items():
+        counts = [count(chosen, column) for column in columns]
         cells = [f"{each[MET]} of {each['all']}" if each["all"] else "" for each in counts]
-        lines.append(f"| {TITLES[use]} | {' | '.join(cells)} |")
+        title = f"**{TITLES[name]}**" if name == "headline" else TITLES[name]
+        lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -73,11 +75,8 @@ def _line(row: Judged) -> str:
     if "alone" in row.outcomes:
         cells = [_marked(row.outcomes["alone"]), ""]
     says = f"{claim.says} ({claim.source})"
-    return (
-        "| "
-        + " | ".join([f"`{claim.id}`", says, f"{published(claim)}{unit}", *cells]).replace("\n", " ")
-        + " |"
-    )
+    texts = [f"`{claim.id}`", says, f"{published(claim)}{unit}", *cells, claim.could_fail or ""]
+    return f"| {' | '.join(texts)} |".replace("\n", " ")
 
 
 def _marked(outcome: Outcome | None) -> str:

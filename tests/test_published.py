@@ -15,6 +15,7 @@ from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
 from srs_twin.planning.footprint import load_footprint_file
+from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot_file, robot_sources
 from srs_twin.robot.spec import load_robot
 
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.fast
 
 
 def claim(name):
-    claims = load_yaml(data_root() / "calibration/published/claims.yaml").data
+    claims = load_yaml(claims_file(), limit=CLAIMS_BYTES).data
     return next(each for each in claims if each["id"] == name)
 
 

@@ -173,19 +173,18 @@ def _suites(rows: Sequence[Judged]) -> Iterator[tuple[str, list[TestCase]]]:
 
 
 def _show(rows: Sequence[Judged]) -> None:
-    """Print a line for each row, those of each use together, and how many are met."""
-    from srs_twin.reproduction.report import TITLES, USES, percent, published, summary_line, verdict
+    """Print a line for each row, by category with the headline first, and how many are met."""
+    from srs_twin.reproduction.report import TITLES, by_category, percent, published, summary_line, verdict
 
     print(_FORMAT.format("row", "published", "analytical", "twin", "error", "verdict"))
-    for use in USES:
-        chosen = [row for row in rows if row.claim.use == use]
+    for name, chosen in by_category(rows).items():
         if chosen:
-            print(f"\n{TITLES[use]}")
+            print(f"\n{TITLES[name]}")
         for row in chosen:
             twin = row.outcomes.get("twin")
             first = row.outcomes.get("analytical") or row.outcomes.get("alone")
             stated, apart = published(row.claim), percent(row.claim, twin or first)
-            said = verdict(row) + (" (fitted)" if use == "fit" else "")
+            said = verdict(row) + (" (fitted)" if name == "fit" else "")
             print(_FORMAT.format(row.claim.id, stated, _narrow(first), _narrow(twin), apart, said))
     print(f"\n{summary_line(rows)}")
 

@@ -24,7 +24,7 @@ from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import SafeRepresenter
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.io.files import printable, read_text, shown
+from srs_twin.io.files import MAX_BYTES, printable, read_text, shown
 
 Loc = tuple[str | int, ...]
 Position = tuple[int, int]
@@ -187,14 +187,18 @@ class Document:
             raise InputFileError(lines)
 
 
-def load_yaml(path: Path) -> Document:
+def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
     """Read and parse a YAML file; see `parse_yaml`.
+
+    Args:
+        path: of the file.
+        limit: Largest size that is read, bytes.
 
     Raises:
         InputError: the file cannot be read.
         InputFileError: it is no YAML at all.
     """
-    return parse_yaml(read_text(path), shown(path))
+    return parse_yaml(read_text(path, limit=limit), shown(path))
 
 
 def parse_yaml(text: str, name: str) -> Document:

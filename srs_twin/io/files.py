@@ -126,19 +126,23 @@ def shown(path: Path) -> str:
     return printable(str(path))
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
     """Return the text of a small UTF-8 file; a byte order mark is dropped.
+
+    Args:
+        path: of the file.
+        limit: Largest size that is read, bytes.
 
     Raises:
         InputError: missing, a folder, not readable, too large or not UTF-8.
     """
     try:
         with existing(path).open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+            raw = stream.read(limit + 1)
     except OSError as error:
         raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
-    if len(raw) > MAX_BYTES:
-        raise InputError(f"{shown(path)}: larger than {MAX_BYTES // 1024} kB; no file of ours is")
+    if len(raw) > limit:
+        raise InputError(f"{shown(path)}: larger than {limit // 1024} kB; no file of ours is")
     return decoded(raw, shown(path))
 
 

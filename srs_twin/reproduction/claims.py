@@ -8,12 +8,12 @@ from __future__ import annotations
 import inspect
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 import srs_twin.reproduction.computations as computations
 import srs_twin.reproduction.traces as traces
@@ -45,8 +45,24 @@ Rule = Literal["near", "below", "above", "ordering"]
 Use = Literal["fit", "holdout", "law", "shape"]
 Take = Literal["most", "least", "mean", "spread"]
 Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
+Tolerance = Literal["dissertation", "measurement", "ours"]
+Limitation = Literal["fitted_robot", "tuned_controller", "chosen_obstacles", "between_models"]
+Group = Literal["headline", "own_tolerance"] | Limitation
+Category = Group | Literal["shape", "by_construction", "law", "fit"]
+
+
+def _check_answer(text: str) -> str:
+    if not text.startswith(("Yes: ", "No: ")):
+        raise ValueError("could_fail must begin with 'Yes: ' or 'No: '")
+    return text
+
+
+Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
+"""Whether a row could have been missed, in a sentence."""
 
 _BOUND = 1e9
+CLAIMS_BYTES = 128 * 1024
+"""Largest file of claims: 166 rows, with the reason for each, take 72 kB."""
 
 
 class RunRequest(Section):
@@ -145,11 +161,32 @@ class TableRows(Section):
     columns: dict[Name, Name]
     """Key of a row of the table → metric."""
     signed: list[Name] = []
-    """Columns printed without the sign that they have where `at` is below 0."""
+    """Columns printed without a sign: that of `at`; at 0 the sign is unknown, and sizes are compared."""
     fit: list[Name] = []
     """Columns that may be used to calibrate."""
     fit_at: list[float] = []
     """Where they may be."""
+    could_fail: dict[Name, Falsifiability]
+    """Column → whether its rows could have been missed."""
+    could_fail_fit: Falsifiability
+    """The same of the rows that may be used to calibrate."""
+    cause: dict[Name, list[Cause]] = {}
+    """Column → why its rows are missed, as far as known."""
+
+    @model_validator(mode="after")
+    def _every_column_could_fail(self) -> Self:
+        if self.could_fail.keys() != self.columns.keys():
+            raise ValueError("could_fail needs a sentence for each of the columns, and no other")
+        if not self.cause.keys() <= self.columns.keys():
+            raise ValueError("cause must name columns of the table")
+        return self
+
+    def is_fitted(self, column: str, at: float, rows: Sequence[Mapping[str, float]]) -> bool:
+        """Return whether a number may be used to calibrate, or repeats one that may, in the same column."""
+        if column not in self.fit:
+            return False
+        this = next(row for row in rows if row[self.at] == at)
+        return this[column] in {row[column] for row in rows if row[self.at] in self.fit_at}
 
 
 class Claim(Section):
@@ -165,6 +202,12 @@ class Claim(Section):
     """The statement."""
     use: Use
     """fit, holdout, law or shape."""
+    could_fail: Falsifiability | None = None
+    """Outcome that misses and origin of the tolerance ("Yes: …"), or why no outcome can miss ("No: …")."""
+    tolerance: Tolerance | None = None
+    """Origin of a prediction's tolerance: the dissertation's statement, its measurement error, or ours."""
+    limitation: Limitation | None = None
+    """Why a prediction is no headline, whatever its tolerance."""
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
     """Published value."""
     unit: Name = "1"
@@ -195,6 +238,18 @@ class Claim(Section):
     """What a reader must know."""
 
     @model_validator(mode="after")
+    def _evidence(self) -> Self:
+        if (self.could_fail is None) == (self.table is None):
+            raise ValueError("could_fail is needed: 'Yes: …' or 'No: …'; a table has it in `table`")
+        if (self.tolerance is None) == (self.use == "holdout"):
+            raise ValueError("tolerance belongs to every holdout, and to no other use")
+        if self.limitation is not None and self.use != "holdout":
+            raise ValueError("limitation belongs to a holdout")
+        if self.group == "headline" and not self.falsifiable:
+            raise ValueError("a headline prediction must be able to fail: could_fail must begin with Yes")
+        return self
+
+    @model_validator(mode="after")
     def _what_belongs_together(self) -> Claim:
         if self.table is not None:
             if not self.rows or self.tol is None or self.rule is not None:
@@ -220,6 +275,27 @@ class Claim(Section):
     def fitted(self) -> bool:
         """Whether it may be used to calibrate, so that it is no prediction."""
         return self.use == "fit"
+
+    @property
+    def falsifiable(self) -> bool:
+        """Whether the row could have been missed."""
+        return self.could_fail is None or self.could_fail.startswith("Yes")
+
+    @property
+    def group(self) -> Group | None:
+        """Group in which a prediction is counted; None for rows of another use."""
+        if self.use != "holdout":
+            return None
+        return self.limitation or ("own_tolerance" if self.tolerance == "ours" else "headline")
+
+    @property
+    def category(self) -> Category:
+        """Heading under which the row is counted: the group of a prediction, else the use."""
+        if self.group is not None:
+            return self.group
+        if self.use == "shape" and not self.falsifiable:
+            return "by_construction"
+        return self.use  # type: ignore[return-value]  # holdouts have a group
 
     @property
     def taken(self) -> list[Measure]:
@@ -300,7 +376,7 @@ def load_list(path: Path, model: type[Model], what: str) -> tuple[Document, list
     Raises:
         InputError: not readable.
     """
-    document = load_yaml(path)
+    document = load_yaml(path, limit=CLAIMS_BYTES)
     given = document.data if isinstance(document.data, list) else []
     if not given:
         document.report((), f"must be a list of {what}")
@@ -338,16 +414,23 @@ def _rows(claim: Claim) -> Iterator[Claim]:
         at = row[table.at]
         for column, metric in table.columns.items():
             value = -row[column] if column in table.signed and at < 0 else row[column]
+            use: Use = "fit" if table.is_fitted(column, at, claim.rows) else claim.use
+            prediction = use == "holdout"
+            size = column in table.signed and at == 0
             unit = "m/s" if metric.endswith("_m_s") else "m"
             yield claim.model_copy(
                 update={
                     "id": f"{claim.id}.{column}.{_place(at)}",
                     "says": f"{column} {value:g} {unit} at {table.at} {at:g}",
-                    "use": "fit" if column in table.fit and at in table.fit_at else claim.use,
+                    "use": use,
+                    "cause": table.cause.get(column, []),
+                    "could_fail": table.could_fail[column] if prediction else table.could_fail_fit,
+                    "tolerance": claim.tolerance if prediction else None,
+                    "limitation": claim.limitation if prediction else None,
                     "rule": "near",
                     "value": value,
                     "unit": unit,
-                    "measure": Measure(sweep=table.sweep, metric=metric, where={table.field: at}),
+                    "measure": Measure(sweep=table.sweep, metric=metric, where={table.field: at}, size=size),
                     "table": None,
                     "rows": [],
                 }

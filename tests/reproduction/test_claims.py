@@ -78,7 +78,8 @@ def test_uses_are_those_given():
     table = {row.id: row.use for row in named("table8")}
     fitted = {name for name, use in table.items() if use == "fit"}
     columns = ("speed", "radius", "left", "right")
-    assert fitted == {f"table8.{what}.{at}" for what in columns for at in ("0", "p03", "m03")}
+    repeated = {"table8.right.p01", "table8.right.p02", "table8.left.m02"}
+    assert fitted == repeated | {f"table8.{what}.{at}" for what in columns for at in ("0", "p03", "m03")}
     assert len(table) == 28
 
 
@@ -124,6 +125,8 @@ ROW = """\
   source: Table 8
   says: it moves
   use: holdout
+  could_fail: "Yes: a slower robot misses"
+  tolerance: ours
   rule: near
   value: 0.2
   tol: 0.1
@@ -145,6 +148,16 @@ ROW = """\
         ("value: 0.2", "value: .nan", "must be a number"),
         ("- id: one", f"{ROW}- id: one", "the row one is there 2 times"),
         (ROW, "{}\n", "must be a list of claims"),
+        ('  could_fail: "Yes: a slower robot misses"\n', "", "could_fail is needed: 'Yes: …' or 'No: …'"),
+        ("Yes: a slower", "Perhaps a slower", "could_fail must begin with 'Yes: ' or 'No: '"),
+        ("  tolerance: ours\n", "", "tolerance belongs to every holdout, and to no other use"),
+        ("use: holdout", "use: shape", "tolerance belongs to every holdout, and to no other use"),
+        ("tolerance: ours", "tolerance: a guess", "must be one of dissertation, measurement, ours"),
+        ("use: holdout", "limitation: fitted_robot\n  use: law", "tolerance belongs to every holdout"),
+        (
+            '"Yes: a slower robot misses"\n  tolerance: ours', '"No: by symmetry"\n  tolerance: measurement',
+            "a headline prediction must be able to fail",
+        ),
     ],
 )  # fmt: skip
 def test_a_bad_file_is_refused_in_words(old, new, words, tmp_path):

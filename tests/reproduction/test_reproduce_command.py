@@ -44,6 +44,10 @@ def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
     rows = {row["id"]: row for row in found["rows"]}
     assert rows["act-step-gen4.tau1"]["fitted"] and rows["eq33"]["outcomes"]["alone"]["verdict"] == MET
     assert found["changed_from_baseline"] == []
+    assert found["groups"]["alone"]["law"] == {"met": 2, "explained": 0, "missed": 0, "all": 2}
+    assert {name: row["could_fail"] for name, row in rows.items()} == {
+        claim.id: claim.could_fail for claim in CLAIMS if claim.id in rows
+    }
     for name, row in rows.items():
         for column, outcome in row["outcomes"].items():
             kept = BASELINE.outcomes[name][column]
@@ -53,6 +57,7 @@ def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
     outside = Outside()
     outside.feed(page)
     assert outside.found == [] and "<script" not in page
+    assert "could it have failed?" in page and "No: the division of two published numbers." in page
     assert "Fig. 20" in page and "Fig. 31" not in page
     suites = ElementTree.parse(folder / "reproduce.xml").getroot()
     failed = {case.get("classname") for case in suites.iter("testcase") if case.find("failure") is not None}

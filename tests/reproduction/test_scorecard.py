@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -10,6 +11,15 @@ from srs_twin.reproduction import load_baseline, load_claims
 from srs_twin.reproduction import scorecard as module
 from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED, scorecard
 from srs_twin.reproduction.verdicts import Baseline
+
+
+def with_verdict(baseline, names, verdict):
+    """Return a baseline in which rows of these names have another verdict."""
+    outcomes = {
+        name: {k: replace(each, verdict=verdict) for k, each in row.items()} if name in names else row
+        for name, row in baseline.outcomes.items()
+    }
+    return Baseline(outcomes, baseline.versions)
 
 
 def test_every_claim_belongs_to_one_capability():
@@ -28,12 +38,29 @@ def test_nothing_is_graded_as_validated_against_hardware():
 
 def test_a_law_or_a_prediction_that_is_missed_lowers_its_grade():
     claims, kept = load_claims(), load_baseline()
-    before = scorecard(claims, kept)["control of a module"]
-    assert before["validation"].grade >= 1
-    worse = Baseline(
-        {name: row for name, row in kept.outcomes.items() if not name.startswith("smc-")}, kept.versions
-    )
-    assert scorecard(claims, worse)["control of a module"]["validation"].grade == 0
+    before = scorecard(claims, kept)["crawling, generation 2"]
+    assert (before["verification"].grade, before["validation"].grade) == (3, 1)
+    laws = [claim.id for claim in claims if claim.use == "law"]
+    worse = scorecard(claims, with_verdict(kept, laws, "missed"))["crawling, generation 2"]
+    assert (worse["verification"].grade, worse["validation"].grade) == (1, 1)
+
+
+@pytest.mark.parametrize(("verdict", "grade"), [("met", 2), ("explained", 0), ("missed", 0)])
+def test_validation_rests_on_headline_predictions_alone(verdict, grade):
+    claims, kept = load_claims(), load_baseline()
+    headline = [claim.id for claim in claims if claim.group == "headline"]
+    others = [claim.id for claim in claims if claim.group not in (None, "headline")]
+    before = scorecard(claims, kept)
+    for name, row in scorecard(claims, with_verdict(kept, others, verdict)).items():
+        assert row["validation"].grade == before[name]["validation"].grade, name
+    changed = scorecard(claims, with_verdict(kept, headline, verdict))
+    for name in ("crawling, generation 1", "crawling, generation 2", "crawling, generation 3"):
+        assert changed[name]["validation"].grade == grade, name
+
+
+def test_predictions_of_other_groups_are_named_apart():
+    why = scorecard(load_claims(), load_baseline())["following"]["validation"].why
+    assert why.startswith("no headline (apart: own obstacles 10 of 11)")
 
 
 def test_the_command_prints_it_and_runs_nothing(srs_twin, tmp_path):

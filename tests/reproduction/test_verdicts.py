@@ -27,7 +27,8 @@ def claim(rule="near", value=1.0, names=("a",), **more):
     measures = [Measure(scenario=name, metric="m") for name in names]
     found = {"measure": measures[0]} if len(measures) == 1 else {"measures": measures}
     found |= {"abs": 0.1} if rule == "near" else {}
-    found |= {"use": "shape"} | more
+    found |= {"use": "shape", "could_fail": "Yes: a robot that stands still misses"} | more
+    found |= {"tolerance": "measurement"} if found["use"] == "holdout" else {}
     return Claim(id="row", source="Table 8", says="it moves", rule=rule, value=value, **found)
 
 
@@ -157,7 +158,7 @@ def test_fitted_rows_are_no_predictions():
     fitted, held = (Judged(claim(use=use), outcomes) for use in ("fit", "holdout"))
     assert count([fitted, held], "twin", ("holdout",)) == {"met": 1, "explained": 0, "missed": 0, "all": 1}
     line = summary_line([fitted, held])
-    assert "1 of 1 predictions" in line and "(apart: 1 of 1 that may be fitted)" in line
+    assert "1 of 1 headline predictions" in line and "(apart: 1 of 1 that may be fitted)" in line
 
 
 def test_what_is_written_is_json(tmp_path):
