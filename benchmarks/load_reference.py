@@ -71,8 +71,8 @@ class Point:
         offset: of the gait.
         kpa: supply pressure; None: the robot's nominal one.
         stiffness: of a segment, N·m/rad; None: the robot's.
-        tail: of a tail on two axles, m: the second axle's distance behind the last connector's axle, the centre
-            of mass's distance behind it, height of the centre of mass, radius of gyration.
+        tail: of a tail on two axles, m: distances of its second axle and of its centre of mass behind the
+            last connector's axle, height of the centre of mass, radius of gyration.
         changes: other numbers of the robot, as (key, value).
         periods: number of periods to simulate; from the last but two on, the gait is periodic within 0.05 %.
     """
