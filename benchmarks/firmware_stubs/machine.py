@@ -1,4 +1,4 @@
-"""Stand-in for MicroPython's `machine`: pins and watchdog write a log with times, sensors read constants."""
+"""Stub of MicroPython's `machine`: pins and watchdog write a log with times, sensors read constants."""
 
 import os
 import time
@@ -70,7 +70,7 @@ class ADC:
 
 
 class WDT:
-    """Watchdog: the log tells the supervisor when it was fed."""
+    """Watchdog that logs its feeds for the supervisor."""
 
     def __init__(self, timeout):
         """Start."""

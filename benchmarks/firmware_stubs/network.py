@@ -1,4 +1,4 @@
-"""Stand-in for MicroPython's `network`: connected at once."""
+"""Stub of MicroPython's `network`: connected at once."""
 
 STA_IF = 0
 

@@ -13,7 +13,7 @@ import firmware_rig
 import numpy as np
 import pytest
 from brokers import needs_broker
-from firmware_rig import FIRMWARE, HOLD_S, NAME, SEGMENTS, WATCHDOG_S, Cause, Rig, micropython, until
+from firmware_rig import FIRMWARE, HOLD_S, NAME, SEGMENTS, WATCHDOG_S, Cause, Rig, lay, micropython, until
 
 from srs_twin.live.messages import BENDS, COMMAND, LARGEST_BYTES, STATUS, VALVES, encode, topic
 from srs_twin.live.mqtt import LOST, MqttLink
@@ -25,7 +25,7 @@ SLACK_S = 0.2  # the bound asked for: after a command's expiry
 
 
 def evaluate(code: str, given=None, folder=None):
-    """Run code in MicroPython next to the firmware; return what it assigns to `result`."""
+    """Run code in MicroPython next to the firmware; return its variable `result`."""
     prologue = "import sys, json\nsys.path.insert(0, sys.argv[1])\ngiven = json.load(open(sys.argv[2]))\n"
     file, data = folder / "code.py", folder / "given.json"
     file.write_text(prologue + code + "\nprint(json.dumps(result))\n", "utf-8")
@@ -159,6 +159,25 @@ def test_a_controller_that_restarts_with_another_clock_is_obeyed_again(tmp_path)
     for clock in (-5_000_000, -500, 500, 5_000_000):
         events = live(6_001_000, 6_003_000) + live(6_003_100, 6_006_000, clock)
         assert obeyed(tmp_path, events)[-1] == events[-1]
+
+
+def test_a_valve_changes_from_duties_to_states_and_vents_at_import(tmp_path, monkeypatch):
+    lay(tmp_path, 1883)
+    log = tmp_path / "log"
+    monkeypatch.setenv("FIRMWARE_LOG", str(log))
+    code = """
+import board
+for share in given:
+    board.set_valves([share] * board.SEGMENTS, [0] * board.SEGMENTS)
+board.vent()
+result = board.bends()
+"""
+    bends = evaluate(code, [1, 0.25, 0.5, 1, 0.5], tmp_path)
+    assert np.allclose(bends, 0.0, atol=1e-3)
+    pins = [line.split()[2:] for line in log.read_text().splitlines()]
+    first = [float(value) for number, value in pins if number == "2"]
+    assert np.allclose(first, [0, 1, 0.25, 0.5, 0, 1, 0.5, 0], atol=1e-4)
+    assert [float(value) for number, value in pins if number == "3"] == [0]
 
 
 CLIENT = """
