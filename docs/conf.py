@@ -26,7 +26,13 @@ extensions = [
 # The root of the checkout is the root of the site: a relative link between Markdown files leads to the same
 # place on a forge, in an editor and here.
 root_doc = "docs/index"
-include_patterns = ["docs/**.md", "*.md", "models/README.md", "calibration/README.md"]
+include_patterns = [
+    "docs/**.md",
+    "*.md",
+    "models/README.md",
+    "calibration/README.md",
+    "examples/firmware/README.md",
+]
 # What need not be looked through; links may lead there all the same.
 exclude_patterns = [".*", "runs", "dist", "build", "site", "srs_twin", "tests", "benchmarks"]
 templates_path = ["_templates"]

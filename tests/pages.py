@@ -117,6 +117,6 @@ PAGES = [
     Page(path)
     for path in sorted(
         [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "models/README.md",
-         ROOT / "calibration/README.md"]
+         ROOT / "calibration/README.md", ROOT / "examples/firmware/README.md"]
     )
 ]  # fmt: skip
