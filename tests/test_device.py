@@ -202,7 +202,7 @@ def displaced(place, steps=60):
 def test_a_start_far_from_the_origin_moves_as_one_at_the_origin():
     place = (2000.0, -700.0)
     (far, near), batch = displaced(place)
-    # Positions are sums of the start and of single-precision numbers near zero: double precision is all that is lost.
+    # The device computes both near zero; adding the start rounds in double precision.
     assert np.abs(far - near).max() < 1e-9
     assert batch.state.com[0] == pytest.approx(place, abs=0.5)
     assert batch.state.position[0].mean(axis=0) == pytest.approx(place, abs=0.5)

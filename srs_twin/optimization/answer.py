@@ -122,7 +122,7 @@ class Answer:
         """Return the variables of a best design that lie on a bound.
 
         Returns:
-            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the variable's bounds or None.
+            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the bounds or None.
         """
         variables = self.study.file.variables
         return {

@@ -1,8 +1,8 @@
 """Expected values of metrics, and the verdicts on them.
 
 An expectation is met, missed, missed for a known reason, or not judged. It is not judged where the run leaves
-its metric undefined, where its stored interval is for another run, or where the end of the interval is not known
-well enough to decide.
+its metric undefined, where its stored interval is for another run, or where the end of the interval is not
+known well enough to decide.
 """
 
 from __future__ import annotations
@@ -226,9 +226,9 @@ class Expectation(Section):
             for end, error in zip(interval, errors, strict=True)
         )
         return (
-            f"undecided: published {self.published:.4g} is {distance:.2g} standard errors from the end {end:.4g} "
-            f"(± {error:.2g}) of the interval; from {UNDECIDED_ERRORS:g} on it is decided (more --samples and --twin "
-            "make the error smaller)"
+            f"undecided: published {self.published:.4g} is {distance:.2g} standard errors from the end "
+            f"{end:.4g} (± {error:.2g}) of the interval; from {UNDECIDED_ERRORS:g} on it is decided "
+            "(more --samples and --twin make the error smaller)"
         )
 
 

@@ -355,9 +355,9 @@ class WarpBatch:
         for place, k in zip(places[far], chosen[far], strict=True):
             if self.twins[k].touches:
                 raise InputError(
-                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine 'warp' computes in single "
-                    f"precision and takes starts within {_REACH:g} m of the origin in a world with obstacles; "
-                    "move the world nearer to the origin, or use the processor"
+                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine 'warp' computes in "
+                    f"single precision and takes starts within {_REACH:g} m of the origin in a world with "
+                    "obstacles; move the world nearer to the origin, or use the processor"
                 )
         return np.where(far[:, None], places[:, :2], 0.0)
 
