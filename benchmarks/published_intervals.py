@@ -2,7 +2,7 @@
 
     uv run python benchmarks/published_intervals.py [FILE ...]
 
-Reads `calibration/intervals/`, which `srs-twin uncertainty SCENARIO --write` fills, or the given `intervals.json`.
+Reads the given `intervals.json`, or `calibration/intervals/`, which `srs-twin uncertainty SCENARIO --write` fills.
 """
 
 from __future__ import annotations
