@@ -2,7 +2,7 @@
 
     uv run python benchmarks/published_intervals.py [FILE ...]
 
-Reads the given `intervals.json`, or `calibration/intervals/`, which `srs-twin uncertainty SCENARIO --write` fills.
+Reads the given `intervals.json`, or those that `srs-twin uncertainty SCENARIO --write` keeps.
 """
 
 from __future__ import annotations
