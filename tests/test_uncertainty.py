@@ -99,6 +99,25 @@ def test_what_makes_no_distribution_is_refused_with_its_place(spread, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "pressure_kpa", "volume_ml"),
+    [("gen1", 31.0, 15.0), ("gen2", 48.3, 45.0), ("gen3", 48.3, 45.0), ("gen4", 62.1, 70.0)],
+)
+def test_stiffness_of_shipped_robots_takes_a_quarter_to_all_of_the_work_of_the_air(
+    name, pressure_kpa, volume_ml
+):
+    record = load_robot_file(name).records()["bending.stiffness_nm_per_rad"]
+    bound = pressure_kpa * 1e3 * volume_ml * 1e-6 / (math.pi / 2) ** 2
+    ends = [record.uncertain.low, record.value, record.uncertain.high]
+    assert ends == pytest.approx([bound / 4, bound / 2, bound], rel=0.01)  # two printed digits
+
+
+@pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
+def test_no_shipped_robot_draws_drag(name):
+    record = load_robot_file(name).records().get("friction.drag_n")
+    assert record is None or (record.value == 0 and record.uncertain is None)
+
+
 def test_nothing_uncertain_is_said_plainly():
     with pytest.raises(InputError, match="nothing is said to be uncertain"):
         Priors.of(robot())
@@ -269,9 +288,10 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
     for changed in ((), ("--seed", "1")):
         judged = srs_twin(*words, *changed, cwd=tmp_path)
         (row,) = json.loads(judged.stdout)["expectations"]
-        assert row["state"] == ("met" if low <= 0.19 <= high else "missed")
-        assert judged.returncode == (0 if row["met"] else 1)
-        assert ("<failure" in (tmp_path / "r.xml").read_text("utf-8")) == (not row["met"])
+        states = {"within": "met", "undecided": "not_judged", "outside": "missed"}
+        assert row["state"] == states[speed["verdict"]]
+        assert judged.returncode == (1 if row["state"] == "missed" else 0)
+        assert ("<failure" in (tmp_path / "r.xml").read_text("utf-8")) == (row["state"] == "missed")
     assert row["error"] == pytest.approx(row["value"] - 0.19)
     assert row["largest"] in ("u_num", "u_input", "u_d")
     # Another law, seen in the value; another scenario.

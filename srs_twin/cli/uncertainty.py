@@ -153,12 +153,18 @@ def _show(result: Propagation) -> None:
                 count = _counted(spread)
                 label = metric_label(metric) + ("" if count == usual else f", {count}")
                 errors = ", ".join(map(_rough, spread.errors[2:]))
+                verdict = spread.verdict
                 stated = "" if spread.published is None else _short(spread.published)
+                stated += "" if verdict is None else f" {verdict.value}"
                 lines.append((label, value + mark, *cells, errors, stated))
         print_table(
             (f"{plant}, {usual}", "value", "50 %", "95 %", "± at 95 %", "published"), lines, left=(0,)
         )
     print("± at 95 %: standard errors of the two ends of the 95 % interval")
+    if any(spread.verdict for spreads in result.plants.values() for spread in spreads.values()):
+        print(
+            "published: within or outside the 95 % interval; undecided within two standard errors of an end"
+        )
     if marks:
         print("* outside its 50 % interval, ** outside its 95 % interval")
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())

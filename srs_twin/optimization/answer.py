@@ -103,6 +103,7 @@ class Answer:
                     "variables": dict(zip(study.space.variables, values, strict=True)),
                     "metrics": metrics, "plant": "twin", "scenario": f"best/{k + 1}.yaml",
                     "keeps_constraints": bool((excesses(study, [run]) <= 0).all()),
+                    "on_bound": self.on_bound(k),
                     "refined": {name: self.change(k, name) for name in names},
                     "survives": self.survives(k),
                     "intervals": {name: self.interval(k, name) for name in names} if self.samples else None,
@@ -116,6 +117,22 @@ class Answer:
             "fidelities": {o.metric: self.likeness(o.metric) for o in study.file.objectives},
             "seed": study.file.seed, "versions": versions(),
         }  # fmt: skip
+
+    def on_bound(self, k: int) -> dict[str, dict[str, Any]]:
+        """Return the variables of a best design that lie on a bound.
+
+        Returns:
+            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the bounds or None.
+        """
+        variables = self.study.file.variables
+        return {
+            name: {
+                "bound": bound,
+                "value": getattr(variables[name], bound),
+                "source": variables[name].bounds_source,
+            }
+            for name, bound in self.study.space.bounds(self.optimum.best[k].shares).items()
+        }
 
     @property
     def metrics(self) -> tuple[str, ...]:
