@@ -21,7 +21,7 @@ from srs_twin.control.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.planning import Footprint, Outcome, Plan
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import Route
-from srs_twin.robot.spec import load_robot
+from srs_twin.robot.file import load_robot
 from srs_twin.world import Circle, Goal, Pose, World
 
 ORIGIN, CLEAR, EMPTY = Pose(0.0, 0.0, 0.0), Camera(), World()

@@ -75,7 +75,7 @@ def shadow(
     from srs_twin.live.optitrack import NatNetLink
     from srs_twin.live.session import KEPT, TICK_S, Session, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
     from srs_twin.scenario import load_scenario
 
     if out is not None:
