@@ -73,7 +73,10 @@ def optimize(
         with interruptible(f"what was run is kept in {folder}, start again to go on"):
             with Runs(study, folder, runner, told, changed=changed) as runs:
                 answer = Answer.of(study, search(study, runs), runs)
-            files = answer.write(folder)
+            # Here: matplotlib's import would delay the search.
+            from srs_twin.optimization.report import write_answer
+
+            files = write_answer(answer, folder)
     if as_json:
         print_json(answer.document())
     elif not quiet:

@@ -70,7 +70,7 @@ def uncertainty(
     from srs_twin.io.files import open_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.scenario import load_scenario
-    from srs_twin.uncertainty import Priors, Study
+    from srs_twin.uncertainty import Priors, Study, propagate
 
     found = load_scenario(scenario, set=changes.changes())
     if write and found.left_out:
@@ -97,7 +97,7 @@ def uncertainty(
             yield lambda row: shown(failed=row.exit_code != 0)
 
     with interruptible(f"what was run is kept in {folder}, start again to go on"):
-        result = study.run(folder, runner, counting, changed=changed)
+        result = propagate(study, folder, runner, counting, changed=changed)
         files = result.write(folder)
     if as_json:
         print_json(result.document())

@@ -1,24 +1,53 @@
-"""Pictures and report.html of a study."""
+"""Files of a study's answer: document, evaluations, best designs, pictures, report.html."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
+from srs_twin.io.documents import dump_yaml
+from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import write_text
+from srs_twin.optimization.answer import EVALUATIONS, PRODUCTS, RESULT, Answer
 from srs_twin.optimization.search import costs, excesses
+from srs_twin.sweep.store import write
 from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.studies import draw_convergence, draw_front, draw_parallel
 from srs_twin.viewing.plots.sweeps import save
 
-if TYPE_CHECKING:
-    from srs_twin.optimization.answer import Answer
-
 BOUND_MARK = "†"
 """Mark of a variable's value that lies on a bound."""
+
+
+def write_answer(answer: Answer, folder: Path) -> tuple[str, ...]:
+    """Write document, evaluations, best designs, pictures and report into a folder; return their names.
+
+    Raises:
+        InputError: a file cannot be written; those of an earlier search are as they were.
+    """
+    with replaced(folder, PRODUCTS) as fresh:
+        return _write(answer, fresh)
+
+
+def _write(answer: Answer, folder: Path) -> tuple[str, ...]:
+    columns = {name: pa.array(values, from_pandas=True) for name, values in answer.table.items()}
+    write(folder / EVALUATIONS, pa.table(columns))
+    written = [EVALUATIONS]
+    study, scenario = answer.study, answer.study.scenario.document
+    for k, run in enumerate(answer.optimum.best, start=1):
+        whole = study.experiments["twin"].document(study.space.changes(run.shares))
+        whole |= {"plants": scenario["plants"], "title": f"{study.title}: best {k}"[:200]}
+        (folder / "best").mkdir(parents=True, exist_ok=True)
+        (folder / f"best/{k}.yaml").write_text(dump_yaml(whole), "utf-8")
+        (folder / f"best/{k}.robot.yaml").write_text(dump_yaml(whole["robot"]), "utf-8")
+        written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
+    written += write_report(folder, answer)
+    (folder / RESULT).write_text(json.dumps(answer.document(), indent=2) + "\n", "utf-8")
+    return (*written, RESULT)
 
 
 def write_report(folder: Path, answer: Answer) -> list[str]:

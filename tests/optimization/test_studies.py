@@ -14,7 +14,7 @@ from srs_twin.io.files import shipped_names
 from srs_twin.optimization import load_study, search
 from srs_twin.optimization.answer import Answer
 from srs_twin.optimization.file import VariableFile
-from srs_twin.optimization.report import bound_lines
+from srs_twin.optimization.report import bound_lines, write_answer
 from srs_twin.optimization.runs import Runs
 from srs_twin.optimization.search import front
 from srs_twin.optimization.space import Space
@@ -141,7 +141,7 @@ def test_a_design_on_a_bound_is_marked_in_the_document_and_in_a_sentence(tmp_pat
     first, *_, last = bound_lines(answer)
     assert "best/1" in first and "is on its high bound 2.8 (highest frequency measured)" in first
     assert "beyond a bound" in last
-    answer.write(tmp_path / "written")
+    write_answer(answer, tmp_path / "written")
     assert "2.8†" in (tmp_path / "written/report.html").read_text("utf-8")
 
 
