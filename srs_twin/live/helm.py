@@ -11,13 +11,15 @@ from srs_twin.control.camera import Camera
 from srs_twin.control.following import Follower
 from srs_twin.errors import InputError
 from srs_twin.live.faults import FILLS, HYPOTHESES, VENTS
+from srs_twin.live.messages import GO, VENT
 from srs_twin.live.shadow import DELAY_S, Estimate, Shadow
 from srs_twin.scenario import Scenario
 from srs_twin.world import Pose
 
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up, and one without air is steered."""
-LOST, EMPTY = "estimate_lost", "supply_empty"
+LOST, EMPTY, STOPPED = "estimate_lost", "supply_empty", "stopped"
+"""Endings besides those of the follower; `STOPPED`: the session ended before."""
 _LARGEST_SD_M = 0.0125
 """Whoever steers must know this well where the robot is: half of the usual margin to obstacles."""
 _SETTLES_S = 1.0
@@ -65,6 +67,7 @@ class Helm:
         self._lost_for, self._faint_for, self._given_up = 0.0, 0.0, ""
         self._events: list[tuple[float, str]] = []
         self._pressure = np.zeros((shadow.spec.segments, 2))
+        self._held, self._last = "", self.vented()
 
     @property
     def finished(self) -> bool:
@@ -75,14 +78,31 @@ class Helm:
         """Return the command that vents everything."""
         return np.full(self._pressure.shape, -1.0)
 
+    def hold(self, word: str) -> None:
+        """Obey a control word: `PAUSE` keeps the valves as they are, `VENT` vents all, `GO` goes on."""
+        held = "" if word == GO else word
+        if held == self._held:
+            return
+        self._held = held
+        self._events.append((self._steps * self._tick, f"control: {word}"))
+
     def step(self, found: Estimate | None, shadow: Shadow) -> np.ndarray:
         """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
+        self._last = self._step(found, shadow)
+        return self._last
+
+    def _step(self, found: Estimate | None, shadow: Shadow) -> np.ndarray:
         if found is None or found.lost or np.hypot(*found.pose_sd[:2]) > _LARGEST_SD_M:
             self._lost_for += self._tick
             if self._steps and self._lost_for > PATIENCE_S:
                 self._give_up(LOST)
             return self.vented()
         self._lost_for = 0.0
+        if self._held:
+            return self.vented() if self._held == VENT else self._last
+        return self._steer(found, shadow)
+
+    def _steer(self, found: Estimate, shadow: Shadow) -> np.ndarray:
         self._waited += 1
         if self._waited * self._tick < _SETTLES_S:
             return self.vented()
@@ -112,7 +132,7 @@ class Helm:
     def told(self) -> dict[str, Any]:
         """Return how it went, JSON values."""
         return {
-            "ending": self._given_up or self.follower.ending, "seconds": self._steps * self._tick,
+            "ending": self._given_up or self.follower.ending or STOPPED, "seconds": self._steps * self._tick,
             "events": [{"time_s": time, "event": text} for time, text in self._events],
         }  # fmt: skip
 

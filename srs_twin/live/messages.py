@@ -1,8 +1,8 @@
 """Messages: what a robot says and is told, as JSON over MQTT, and where motion capture sees its bodies.
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
-``status``, ``control``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused with a reason
-and counted; nothing that arrives raises further than to who decodes it.
+``status``, ``control``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused
+with a reason and counted; nothing that arrives raises further than to who decodes it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES = (
     "command", "valves", "pressures", "bends", "status", "control", "poses",
 )  # fmt: skip
 KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL)
-WORDS = ("pause", "go", "stop", "vent")
+PAUSE, GO, STOP, VENT = WORDS = ("pause", "go", "stop", "vent")
 """Texts of a `control` message."""
+PREFIX = "srs"
+"""Of all topics."""
 LATEST_S = 9e9
-"""Largest time that a sender's clock may show, s: the year 2255 of Unix time. A journal has 64 bits for ns."""
+"""Largest time that a sender's clock may show, s: 2255 in Unix time. Journals have 64 bits for ns."""
 _PA_PER_KPA = 1000.0
 _BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0)}
 _BEND = 2 * math.pi
@@ -59,7 +61,7 @@ class Message:
 
 def topic(robot: str, kind: str) -> str:
     """Return the topic of a kind of message."""
-    return f"srs/{robot}/{kind}"
+    return f"{PREFIX}/{robot}/{kind}"
 
 
 def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
