@@ -141,7 +141,7 @@ class EmulatedRobot:
                 **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
                 "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"tick_s": tick}},
             },
-            name=f"emulate {robot}",
+            name="emulate",
         )  # fmt: skip
         self.twin = asked.build_plant("twin")
         assert isinstance(self.twin, TwinSnake)
