@@ -53,12 +53,15 @@ class _UdpLink(Link):
                 self.counts["unreachable"] += 1
                 time.sleep(_LISTENS_S)
                 continue
-            arrived = clock()
-            try:
-                kind, content = natnet.opened(packet)
-                self._packet(kind, content, sender, arrived)
-            except Exception as error:  # the edge of the thread: no packet may end it
-                self._refuse(error)
+            self._arrived(packet, sender)
+
+    def _arrived(self, packet: bytes, sender: tuple[str, int]) -> None:
+        arrived = clock()
+        try:
+            kind, content = natnet.opened(packet)
+            self._packet(kind, content, sender, arrived)
+        except Exception as error:  # the edge of the thread: no packet may end it
+            self._refuse(error)
 
     def _idle(self) -> None:
         """Do what is due."""
@@ -192,6 +195,8 @@ class NatNetLink(_UdpLink):
             values = [natnet.turned(each, self._up) for each in seen.values()]
             names = tuple(self.names.get(key, str(key)) for key in seen)
             self._take(Message(POSES, "natnet", frame.time, arrived, np.array(values).reshape(-1, 4), names))
+        else:
+            raise BadMessageError("a packet of a kind that is not used here")
 
     def _count(self, frame: natnet.Frame) -> None:
         """Count a frame and what cannot be used of it; notice bodies without a name."""
