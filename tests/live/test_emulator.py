@@ -153,7 +153,7 @@ class Bench:
         self._commands = self._commands[len(due) :]
         return [Message(COMMAND, "bench", each, each, np.ones((4, 2))) for each in due]
 
-    def send(self, kind, values, at=None):
+    def send(self, kind, values, at=None, wait_s=0.0):
         if at is not None:
             self.sent.append((kind, at, self.now))
 

@@ -15,7 +15,7 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin.live.journal import journal_messages
-from srs_twin.live.messages import BENDS, COMMAND, POSES
+from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.trajectory import Trajectory
 
@@ -99,6 +99,38 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         done = srs_twin("shadow", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path)
         assert done.returncode == 2, done.stderr
         assert why in " ".join(done.stderr.split())
+
+
+@needs_broker
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL", "stop"])
+def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_path, how):
+    port = free_port()
+    words = ("--mqtt", f"127.0.0.1:{port}", "--follow", "follow_orifice", "--out", "lab")
+    with broker(tmp_path, port), MqttLink("gen2", 4, port=port, kinds=(COMMAND, STATUS)) as robot:
+        twin, heard = start("shadow", "gen2", *words, cwd=tmp_path), []
+
+        def said(kind: str) -> list:
+            robot.send(BENDS, np.zeros(4))
+            heard.extend(robot.received())
+            return [each for each in heard if each.kind == kind]
+
+        try:
+            wait(lambda: len(said(COMMAND)) > 5, 120)
+            if how == "stop":
+                robot.send(CONTROL, how)
+            else:
+                twin.send_signal(getattr(signal, how))
+            wait(lambda: said(STATUS), 30)
+            assert said(STATUS)[-1].names == ("lost" if how == "SIGKILL" else "stopped",)
+            assert (said(COMMAND)[-1].values == -1).all()
+            twin.wait(30)
+        finally:
+            ended(twin)
+    if how != "SIGKILL":
+        assert twin.returncode == 0
+        told = json.loads((tmp_path / "lab" / "shadow.json").read_text())
+        assert told["following"]["ending"] == "stopped" and told["error"] is None
 
 
 @needs_broker
