@@ -65,7 +65,7 @@ def shadow(
         mcap: Journal of an earlier session to play instead.
         out: Folder of journal, recording and results; what was learnt in it before is restored.
         follow: Scenario whose follower steers the robot.
-        press_on: Steer on with less than half of the plan's margin to obstacles, instead of stopping.
+        press_on: Steer on without any margin to obstacles, instead of stopping (docs/live.md#steering).
         name: Robot's name in topics. [default: ROBOT]
         body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
         local: Address of this machine on which frames arrive.

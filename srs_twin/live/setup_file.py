@@ -62,7 +62,7 @@ class LimitsFile(Section):
     duration_s: float | None = quantity(0.02, 1e7, None)
     """Longest session; none: until it is stopped."""
     press_on: bool = False
-    """Steer on with less than half of the plan's margin to obstacles instead of stopping."""
+    """Steer on without any margin to obstacles instead of stopping."""
 
 
 class SetupFile(Section):

@@ -10,7 +10,7 @@ import pytest
 from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, shadowed, steered
 
 from srs_twin import InputError, load_robot, load_scenario
-from srs_twin.live.helm import Helm, differences
+from srs_twin.live.helm import LEAST_MARGIN, Helm, differences
 from srs_twin.live.messages import BENDS, Message
 from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.memory import SavedState
@@ -109,6 +109,16 @@ def test_helms_refuse_what_cannot_be_steered():
     text = r"follow_gen4_a is for robot 'gen4', not for 'gen2'; they differ in geometry.segment_length "
     with pytest.raises(InputError, match=text + r"\(0.075 and 0.037\), .* and \d more"):
         Helm(load_scenario("follow_gen4_a"), shadow, 0.02)
+
+
+def test_a_plan_without_margin_is_refused_unless_pressing_on():
+    shadow = Shadow(load_robot("gen2"), members=8)
+    for press_on, least in ((False, LEAST_MARGIN), (True, 0.0)):
+        assert (
+            Helm(load_scenario("follow_orifice"), shadow, 0.02, press_on=press_on).follower.least_margin
+            == least
+        )
+    assert LEAST_MARGIN > 0
 
 
 def test_robots_of_equal_parts_are_equal_whatever_their_names_and_modules():
