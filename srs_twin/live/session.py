@@ -239,8 +239,10 @@ class Session:
         """Vent the robot, say so, and write the files; every step has its turn, also after one that fails."""
         seconds, error = time.monotonic() - self._first, sys.exception()
         with ExitStack() as steps:  # the last one comes first
-            steps.callback(self._write, seconds, error)
+            steps.callback(self._write)
             steps.callback(self._close_journal)
+            # Before the journal is closed, which then has every message that the summary counts.
+            steps.callback(self._summarise, seconds, error)
             steps.callback(self._pool.shutdown, cancel_futures=True)
             steps.callback(self._say_goodbye, error)
             steps.callback(self._vent)
@@ -256,10 +258,13 @@ class Session:
                 self._journal.write(message)
             self._journal.close()
 
-    def _write(self, seconds: float, error: BaseException | None) -> None:
-        """Put the summary together and write it and the estimates."""
-        self._collect()
+    def _summarise(self, seconds: float, error: BaseException | None) -> None:
         self._found = _finite(self._told(seconds, error))
+
+    def _write(self) -> None:
+        """Write the summary and the estimates."""
+        self._collect()
+        self._found["problems"] = self.problems
         if self._out is not None:
             with replaced(self._out, (SUMMARY, ESTIMATE)) as fresh:
                 if self._rows:
@@ -294,7 +299,7 @@ class Session:
         }
         found: dict[str, Any] = {
             "robot": self.shadow.spec.name, "seconds": seconds, "resumed": self.resumed,
-            "error": None if error is None else f"{type(error).__name__}: {error}", "problems": self.problems,
+            "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
             "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
             "tick_ms": _quantiles(self.ticks), "latency_ms": _quantiles(self.latency),
             "view_share": self._shown / max(seconds, 1e-9),

@@ -133,6 +133,17 @@ def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_p
         assert told["following"]["ending"] == "stopped" and told["error"] is None
 
 
+def hears(lab: Path) -> bool:
+    """Return whether the newest journal has a reading of the robot."""
+    newest = max(lab.glob("journal-*.mcap"), key=lambda each: int(each.stem.partition("-")[2]), default=None)
+    # A journal that has just been begun is empty.
+    return (
+        newest is not None
+        and newest.stat().st_size > 100
+        and any(each.kind == BENDS for each in journal_messages(newest, "gen4", 4))
+    )
+
+
 @needs_broker
 @pytest.mark.slow
 def test_twenty_kills(tmp_path):
@@ -165,6 +176,7 @@ def test_twenty_kills(tmp_path):
                 alive = broker(tmp_path, port)
                 alive.__enter__()
         wait(lambda: gait.received(), 30)
+        wait(lambda: hears(tmp_path / "lab"), 60)  # on a busy machine a start takes long
         time.sleep(5.0)
         ended(twin)
         found = json.loads((tmp_path / "lab" / "shadow.json").read_text())
