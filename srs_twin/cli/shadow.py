@@ -17,9 +17,11 @@ from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argume
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from srs_twin.live.helm import Helm
     from srs_twin.live.links import Link
     from srs_twin.live.mqtt import MqttLink
     from srs_twin.live.session import Session
+    from srs_twin.live.shadow import Shadow
 
 BROKER = "127.0.0.1:1883"
 
@@ -98,6 +100,8 @@ def shadow(
         raise InputError("which robot? Give ROBOT, or a file with --setup")
     if out is not None:
         open_folder(out, KEPT)
+    known = lab["name"] or Path(lab["robot"]).stem
+    twin, helm = _twin(lab, follow, members, seed)
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
@@ -105,7 +109,7 @@ def shadow(
     with ExitStack() as stack:
         if out is not None:
             stack.enter_context(made_folder(out))
-        session, known, shown = _session(stack, lab, play, follow, out, members, seed, window, web)
+        session, shown = _session(stack, lab, known, play, twin, helm, out, (window, web))
         if not quiet:
             keys = (
                 ""
@@ -137,42 +141,55 @@ def _is_given(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _session(
-    stack: ExitStack, lab: dict[str, Any], play: tuple[Path, float] | None, follow: str | None,
-    out: Path | None, members: int, seed: int, window: bool, web: bool,
-) -> tuple[Session, str, str]:  # fmt: skip
-    """Return a session, the robot's name and the address of the live view's page; the stack closes them.
+def _twin(lab: dict[str, Any], follow: str | None, members: int, seed: int) -> tuple[Shadow, Helm | None]:
+    """Return the shadow of the robot, and the helm that steers it; all of both is compiled.
 
     Args:
-        stack: gets what has to be closed.
         lab: values of the options that a set-up file may have.
-        play: journal and speed; None: a running robot.
-        follow: scenario to follow.
-        out: folder of the files.
+        follow: scenario to follow; None: no helm.
         members: ensemble size.
         seed: random seed.
-        window: show the view in a window.
-        web: show the view on a page.
     """
-    from srs_twin.io.files import new_numbered
-    from srs_twin.live import natnet as protocol
     from srs_twin.live.helm import Helm
-    from srs_twin.live.journal import McapLink
-    from srs_twin.live.keys import typed_words
-    from srs_twin.live.links import address
-    from srs_twin.live.optitrack import NatNetLink
-    from srs_twin.live.session import RECORDINGS, TICK_S, Session, warm_up
+    from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.robot.spec import load_robot
     from srs_twin.scenario import load_scenario
 
     spec = load_robot(lab["robot"])
-    known = lab["name"] or Path(lab["robot"]).stem
     frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None
     supply = None if lab["pressure"] is None else lab["pressure"] * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
     helm = Helm(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
     warm_up(spec)
+    return twin, helm
+
+
+def _session(
+    stack: ExitStack, lab: dict[str, Any], known: str, play: tuple[Path, float] | None, twin: Shadow,
+    helm: Helm | None, out: Path | None, shows: tuple[bool, bool],
+) -> tuple[Session, str]:  # fmt: skip
+    """Return a session and the address of the live view's page; the stack closes all that it opens.
+
+    Args:
+        stack: gets what has to be closed.
+        lab: values of the options that a set-up file may have.
+        known: name of the robot in topics.
+        play: journal and speed; None: a running robot.
+        twin: shadow of the robot.
+        helm: steers the robot; None: nothing does.
+        out: folder of the files.
+        shows: whether the live view is shown in a window, and on a page.
+    """
+    from srs_twin.io.files import new_numbered
+    from srs_twin.live import natnet as protocol
+    from srs_twin.live.journal import McapLink
+    from srs_twin.live.keys import typed_words
+    from srs_twin.live.links import address
+    from srs_twin.live.optitrack import NatNetLink
+    from srs_twin.live.session import RECORDINGS, Session
+
+    spec, (window, web) = twin.spec, shows
     links: list[Link] = []
     commands: MqttLink | None = None
     keys: Any = tuple
@@ -197,7 +214,7 @@ def _session(
         view, shown = stack.enter_context(live_view(spec, keep=keep, window=window, web=web))
         views.append(view)
     session = Session(twin, links, out=out, helm=helm, commands=commands, views=views, keys=keys)
-    return session, known, shown
+    return session, shown
 
 
 def _tell(told: dict[str, Any]) -> None:

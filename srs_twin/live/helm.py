@@ -39,6 +39,7 @@ _FAINT = 0.3
 
 
 _OF_MODELS = {("actuator", "bend_limit"), ("supply", "limit_source")}
+"""Fields that scenarios set for their models, and texts: robots may differ in them."""
 
 
 def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
