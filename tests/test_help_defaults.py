@@ -84,6 +84,7 @@ def values() -> dict[tuple[str, str], str]:
 LIVE = {
     ("shadow", "mqtt"): "127.0.0.1:1883, or none with --mcap",
     ("shadow", "name"): "ROBOT",
+    ("shadow", "robot"): "that of --setup",
     ("shadow", "body"): "connector_1=1 …",
     ("emulate", "name"): "ROBOT",
 }

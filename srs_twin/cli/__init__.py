@@ -12,7 +12,14 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.errors import CacheWarning, EngineWarning, InputError, SrsError, TaskFailedError
+from srs_twin.errors import (
+    CacheWarning,
+    EngineWarning,
+    InputError,
+    SessionWarning,
+    SrsError,
+    TaskFailedError,
+)
 from srs_twin.io.files import printable, refuse_unprintable
 
 if TYPE_CHECKING:
@@ -182,7 +189,7 @@ def _worded(message: Any, kind: type[Warning], *place: Any) -> str:
     """Return a warning as it is printed: where in the code is of no use where the machine is meant."""
     return (
         f"warning: {message}\n"
-        if kind in (CacheWarning, EngineWarning)
+        if kind in (CacheWarning, EngineWarning, SessionWarning)
         else _PYTHONS_WORDS(message, kind, *place)
     )
 

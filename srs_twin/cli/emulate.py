@@ -101,7 +101,7 @@ def emulate(
     )  # fmt: skip
     known = name or Path(robot).stem
     over = threading.Event()
-    for ends in (signal.SIGINT, signal.SIGTERM):
+    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
     with broker_link(known, made.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
         bodies = {i: f"connector_{i}" for i in range(1, made.segments + 2)}
