@@ -256,7 +256,8 @@ def test_a_stop_is_obeyed_within_one_tick(by):
 @pytest.mark.parametrize("word", ["pause", "vent"])
 def test_pause_keeps_the_valves_and_vent_vents_until_go(word, by):
     found, wire, at, told = obeyed(word, by)
-    after = [np.asarray(valves) for sent, kind, valves in wire.sent if kind == COMMAND and sent > at + 0.03]
+    after = [np.asarray(valves) for sent, kind, valves in wire.sent if kind == COMMAND and sent > at]
+    after = after[2:]  # a word on the topic is obeyed a tick later
     assert len(after) > 3 and np.ptp(after[:-1], axis=0).max() == 0
     if word == "vent":
         assert (after[0] == -1).all()
