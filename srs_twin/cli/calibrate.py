@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import console, interruptible, new_table, say
+from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.fitting import NOTHING_WRITTEN, FitDestination, checked_name, names_in, print_table
 from srs_twin.cli.options import (
     NO_CHANGES,
@@ -128,7 +128,7 @@ def design(
     """
     import numpy as np
 
-    from srs_twin.cli import console, new_table
+    from srs_twin.cli.console import console, new_table
     from srs_twin.identification.design import design as designed
     from srs_twin.robot.file import load_robot, load_robot_file
     from srs_twin.uncertainty import Priors

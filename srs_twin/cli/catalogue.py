@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
-from srs_twin.cli import console, new_table
+from srs_twin.cli.console import console, new_table
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from srs_twin.cli import say
+from srs_twin.cli.console import say
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotArgument, option, print_json
 from srs_twin.errors import InputError
 

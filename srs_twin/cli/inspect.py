@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-from srs_twin.cli import say
+from srs_twin.cli.console import say
 from srs_twin.cli.options import JsonOption, OverwriteOption, argument, option, print_json
 from srs_twin.errors import InputError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from srs_twin.cli import interruptible, say
+from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli import say
+from srs_twin.cli.console import say
 from srs_twin.cli.emulate import broker_link
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
 from srs_twin.errors import InputError
@@ -28,7 +28,7 @@ BROKER = "127.0.0.1:1883"
 
 def shadow(
     context: typer.Context,
-    robot: Annotated[str | None, argument("[ROBOT]", of=["robot"])] = None,
+    robot: Annotated[str | None, argument("ROBOT", of=["robot"])] = None,
     setup: Annotated[Path | None, option("--setup FILE.yaml")] = None,
     mqtt: Annotated[str | None, option("--mqtt HOST:PORT")] = None,
     natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli import interruptible, say
+from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
