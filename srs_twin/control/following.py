@@ -26,7 +26,7 @@ from srs_twin.errors import InputError
 from srs_twin.memory import names
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import Plan
+from srs_twin.planning.plan import Plan
 from srs_twin.planning.route import PathPoint, Route
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
