@@ -103,7 +103,7 @@ def test_of_a_yielding_body_the_common_scale_cancels():
 
 
 def test_the_motion_of_a_yielding_body_follows_its_parameters_without_ripple():
-    """Many small changes move the path hardly more than one large change (1.05; with the default steps 1.27)."""
+    """Many small changes move the path hardly more than one large one: 1.05 times (default steps: 1.27)."""
     spec, gait = load_robot("gen4"), Gait(1.6, 0.2)
     ends = {"friction.mu_t": 0.04, "friction.mu_n": 0.026, "bending.stiffness_nm_per_rad": 0.028}
     nominal = {each.name: each.start for each in unknowns(spec, ends)}
