@@ -81,6 +81,8 @@ def shadow(
         user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """
+    from threadpoolctl import threadpool_limits
+
     from srs_twin.io.files import made_folder, open_folder
     from srs_twin.live.session import KEPT
 
@@ -100,6 +102,7 @@ def shadow(
         raise InputError("which robot? Give ROBOT, or a file with --setup")
     if out is not None:
         open_folder(out, KEPT)
+    threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
     known = lab["name"] or Path(lab["robot"]).stem
     twin, helm = _twin(lab, follow, members, seed)
     over = threading.Event()

@@ -20,6 +20,8 @@ from srs_twin.world import Pose
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up, and one without air is steered."""
 LOST, EMPTY, STOPPED = "estimate_lost", "supply_empty", "stopped"
+TOO_SLOW = "estimate_too_old"
+"""Ending where the machine computes too slowly."""
 """Endings besides those of the follower; `STOPPED`: the session ended before."""
 _LARGEST_SD_M = 0.0125
 """Whoever steers must know this well where the robot is: half of the usual margin to obstacles."""
@@ -136,7 +138,7 @@ class Helm:
         if found is None or found.lost or np.hypot(*found.pose_sd[:2]) > _LARGEST_SD_M:
             self._lost_for += self._tick
             if self._steps and self._lost_for > PATIENCE_S:
-                self._give_up(LOST)
+                self.give_up(LOST)
             return self.vented()
         self._lost_for = 0.0
         if self._held:
@@ -153,7 +155,7 @@ class Helm:
         faint = np.median([each.weak for each in likely]) < _FAINT
         self._faint_for = self._faint_for + self._tick if faint else 0.0
         if self._faint_for > PATIENCE_S:
-            self._give_up(EMPTY)
+            self.give_up(EMPTY)
             return self.vented()
         state = found.state(self._steps * self._tick, self._pressure)
         # A chamber that leaks still bends its segment.
@@ -177,7 +179,8 @@ class Helm:
             "events": [{"time_s": time, "event": text} for time, text in self._events],
         }  # fmt: skip
 
-    def _give_up(self, why: str) -> None:
+    def give_up(self, why: str) -> None:
+        """End the steering for a reason, which becomes its ending."""
         if not self._given_up:
             self._given_up = why
             self._events.append((self._steps * self._tick, why))

@@ -19,7 +19,7 @@ import numpy as np
 from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import new_numbered, shown
-from srs_twin.live.helm import Helm
+from srs_twin.live.helm import TOO_SLOW, Helm
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
 from srs_twin.live.messages import (
@@ -42,6 +42,12 @@ from srs_twin.trajectory import Trajectory
 
 TICK_S = 0.02
 PREDICTS_S = 0.5
+STALE_S = 0.2
+"""Age of an estimate from which the robot is vented instead of steered: so long a command holds."""
+TOO_SLOW_S = 0.5
+"""Age of an estimate that ends the steering."""
+_WATCHED_S, _MOST_OVERRUNS = 1.0, 0.5
+"""The session warns when this share of the ticks of so many seconds took longer than `TICK_S`."""
 FLUSHES_S, SAVES_S = 1.0, 5.0
 STATE = "state.npz"
 SUMMARY, ESTIMATE = "shadow.json", "estimate.parquet"
@@ -80,6 +86,7 @@ class Session:
         faults: (part, fault) → when it was first named, s from the beginning.
         problems: what the session went on without, such as a file that cannot be written.
         ticks: how long each took, s.
+        lag: largest age of an estimate when its tick ended, s.
         latency: from a reading's arrival to an estimate with it, s.
     """
 
@@ -119,9 +126,10 @@ class Session:
         self.faults: dict[tuple[str, str], float] = {}
         self.problems: list[str] = []
         self.ticks, self.latency = deque[float](maxlen=_KEPT), deque[float](maxlen=_KEPT)
+        self.lag = 0.0
         self._rows: list[np.ndarray] = []
         self._prediction: Prediction | None = None
-        self._shown, self._first, self._stopped = 0.0, 0.0, False
+        self._shown, self._first, self._stopped, self._slow = 0.0, 0.0, False, False
         self._pool = ThreadPoolExecutor(2)
         self._forecast: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
@@ -157,11 +165,23 @@ class Session:
                 self._show()
             self.ticks.append(time.monotonic() - tick)
             done += 1
+            if done % round(_WATCHED_S / TICK_S) == 0:
+                self._watch()
             left = begun + done * TICK_S - time.monotonic()
             if left > 0:
                 time.sleep(left)
             elif left < -1.0:
                 begun = time.monotonic() - done * TICK_S  # missed ticks are not made up for
+
+    def _watch(self) -> None:
+        """Warn if the machine is too slow: ticks that take longer than `TICK_S` delay all that follow."""
+        took = np.array(list(self.ticks)[-round(_WATCHED_S / TICK_S) :])
+        if self._commands is not None and (took > TICK_S).mean() > _MOST_OVERRUNS and not self._slow:
+            self._slow = True
+            self._report(
+                f"falling behind: ticks take {1e3 * np.median(took):.0f} ms instead of {1e3 * TICK_S:.0f}; "
+                f"estimates are up to {self.lag:.2f} s old"
+            )
 
     def _show(self) -> None:
         assert self.estimate is not None
@@ -219,8 +239,15 @@ class Session:
                 )
             )
             del self._rows[:-_KEPT]
-        if self._helm is not None and self._commands is not None and not self._stopped:
-            self._commands.send(COMMAND, self._helm.step(found, self.shadow))
+        if self._commands is None:
+            return  # a journal waits
+        command = None if self._helm is None or self._stopped else self._helm.step(found, self.shadow)
+        lag = self._links[0].clock() - now
+        self.lag = max(self.lag, lag)
+        if self._helm is not None and command is not None:
+            if lag > TOO_SLOW_S:
+                self._helm.give_up(TOO_SLOW)
+            self._commands.send(COMMAND, self._helm.vented() if lag > STALE_S else command)
 
     def _obey(self, word: str) -> None:
         """Obey a control word, of `WORDS`."""
@@ -302,6 +329,7 @@ class Session:
             "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
             "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
             "tick_ms": _quantiles(self.ticks), "latency_ms": _quantiles(self.latency),
+            "overruns": int(sum(tick > TICK_S for tick in self.ticks)), "lag_s": self.lag,
             "view_share": self._shown / max(seconds, 1e-9),
             "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
         }  # fmt: skip

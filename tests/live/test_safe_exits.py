@@ -25,6 +25,15 @@ from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
 from srs_twin.memory import SavedState
 
+STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Let sessions steer on a busy machine, whose estimates may be old."""
+    monkeypatch.setattr(sessions, "STALE_S", 60.0)
+    monkeypatch.setattr(sessions, "TOO_SLOW_S", 60.0)
+
 
 class Wire(Link):
     """A link to a robot that lies still, or to what `tell` puts on it; keeps what is sent."""
@@ -284,3 +293,56 @@ def test_a_state_that_was_saved_is_whole(tmp_path):
     found, _ = session(tmp_path / "lab")
     found.run(0.2)
     assert SavedState.read(tmp_path / "lab/state.npz")
+
+
+def slowed(found: Session, seconds: float, ticks: range) -> None:
+    """Let the filter of a session take longer in some ticks."""
+    take, count = found.shadow.take, 0
+
+    def slow(now, messages):
+        nonlocal count
+        count += 1
+        if count in ticks:
+            time.sleep(seconds)
+        return take(now, messages)
+
+    found.shadow.take = slow  # type: ignore[method-assign]
+
+
+@pytest.fixture
+def watched(monkeypatch, patient):
+    """Steer with limits that a busy machine keeps, in sessions whose code is compiled."""
+    sessions.warm_up(load_robot("gen4"))
+    monkeypatch.setattr(sessions, "STALE_S", 5 * STALE_S)
+    monkeypatch.setattr(sessions, "TOO_SLOW_S", 5 * TOO_SLOW_S)
+
+
+def test_a_robot_is_vented_while_its_estimate_is_old(watched):
+    found, wire = session()
+    slowed(found, sessions.STALE_S + 0.1, range(10, 12))
+    told = found.run(4.0)
+    commands = [np.asarray(valves) for _, kind, valves in wire.sent if kind == COMMAND]
+    assert all((valves == -1).all() for valves in commands[9:11])
+    assert (np.ptp(commands[11:-1], axis=0) > 0).all()
+    assert told["following"]["ending"] == "stopped"
+    assert sessions.STALE_S < told["lag_s"] < sessions.TOO_SLOW_S
+
+
+def test_a_machine_that_is_too_slow_ends_the_steering_and_says_so(watched):
+    found, wire = session()
+    slowed(found, sessions.TOO_SLOW_S + 0.1, range(10, 1000))
+    told = found.run(20.0)
+    was_made_safe(wire)
+    assert told["following"]["ending"] == "estimate_too_old"
+    assert told["seconds"] < 10.0
+    assert told["overruns"] >= 1
+
+
+def test_ticks_that_take_too_long_are_warned_of_once():
+    found, _ = session()
+    slowed(found, 0.03, range(1, 1000))
+    with pytest.warns(SessionWarning, match="falling behind: ticks take") as warned:
+        told = found.run(8.0)
+    assert len([each for each in warned if "falling behind" in str(each.message)]) == 1
+    assert len(told["problems"]) == 1
+    assert told["following"]["ending"] == "stopped"
