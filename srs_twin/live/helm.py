@@ -117,6 +117,11 @@ class Helm:
         """Whether the way has ended."""
         return bool(self._given_up) or self.follower.finished
 
+    @property
+    def begun(self) -> bool:
+        """Whether the robot has been steered."""
+        return self._steps > 0
+
     def vented(self) -> np.ndarray:
         """Return the command that vents everything."""
         return np.full(self._pressure.shape, -1.0)

@@ -44,7 +44,7 @@ TICK_S = 0.02
 PREDICTS_S = 0.5
 STALE_S = 0.2
 """Age of an estimate from which the robot is vented instead of steered: so long a command holds."""
-TOO_SLOW_S = 0.5
+TOO_SLOW_S = 1.0
 """Age of an estimate that ends the steering."""
 _WATCHED_S, _MOST_OVERRUNS = 1.0, 0.5
 """The session warns when this share of the ticks of so many seconds took longer than `TICK_S`."""
@@ -245,7 +245,7 @@ class Session:
         lag = self._links[0].clock() - now
         self.lag = max(self.lag, lag)
         if self._helm is not None and command is not None:
-            if lag > TOO_SLOW_S:
+            if lag > TOO_SLOW_S and self._helm.begun:
                 self._helm.give_up(TOO_SLOW)
             self._commands.send(COMMAND, self._helm.vented() if lag > STALE_S else command)
 
