@@ -99,7 +99,7 @@ class EngineWarning(UserWarning):
 
 
 class SessionWarning(UserWarning):
-    """A session beside a robot goes on without something: a file that cannot be written, a forecast."""
+    """A session continues without something, such as a file or a forecast, or is too slow."""
 
 
 class CacheWarning(UserWarning):

@@ -34,12 +34,12 @@ class CaseResult:
 
     @property
     def metrics(self) -> Mapping[str, Any]:
-        """What stands in metrics.json; empty where the folder does not hold a whole run."""
+        """Content of metrics.json; empty if the folder does not hold a complete run."""
         return {} if self.result is None else self.result.metrics
 
     @property
     def verdicts(self) -> Counter[str]:
-        """How many expectations came out how; see `scenario.expectation.verdict`."""
+        """Number of expectations per verdict (`scenario.expectation.verdict`)."""
         from srs_twin.scenario.expectation import verdict
 
         return Counter(map(verdict, self.metrics.get("expectations", ())))
@@ -68,7 +68,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """What it is called: the scenario's name, or its file's where there is none."""
+        """Name of the scenario, or of its file if the scenario cannot be used."""
         return Path(self.source).stem if self.scenario is None else self.scenario.name
 
     @property
@@ -77,7 +77,7 @@ class Case:
         return self.name if self.scenario is None else self.scenario.label
 
     def document(self) -> Mapping[str, Any]:
-        """Return what came of it as plain data: metrics.json, or what stopped it."""
+        """Return the result as plain data: metrics.json, or the errors."""
         ended = self.ended or CaseResult(None)
         errors = {"scenario": self.name, "errors": [str(error) for error in ended.errors]}
         return errors if ended.errors else ended.metrics

@@ -24,14 +24,14 @@ INTERRUPTED = 130
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Say something on stderr at once, control characters escaped, unless the command is to be quiet."""
+    """Print lines to stderr at once, with control characters escaped; print nothing if `quiet`."""
     for line in () if quiet else lines:
         print(printable(line, keep="\n\t"), file=sys.stderr, flush=True)
 
 
 @contextmanager
 def interruptible(words: Callable[[], str] | str) -> Iterator[None]:
-    """Where a command is interrupted, say what is left of its work, and end it."""
+    """End an interrupted command with a message about the work that is kept."""
     try:
         yield
     except KeyboardInterrupt:
@@ -40,7 +40,7 @@ def interruptible(words: Callable[[], str] | str) -> Iterator[None]:
 
 
 def console() -> Console:
-    """Return rich's console on stdout for text as it stands: no markup, control characters escaped."""
+    """Return rich's console on stdout without markup, with control characters escaped."""
     import rich.console
 
     class Plain(rich.console.Console):
@@ -51,7 +51,7 @@ def console() -> Console:
 
 
 def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = None) -> Table:
-    """Return an empty table of unbroken columns; those of these places stand on the left, others right."""
+    """Return an empty table whose columns do not wrap; those in `left` are left-aligned, others right."""
     from rich import box
     from rich.table import Table
 
@@ -62,6 +62,6 @@ def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = 
 
 
 def show_traceback(error: Exception) -> None:
-    """Print an error's traceback to stderr where somebody asked for it."""
+    """Print an error's traceback to stderr if `DEBUG` is set."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         say("".join(traceback.format_exception(error)).rstrip())

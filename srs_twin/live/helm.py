@@ -19,10 +19,8 @@ from srs_twin.world import Pose
 
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up, and one without air is steered."""
-LOST, EMPTY, STOPPED = "estimate_lost", "supply_empty", "stopped"
-TOO_SLOW = "estimate_too_old"
-"""Ending where the machine computes too slowly."""
-"""Endings besides those of the follower; `STOPPED`: the session ended before."""
+LOST, EMPTY, STOPPED, TOO_SLOW = "estimate_lost", "supply_empty", "stopped", "estimate_too_old"
+"""Endings in addition to those of the follower; `STOPPED`: the session ended first."""
 _LARGEST_SD_M = 0.0125
 """Whoever steers must know this well where the robot is: half of the usual margin to obstacles."""
 _SETTLES_S = 1.0

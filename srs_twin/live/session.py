@@ -175,8 +175,10 @@ class Session:
 
     def _watch(self) -> None:
         """Warn if the machine is too slow: ticks that take longer than `TICK_S` delay all that follow."""
-        took = np.array(list(self.ticks)[-round(_WATCHED_S / TICK_S) :])
-        if self._commands is not None and (took > TICK_S).mean() > _MOST_OVERRUNS and not self._slow:
+        if self._commands is None or self._slow:
+            return
+        took = np.array([self.ticks[-k] for k in range(1, round(_WATCHED_S / TICK_S) + 1)])
+        if (took > TICK_S).mean() > _MOST_OVERRUNS:
             self._slow = True
             self._report(
                 f"falling behind: ticks take {1e3 * np.median(took):.0f} ms instead of {1e3 * TICK_S:.0f}; "
