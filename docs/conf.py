@@ -37,6 +37,8 @@ include_patterns = [
 exclude_patterns = [".*", "runs", "dist", "build", "site", "srs_twin", "tests", "benchmarks"]
 templates_path = ["_templates"]
 
+# Help texts and commands are copied from pages: quotes and dashes stay as typed.
+smartquotes = False
 myst_enable_extensions = ["dollarmath", "attrs_inline"]
 myst_dmath_double_inline = True
 myst_heading_anchors = 4
