@@ -13,7 +13,7 @@ import re
 import numpy as np
 
 from srs_twin.reproduction import load_baseline, load_claims
-from srs_twin.uncertainty import Discrepancy
+from srs_twin.studies.uncertainty import Discrepancy
 
 SIZE, LENGTH, NOISE = 0.2, 0.2, 0.05
 

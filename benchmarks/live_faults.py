@@ -19,7 +19,7 @@ import numpy as np
 from grid import table
 from live_runs import NAMES, alarms, isolated
 
-from srs_twin.parallel import each
+from srs_twin.compute.workers import each
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ from srs_twin.planning import Footprint, Problem, load_footprint, plan
 from srs_twin.planning.collision import surroundings
 from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.pockets import COARSE, FINE, shut_in
-from srs_twin.world import Polygon, Pose, World
+from srs_twin.robot.world import Polygon, Pose, World
 
 
 def false_proofs(case: Problem) -> int:

@@ -16,7 +16,7 @@ from grid import Run, run_all, table
 
 from srs_twin import LoadedContact, PreloadedContact
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.mjcf.numerics import ModelSettings
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 
 GAITS = ((1.0, 0.0), (2.0, 0.0), (2.0, 0.2))  # Hz, offset
 BASE = ModelSettings()

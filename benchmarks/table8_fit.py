@@ -33,7 +33,7 @@ from srs_twin.identification.fitted_robot import fitted
 from srs_twin.identification.footprint import PLANTS, Drive
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.files import atomic_write, data_root
-from srs_twin.provenance import versions
+from srs_twin.scenario.provenance import versions
 
 FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
 FITTED = (0.0, 0.3, -0.3)

@@ -28,11 +28,11 @@ from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import data_root, open_folder, shipped_names, shown
 from srs_twin.planning.margins import BEFORE_CONTACTS
 from srs_twin.plants.base import Plant
-from srs_twin.provenance import judged_digest, versions
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
+from srs_twin.scenario.provenance import judged_digest, versions
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:

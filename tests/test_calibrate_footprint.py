@@ -28,7 +28,7 @@ from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
 from srs_twin.planning import Problem, load_footprint, plan
 from srs_twin.planning.footprint import checked, load_footprint_file, save_footprint
-from srs_twin.world import Circle, Goal, Pose, World
+from srs_twin.robot.world import Circle, Goal, Pose, World
 
 SHORT = (
     "calibrate", "footprint", "gen2", "--plant", "analytical", "--offsets=0.2,-0.2,0", "--no-transients",

@@ -56,11 +56,11 @@ def stated() -> Iterator[tuple[str, str, str]]:
 
 def values() -> dict[tuple[str, str], str]:
     """Return command and parameter → default that the command takes, in the help's words."""
-    from srs_twin.cli.calibrate import _FREQUENCY_HZ, _plant_settings
-    from srs_twin.cli.replay import _plants
     from srs_twin.comparison.diff import Tolerances
+    from srs_twin.identification.command import _FREQUENCY_HZ, _plant_settings
     from srs_twin.identification.footprint import Drive
-    from srs_twin.identification.takes import RecordingReader
+    from srs_twin.recordings.replay_command import _plants
+    from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot
 
     spec = load_robot("gen2")

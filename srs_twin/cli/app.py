@@ -9,24 +9,25 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import calibrate, models
+from srs_twin.cli import models
 from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
-from srs_twin.cli.doctor import doctor
-from srs_twin.cli.emulate import emulate
-from srs_twin.cli.inspect import inspect
-from srs_twin.cli.optimize import optimize
+from srs_twin.cli.doctor.command import doctor
 from srs_twin.cli.options import option, with_options
-from srs_twin.cli.plan import plan
 from srs_twin.cli.render import render
-from srs_twin.cli.replay import replay
-from srs_twin.cli.reproduce import reproduce
 from srs_twin.cli.run import compare, run
-from srs_twin.cli.shadow import shadow
-from srs_twin.cli.sweep import sweep
-from srs_twin.cli.uncertainty import uncertainty
 from srs_twin.cli.view import play, view
+from srs_twin.identification import command as calibrate
+from srs_twin.live.emulate_command import emulate
+from srs_twin.live.shadow_command import shadow
+from srs_twin.planning.command import plan
+from srs_twin.recordings.inspect_command import inspect
+from srs_twin.recordings.replay_command import replay
+from srs_twin.reproduction.command import reproduce
+from srs_twin.studies.optimization.command import optimize
+from srs_twin.studies.sweep.command import sweep
+from srs_twin.studies.uncertainty.command import uncertainty
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.

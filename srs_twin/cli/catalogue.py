@@ -142,11 +142,11 @@ def schema(
     if kind not in _SCHEMAS:
         raise UnknownNameError("kind of file", kind, _SCHEMAS)
     if kind == "sweep":
-        from srs_twin.sweep.file import sweep_json_schema
+        from srs_twin.studies.sweep.file import sweep_json_schema
 
         found = sweep_json_schema()
     elif kind == "study":
-        from srs_twin.optimization.file import study_json_schema
+        from srs_twin.studies.optimization.file import study_json_schema
 
         found = study_json_schema()
     elif kind == "setup":

@@ -14,8 +14,8 @@ import typer
 from srs_twin.errors import one_of
 
 if TYPE_CHECKING:
-    from srs_twin.identification.takes import RecordingReader
     from srs_twin.io.documents import Change
+    from srs_twin.recordings.takes import RecordingReader
 
 FITS = "calibration/fits"
 
@@ -184,8 +184,8 @@ class ReadingOptions:
         Raises:
             InputFileError: what is wrong with a map.
         """
-        from srs_twin.identification.takes import RecordingReader
         from srs_twin.recordings.recording_map import read_map
+        from srs_twin.recordings.takes import RecordingReader
 
         given = self.given()
         return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)

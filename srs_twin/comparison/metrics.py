@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.following import FOLLOWING_UNITS, following_metrics
 from srs_twin.comparison.gait import (
     ENERGY_METRICS,
     GaitWindow,
@@ -24,6 +23,7 @@ from srs_twin.comparison.learning import (
 from srs_twin.comparison.reading import READING_UNITS, reading_metrics
 from srs_twin.comparison.sampling import body_length, require, units_of
 from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
+from srs_twin.planning.metrics import FOLLOWING_UNITS, following_metrics
 from srs_twin.trajectory import Trajectory
 
 RELATIVE = set(

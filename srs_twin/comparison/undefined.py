@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.following import FOLLOWING_UNITS, following
 from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.comparison.reading import READING_UNITS, ReadingCurve
 from srs_twin.comparison.tracking import TRACKING_UNITS
+from srs_twin.planning.metrics import FOLLOWING_UNITS, following
 from srs_twin.trajectory import Trajectory
 
 _ENERGY = {

@@ -20,8 +20,8 @@ from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.smc import CARRIER_HZ
 from srs_twin.envs.task import Episode, Signal, Task
 from srs_twin.errors import InputError
-from srs_twin.memory import names
-from srs_twin.plants.twin import TwinSnake
+from srs_twin.io.saved_state import names
+from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
 
 STEP_S = 0.05

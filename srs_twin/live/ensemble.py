@@ -31,7 +31,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.live.connection import LocalConnection
 from srs_twin.live.ensemble_kernels import advance, correct, set_momenta
 from srs_twin.live.habits import Habits
@@ -40,6 +39,7 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import Solid
 from srs_twin.pneumatics.chambers import AMBIENT_PA, free_bends
+from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025

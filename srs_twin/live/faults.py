@@ -27,8 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.live.balance import AirBalance
-from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
 from srs_twin.robot.spec import RobotSpec
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from srs_twin.control.camera import Camera
-from srs_twin.control.following import Follower
 from srs_twin.errors import InputError
 from srs_twin.live.faults import FILLS, HYPOTHESES, VENTS
 from srs_twin.live.messages import GO, VENT
 from srs_twin.live.shadow import DELAY_S, Estimate, Shadow
+from srs_twin.planning.follower import Follower
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import Pose
 from srs_twin.scenario import Scenario
-from srs_twin.world import Pose
 
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up, and one without air is steered."""

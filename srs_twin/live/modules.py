@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 
 GAIN, BIAS, FILL, VENT, _REST = slice(0, 2), 2, 3, 4, 5
 _WIDTH = 6

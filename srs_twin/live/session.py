@@ -19,6 +19,7 @@ import numpy as np
 from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import new_numbered, shown
+from srs_twin.io.saved_state import SavedState
 from srs_twin.live.helm import TOO_SLOW, Helm
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
@@ -36,7 +37,6 @@ from srs_twin.live.messages import (
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.prediction import Prediction
 from srs_twin.live.shadow import Estimate, Shadow
-from srs_twin.memory import SavedState
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.io.saved_state import Remembers, SavedState, fingerprint
 from srs_twin.live.clocks import Inbox
 from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
 from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
-from srs_twin.memory import Remembers, SavedState, fingerprint
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
 

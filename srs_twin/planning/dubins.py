@@ -19,8 +19,8 @@ import math
 
 import numpy as np
 
-from srs_twin.compiled import compiled
-from srs_twin.world import Pose
+from srs_twin.compute.compiled import compiled
+from srs_twin.robot.world import Pose
 
 _FULL = 2 * math.pi
 _ROUNDING = 1e-9

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.world import Bounds, Circle, Goal, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 
 FIG54_START = Pose(0.0, 0.0, math.pi / 4)
 """Section 5.2.1's start in the field of Fig. 54."""

@@ -28,8 +28,8 @@ from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, dump_yaml, load_yaml
 from srs_twin.io.files import atomic_write, find
 from srs_twin.io.validation import Strict, validate
-from srs_twin.mjcf.numerics import ContactName
 from srs_twin.planning.margins import BEFORE_CONTACTS, ExcursionsFile
+from srs_twin.plants.twin.mjcf.numerics import ContactName
 from srs_twin.robot.sourced import Record, Status, between
 
 MEASURED_ON_TWIN = "measured on the twin"

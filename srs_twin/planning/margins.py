@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.validation import Strict
-from srs_twin.mjcf.numerics import ContactName
+from srs_twin.plants.twin.mjcf.numerics import ContactName
 from srs_twin.robot.sourced import between
 
 Share = Annotated[float, between(0.0, 1.0)]

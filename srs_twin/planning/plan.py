@@ -11,8 +11,8 @@ import numpy as np
 from srs_twin.planning.free_space import least_length
 from srs_twin.planning.problem import Outcome, Problem, Segment
 from srs_twin.planning.tree import Tree
+from srs_twin.robot.world import Pose
 from srs_twin.trajectory import Shown
-from srs_twin.world import Pose
 
 _ROUNDING = 1e-6
 

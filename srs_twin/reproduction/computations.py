@@ -58,7 +58,7 @@ def _loose(robot: str, *, along: bool) -> float:
 
 
 def _comes_loose(robot: str, pull: float, *, along: bool) -> bool:
-    from srs_twin.plants.twin import TwinSnake
+    from srs_twin.plants.twin.snake import TwinSnake
 
     plant = TwinSnake(load_robot(robot))
     vented = np.full((plant.spec.segments, 2), -1, dtype=np.int8)
@@ -91,7 +91,7 @@ def _felt(robot: str) -> tuple[float, float]:
 
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
     """Return the least load on the twin's tail over that at rest: below 0 a wheel lifts (Section 3.4.3)."""
-    from srs_twin.plants.twin import TwinSnake
+    from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
 
     given = _with(load_scenario(scenario), frequency_hz=frequency_hz)
@@ -211,7 +211,7 @@ def footprint_edges(footprint: str) -> Numbers:
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
     """Return how far the planner's arcs end from where Eq. 33 (signs put right, E7) has them at most, m."""
     from srs_twin.planning import Primitives
-    from srs_twin.world import Pose
+    from srs_twin.robot.world import Pose
 
     start = Pose(0.3, -0.2, 0.7)
     worst = 0.0

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.io.files import write_text
-from srs_twin.provenance import versions
 from srs_twin.reproduction.claims import COLUMNS, Category, Claim
 from srs_twin.reproduction.verdicts import (
     EXPLAINED,
@@ -19,6 +18,7 @@ from srs_twin.reproduction.verdicts import (
     Outcome,
     outcomes_document,
 )
+from srs_twin.scenario.provenance import versions
 from srs_twin.viewing.html.page import Table, colored, picture, render
 
 if TYPE_CHECKING:

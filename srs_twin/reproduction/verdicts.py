@@ -15,9 +15,9 @@ from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAd
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root, shown, write_text
 from srs_twin.io.json_files import read_json
-from srs_twin.provenance import versions
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
 from srs_twin.reproduction.runs import Job, Started, Store
+from srs_twin.scenario.provenance import versions
 
 MET: Final = "met"
 EXPLAINED: Final = "explained"

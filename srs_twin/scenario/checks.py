@@ -7,11 +7,11 @@ import math
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.replay import HoldValves
 from srs_twin.errors import Clock, InputError, TimeStepError, nearest_rate, whole_steps
-from srs_twin.identification.takes import pressures, starts_at_rest
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.takes import pressures, starts_at_rest
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile

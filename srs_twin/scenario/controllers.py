@@ -11,25 +11,25 @@ from pydantic import Field, model_validator
 from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera
 from srs_twin.control.duties import LARGEST_OFFSET, Cycles
-from srs_twin.control.following import Conditions, Follower
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, LEAST_PULSES
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.control.replay import STATES, HoldValves, Replay, layouts_for
 from srs_twin.control.smc import DirectSMC, IterativeSMC
-from srs_twin.control.steering import BearingLaw, PathLaw, Steering
-from srs_twin.identification.takes import commands
 from srs_twin.planning import Footprint
+from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.margins import SPREADS, ConditionsFile
+from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
 from srs_twin.pneumatics.chambers import largest_bend
+from srs_twin.recordings.takes import commands
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 if TYPE_CHECKING:
+    from srs_twin.planning.section import PlannerFile
     from srs_twin.recordings.recording import Recording
     from srs_twin.robot.file import RobotFile
-    from srs_twin.scenario.planner import PlannerFile
     from srs_twin.scenario.scenario import Scenario
 
 _KIND = "Which controller."

@@ -7,17 +7,17 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, WithJsonSchema, model_validator
 
-from srs_twin.identification.takes import RecordingReader
+from srs_twin.planning.section import PlannerFile
 from srs_twin.pneumatics import OrificePneumatics, Pneumatics, make_pneumatics
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.recordings.recording_map import RecordingMap
+from srs_twin.recordings.takes import RecordingReader
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import ControllerFile, FollowFile
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.fields import FilePath, Line, Section, constructor_default, quantity
 from srs_twin.scenario.modified import ChangedField
-from srs_twin.scenario.planner import PlannerFile
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile

@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
-from srs_twin.identification.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
 from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.footprint import load_footprint_file
+from srs_twin.planning.section import RoutePlanner
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.signals.logs import on_bench, read_valves
+from srs_twin.recordings.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
 from srs_twin.robot.file import PA_PER_KPA, RobotFile, far_off, resolve_robot
 from srs_twin.robot.sourced import restated
+from srs_twin.robot.world import World
 from srs_twin.scenario.checks import (
     check,
     check_controller,
@@ -31,10 +33,8 @@ from srs_twin.scenario.checks import (
 from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
-from srs_twin.scenario.planner import RoutePlanner
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.world import World
 
 Found = TypeVar("Found")
 

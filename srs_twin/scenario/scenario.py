@@ -8,26 +8,26 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.identification.takes import pressures
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.recordings.takes import pressures
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.modified import Changes, invalidated_by, marked, with_plants
 from srs_twin.scenario.plants import PLANTS, AnalyticalFile, PlantFile, TwinFile
 from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
 from srs_twin.trajectory import Trajectory
-from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
+    from srs_twin.planning.section import RoutePlanner
     from srs_twin.plants.base import Plant
     from srs_twin.pneumatics import Pneumatics
     from srs_twin.recordings.recording import Recording
     from srs_twin.scenario.controllers import ControllerFile
     from srs_twin.scenario.file import ScenarioFile
-    from srs_twin.scenario.planner import RoutePlanner
     from srs_twin.scenario.start import FirstState
 
 
@@ -179,7 +179,7 @@ class Scenario:
         arguments["world"] = None if self.file.bench else self.world
         if kind == "analytical":
             return AnalyticalSnake(robot, **arguments)
-        from srs_twin.plants.twin import TwinSnake
+        from srs_twin.plants.twin.snake import TwinSnake
 
         return TwinSnake(robot, **arguments)
 

@@ -16,6 +16,7 @@ import pytest
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.errors import SessionWarning
 from srs_twin.io.files import new_numbered
+from srs_twin.io.saved_state import SavedState
 from srs_twin.live import helm as helms
 from srs_twin.live import session as sessions
 from srs_twin.live.helm import Helm
@@ -24,7 +25,6 @@ from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS, Message
 from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
-from srs_twin.memory import SavedState
 
 STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
 

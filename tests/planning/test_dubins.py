@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import fsolve
 
 from srs_twin.planning.dubins import shortest
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 pytestmark = pytest.mark.fast
 

@@ -19,7 +19,7 @@ from srs_twin.planning.collision import Checker, surroundings
 from srs_twin.planning.gates import gates_of
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.tree import moves_of
-from srs_twin.world import Bounds, Circle, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Polygon, Pose, World
 
 BODY = load_footprint("gen4_table8")
 

@@ -16,7 +16,7 @@ from srs_twin.planning import Footprint, Outcome, Primitives, Problem, load_foot
 from srs_twin.planning.arcs import along
 from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.planning.greedy import arc_to, mirrored
-from srs_twin.world import Circle, Goal, Pose, World
+from srs_twin.robot.world import Circle, Goal, Pose, World
 
 TEXT = load_footprint("gen2_section52")
 ARCS = Primitives(21, math.pi / 3, 0.2)

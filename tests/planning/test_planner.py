@@ -21,7 +21,7 @@ from srs_twin.planning.best_first import rest
 from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.tree import moves_of, target_of
-from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 TEXT = load_footprint("gen2_section52")
 SEEDS = range(60)
@@ -314,7 +314,7 @@ COMPILED_LATER = """
 import sys
 from srs_twin.planning import load_footprint, plan, planner
 from srs_twin.planning.problem import Problem
-from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 def kernels():
     modules = [m for name, m in sorted(sys.modules.items()) if name.startswith("srs_twin.planning.")]

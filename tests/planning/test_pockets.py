@@ -17,7 +17,7 @@ from srs_twin.planning import Problem, load_footprint, plan
 from srs_twin.planning.arcs import along
 from srs_twin.planning.collision import surroundings
 from srs_twin.planning.pockets import COARSE, FINE, _moves, shut_in
-from srs_twin.world import Bounds, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 
 BODY = load_footprint("gen4_table8")
 

@@ -17,7 +17,7 @@ from srs_twin.reproduction.claims import Cause, Claim, Measure
 from srs_twin.reproduction.report import count, summary_line
 from srs_twin.reproduction.runs import Job
 from srs_twin.reproduction.verdicts import Baseline, combined, load_baseline, taken, write_baseline
-from srs_twin.sweep.task import DONE, Row
+from srs_twin.studies.sweep.task import DONE, Row
 
 pytestmark = pytest.mark.fast
 

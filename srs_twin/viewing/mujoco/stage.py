@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from srs_twin.comparison.following import following, segments_of
 from srs_twin.errors import InputError
+from srs_twin.planning.metrics import following, segments_of
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas, Label

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from srs_twin.comparison.centre_line import centre_lines, on_both_sides
-from srs_twin.comparison.following import following
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.tracking import frequency_of
 from srs_twin.errors import InputError
+from srs_twin.planning.metrics import following
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 

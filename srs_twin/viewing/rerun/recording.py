@@ -23,10 +23,11 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
-from srs_twin.comparison.following import touches
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
+from srs_twin.planning.metrics import touches
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.plots.signals import (
     check_drawable,
@@ -49,7 +50,6 @@ from srs_twin.viewing.rerun.scene import (
     send_snake,
 )
 from srs_twin.viewing.rerun.viewer import verify_recording
-from srs_twin.world import World
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk

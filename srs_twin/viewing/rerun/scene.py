@@ -10,8 +10,9 @@ import numpy as np
 import rerun as rr
 
 from srs_twin.comparison.centre_line import centre_lines
-from srs_twin.comparison.following import TOUCH_N, following, footprint_of, segments_of
+from srs_twin.planning.metrics import TOUCH_N, following, footprint_of, segments_of
 from srs_twin.robot.spec import Geometry
+from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import (
     body_line,
@@ -23,7 +24,6 @@ from srs_twin.viewing.plots.signals import (
 )
 from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
-from srs_twin.world import World
 
 if TYPE_CHECKING:
     from srs_twin.planning import Footprint, Segment

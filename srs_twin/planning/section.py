@@ -1,0 +1,261 @@
+"""Planner of a scenario: from start, goal and world to a plan, made once for all who ask."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from srs_twin.errors import InputError
+from srs_twin.planning import Footprint, Outcome, Plan, Primitives, Problem, Segment, Settings, plan
+from srs_twin.planning.collision import Checker
+from srs_twin.planning.footprint import FootprintFile, checked
+from srs_twin.planning.margins import ConditionsFile, Margin, margin
+from srs_twin.planning.planner import plan_shaped
+from srs_twin.planning.problem import path_of
+from srs_twin.robot.world import Goal, Pose, World
+from srs_twin.scenario.fields import PathOrName, Section, constructor_default, quantity
+
+_KIND = "How the way is found."
+
+Turn = Annotated[float, Field(ge=-math.pi, le=math.pi)]
+
+
+class PrimitivesFile(Section):
+    """Arcs of one length to plan with (Section 5.2.1)."""
+
+    constructors = (Primitives,)
+
+    count: int = quantity(3, 201)
+    """N, how many; odd."""
+    turn_rad: float = quantity(0.001, 3.14)
+    """Largest turn of one."""
+    length_m: float = quantity(0.001, 100.0)
+    """Length of each."""
+
+
+class _PlannerFile(Section):
+    footprint: PathOrName
+    """What the body sweeps at each offset: a shipped name or the path of a footprint file."""
+    turn_share: float = quantity(0.05, 1.0, 1.0)
+    """Share of the tightest turns to plan with; the rest is left to the follower."""
+    margin_m: float | None = quantity(0.0, 10.0, None)
+    """Added to both edges of the footprint (default 0)."""
+    margin_probability: float | None = quantity(0.5, 0.999, None)
+    """Take the margin that a whole run stays within so probably, by the excursions that the footprint file
+    keeps; instead of margin_m."""
+
+    @model_validator(mode="after")
+    def _has_one_margin(self) -> _PlannerFile:
+        if self.margin_m is not None and self.margin_probability is not None:
+            raise ValueError("margin_m and margin_probability both say how wide; take one out")
+        return self
+
+    def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
+        """Return where the way is to end.
+
+        Raises:
+            InputError: there is no goal.
+        """
+        if goal is None:
+            raise InputError("there is no goal to plan to; give world.goal")
+        return goal
+
+    @abstractmethod
+    def find(self, problem: Problem, wider: float = 0.0) -> Plan:
+        """Return the plan of a problem.
+
+        Args:
+            problem: from where to where.
+            wider: what a straight beginning has to be free of beside the footprint, m.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+
+
+class _SearchFile(_PlannerFile):
+    constructors = (Settings,)
+
+    run_up_m: float = quantity(0.0, 100.0, 0.0)
+    """Straight beginning of the path, over which the gait gets going."""
+    if TYPE_CHECKING:
+        kind: str
+    _keep: bool = PrivateAttr(False)
+
+    def settings(self) -> Settings:
+        """Return how hard to try, and whether to keep the search."""
+        return replace(self.build(), keep=self._keep)
+
+    def find(self, problem: Problem, wider: float = 0.0) -> Plan:
+        """See `_PlannerFile.find`."""
+        if self.run_up_m == 0:
+            return self.search(problem, ())
+        (first,) = path_of(problem.start, [(0.0, self.run_up_m)], problem.footprint)
+        if hit := Checker(problem.world, problem.footprint).blocker(problem.start, self.run_up_m, wider):
+            raise InputError(f"the straight beginning of {self.run_up_m:g} m touches {hit}; run_up_m sets it")
+        return self.search(replace(problem, start=first.end), (first,))
+
+    def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
+        """Return the plan behind a fixed beginning."""
+        found = plan(problem, self.settings(), planner=self.kind)
+        return replace(found, segments=(*begin, *found.segments)) if found.found else found
+
+
+class BestFirstFile(_SearchFile):
+    """Best-first search, from both sides where that helps."""
+
+    primitives: PrimitivesFile | None = None
+    """Arcs to plan with (default: the planner's own)."""
+    kind: Literal["best_first"]
+    """How the way is found."""
+    nodes: int = quantity(1, 100_000_000)
+    """How many may be expanded."""
+    seconds: float | None = quantity(0.001, 3600.0, unit="s")
+    """Wall time; only without it is a run the same on every machine (default: no limit)."""
+    weight: float = quantity(1.0, 100.0)
+    """Of the bound; above 1 faster and longer."""
+    levels: int = quantity(1, 5)
+    """Resolutions to try."""
+    clearance_weight: float = quantity(0.0, 100.0)
+    """How many metres of way a metre beside something is worth; above 0 paths keep away from things."""
+    smooth: bool = constructor_default()
+    """Shorten the path afterwards."""
+    shape_changes: bool = False
+    """Plan the way that changes of offset take, as the footprint has it measured, not jumps of curvature."""
+    improve: bool = constructor_default()
+    """Go on to finer levels for shorter paths while the budget lasts."""
+
+    def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
+        """See `_SearchFile.search`."""
+        if self.shape_changes:
+            return plan_shaped(problem, self.settings(), begin)
+        return super().search(problem, begin)
+
+
+class GreedyFile(_SearchFile):
+    """The text's search: the best child of either side in turn, for good."""
+
+    kind: Literal["greedy"]
+    """How the way is found."""
+    primitives: PrimitivesFile = PrimitivesFile(count=21, turn_rad=math.pi / 3, length_m=0.2)
+    """Arcs to plan with (default: Section 5.2's: 21, turns of 60 degrees at most, 0.2 m)."""
+
+
+class OmplFile(_SearchFile):
+    """RRT-Connect of the Open Motion Planning Library (extra ompl)."""
+
+    kind: Literal["ompl"]
+    """How the way is found."""
+    seconds: float = quantity(0.001, 3600.0, 1.0, unit="s")
+    """Wall time."""
+
+
+class GivenFile(_PlannerFile):
+    """A path that is given, as in Fig. 56; obstacles are not looked at."""
+
+    kind: Literal["given"]
+    """How the way is found."""
+    turns_rad: Annotated[tuple[Turn, ...], Field(min_length=1, max_length=1000)]
+    """Turn of each step, positive to the left, rad, -3.14159 to 3.14159."""
+    step_m: float = quantity(0.001, 100.0)
+    """Length of each step."""
+
+    def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
+        """Return the end of the path."""
+        end = self._path(start, footprint)[-1].end
+        return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
+
+    def find(self, problem: Problem, wider: float = 0.0) -> Plan:
+        """See `_PlannerFile.find`."""
+        return Plan(Outcome.FOUND, "the path is given", self._path(problem.start, problem.footprint))
+
+    def _path(self, start: Pose, footprint: Footprint) -> tuple[Segment, ...]:
+        return path_of(start, [(turn / self.step_m, self.step_m) for turn in self.turns_rad], footprint)
+
+
+PlannerFile = Annotated[BestFirstFile | GreedyFile | OmplFile | GivenFile, Field(discriminator="kind")]
+PLANNER_FILES: dict[str, type[_PlannerFile]] = {
+    get_args(each.model_fields["kind"].annotation)[0]: each
+    for each in (BestFirstFile, GreedyFile, OmplFile, GivenFile)
+}
+"""Kind → keys that a planner of this kind has."""
+
+
+@dataclass(frozen=True)
+class RoutePlanner:
+    """What plans the way of a scenario.
+
+    Attributes:
+        file: how.
+        footprint: the robot's, whole: what it can do.
+        problem: start, goal, world, and the footprint to plan with.
+        margin: by which that is wider than the robot's.
+    """
+
+    file: PlannerFile
+    footprint: Footprint
+    problem: Problem
+    margin: Margin
+
+    @classmethod
+    def of(
+        cls,
+        file: PlannerFile,
+        footprint: FootprintFile,
+        start: Pose,
+        world: World,
+        conditions: Sequence[ConditionsFile] = (),
+    ) -> RoutePlanner:
+        """Return the planner of a section.
+
+        Args:
+            file: the section.
+            footprint: that it names.
+            start: of the snake.
+            world: what is in the way, and the goal.
+            conditions: under which the plan is followed, one for each plant.
+
+        Raises:
+            InputError: a turn tighter than the footprint has, edges that are too wide, no goal, no margin of
+                that probability.
+        """
+        robot, wider = footprint.footprint(), Margin(file.margin_m or 0.0, file.margin_m or 0.0)
+        if file.margin_probability is not None:
+            wider = margin(footprint.excursions or (), file.margin_probability, conditions)
+        reduced = checked(robot.reduced(file.turn_share, wider.path))
+        arcs = getattr(file, "primitives", None)
+        goal = file.goal(start, world.goal, reduced)
+        problem = Problem(start, goal, world, reduced, arcs.build() if arcs else None)
+        return cls(file, robot, problem, wider)
+
+    def plan(self) -> Plan:
+        """Return the plan, made once: both plants and the report ask for the same.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+        return _plan(self)
+
+    def plan_anew(self, *, keep: bool = False) -> Plan:
+        """Return the plan, made now, if wanted with its search; raises as `plan`."""
+        file = self.file.model_copy()
+        if isinstance(file, _SearchFile):
+            file._keep = keep
+        return file.find(self.problem, max(self.margin.run_up - self.margin.path, 0.0))
+
+    def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
+        """Return a plan from another pose, with a part of the margin and no run-up; raises as `plan`."""
+        file = self.file.model_copy(update={"run_up_m": 0.0})
+        body = checked(self.footprint.reduced(file.turn_share, share * self.margin.path))
+        return _plan(replace(self, file=file, problem=replace(self.problem, start=pose, footprint=body)))
+
+
+@lru_cache(maxsize=16)
+def _plan(planner: RoutePlanner) -> Plan:
+    return planner.plan_anew()
