@@ -31,7 +31,14 @@ from timing import machine
 
 from srs_twin.io.files import atomic_write
 from srs_twin.planning import Plan, Primitives, Problem, Settings, load_footprint, plan
-from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world, strewn
+from srs_twin.robot.drawn_worlds import (
+    FIG54_BOUNDS,
+    FIG54_GOAL,
+    FIG54_SITES,
+    FIG54_START,
+    fig54_world,
+    strewn,
+)
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
 

@@ -28,7 +28,7 @@ from srs_twin.identification.fit_file import load_fit
 from srs_twin.reproduction import judge, load_claims, open_store
 from srs_twin.reproduction.claims import Claim
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.studies.uncertainty.priors import Priors
+from srs_twin.robot.priors import Priors
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("follow-sim", "experiments", "gen1-grid", "gen1-shape-rms", "smc-6hz-amplitude.low", "ilc-")

@@ -393,9 +393,7 @@ def check_run(scenario: Scenario, out: Path) -> None:
         InputError: the folder cannot be written, or nothing can be planned.
     """
     open_folder(out, _OF_REPLAYS)
-    if scenario.planner is not None:
-        with scenario.named_in_errors():
-            scenario.planner.plan()
+    scenario.check_run()
 
 
 def run_scenario(

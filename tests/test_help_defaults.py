@@ -59,7 +59,7 @@ def values() -> dict[tuple[str, str], str]:
     from srs_twin.comparison.diff import Tolerances
     from srs_twin.identification.command import _FREQUENCY_HZ, _plant_settings
     from srs_twin.identification.footprint import Drive
-    from srs_twin.recordings.replay_command import _plants
+    from srs_twin.identification.replay_command import _plants
     from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot
 

@@ -19,11 +19,11 @@ from srs_twin.cli.render import render
 from srs_twin.cli.run import compare, run
 from srs_twin.cli.view import play, view
 from srs_twin.identification import command as calibrate
+from srs_twin.identification.replay_command import replay
 from srs_twin.live.emulate_command import emulate
 from srs_twin.live.shadow_command import shadow
 from srs_twin.planning.command import plan
 from srs_twin.recordings.inspect_command import inspect
-from srs_twin.recordings.replay_command import replay
 from srs_twin.reproduction.command import reproduce
 from srs_twin.studies.optimization.command import optimize
 from srs_twin.studies.sweep.command import sweep

@@ -46,7 +46,7 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
     from srs_twin.io.files import find, shipped_names
 
     if kind == "controllers":
-        from srs_twin.scenario.controllers import CONTROLLERS
+        from srs_twin.scenario.file import CONTROLLERS
 
         for model in CONTROLLERS:
             (name,) = get_args(model.model_fields["kind"].annotation)

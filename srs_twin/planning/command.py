@@ -140,7 +140,7 @@ def _quality(found: Plan) -> dict[str, float | None]:
 
 def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
     """Write the plan as data and as a picture."""
-    from srs_twin.planning.plan_view import plan_plot
+    from srs_twin.planning.pictures import plan_plot
 
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
     document = {
@@ -162,7 +162,7 @@ def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metr
 def _write_search(folder: Path, title: str, found: Plan) -> None:
     """Write what the search has seen as a picture and as a recording."""
     from srs_twin.planning.explored import explored
-    from srs_twin.planning.plan_view import search_plot
+    from srs_twin.planning.pictures import search_plot
     from srs_twin.viewing.rerun.recording import write_search
 
     assert found.problem is not None, "a planner's answer"

@@ -169,7 +169,7 @@ def planner_success(planner: str, draws: int) -> Numbers:
     from scipy.stats import spearmanr
 
     from srs_twin.planning import Primitives, Problem, load_footprint, plan
-    from srs_twin.planning.fields import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
+    from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
 
     body = load_footprint("gen2_section52")
     arcs = Primitives(21, math.pi / 3, 0.2) if planner == "greedy" else None

@@ -18,9 +18,9 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning import Footprint, Outcome, Primitives, Problem, Settings, load_footprint, plan
 from srs_twin.planning.arcs import along
 from srs_twin.planning.best_first import rest
-from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.tree import moves_of, target_of
+from srs_twin.robot.drawn_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 TEXT = load_footprint("gen2_section52")

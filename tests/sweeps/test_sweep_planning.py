@@ -12,7 +12,7 @@ from small import execute, here, write
 
 from srs_twin.errors import InputFileError
 from srs_twin.planning import Primitives, Problem, load_footprint, plan
-from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.studies.sweep import load_sweep, open_sweep
 from srs_twin.studies.sweep.store import digest
 

@@ -243,10 +243,9 @@ class Propagation:
         """
         import pyarrow as pa
 
-        from srs_twin.studies.sweep.plots import save
-
         # matplotlib takes longer to import than a result without pictures has to wait.
         from srs_twin.studies.uncertainty.plots import draw_intervals
+        from srs_twin.viewing.plots.picture_file import save
 
         drawn = self.study.priors.at(self.study.shares[:, : len(self.study.priors.each)])
         columns = dict(zip(self.study.priors.paths, drawn.T, strict=True))

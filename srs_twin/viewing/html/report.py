@@ -24,7 +24,7 @@ from srs_twin.comparison.metrics import (
 )
 from srs_twin.identification.fit_report import parameter_table
 from srs_twin.planning import Plan
-from srs_twin.planning.plan_view import following_plot, lines_plot, path_points, plan_view
+from srs_twin.planning.pictures import following_plot, path_points
 from srs_twin.robot.file import RobotFile, units_of
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
@@ -32,6 +32,7 @@ from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.html.page import Picture, Table, colored, picture, piece, render
+from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.runs import (
     attribution_plot,

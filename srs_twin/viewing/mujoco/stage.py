@@ -11,10 +11,11 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.planning.metrics import following, segments_of
+from srs_twin.planning.pictures import goal_ring, segment_points
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas, Label
-from srs_twin.viewing.plots.signals import body_line, goal_ring, pressure_difference, segment_points
+from srs_twin.viewing.plots.signals import body_line, pressure_difference
 from srs_twin.viewing.plots.style import (
     GOAL_COLOR,
     MINUS_COLOR,

@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.plan_view import strobe_times
 from srs_twin.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.stage import Stage
+from srs_twin.viewing.plots.from_above import strobe_times
 from srs_twin.viewing.plots.style import GOAL_COLOR, MINUS_COLOR, PLUS_COLOR, STYLES
 
 _DPI = 150

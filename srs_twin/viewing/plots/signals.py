@@ -16,9 +16,8 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Segment
+    pass
 
-_SPACING = 0.01
 Kind = Literal["gait", "bench", "learning", "following"]
 
 
@@ -42,29 +41,6 @@ def body_line(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np
     once = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
     inner = lines[:, :, once].reshape(len(lines), -1, 2)
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
-
-
-def segment_points(
-    segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
-) -> np.ndarray:
-    """Return points along a segment of a plan, about a centimetre apart, shape (n, 2), m.
-
-    Args:
-        segment: of the plan.
-        offset: how far to the left of it, m.
-        behind: how far before its begin, m.
-        ahead: how far beyond its end, m.
-    """
-    low, high = -behind, segment.length + ahead
-    poses = [segment.pose(s) for s in np.linspace(low, high, max(2, int((high - low) / _SPACING)))]
-    return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
-
-
-def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
-    """Return the edge of a goal, shape (n, 2), m."""
-    angle = np.linspace(0, 2 * np.pi, 49)
-    around = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.array([goal["x"], goal["y"]]) + goal["radius"] * around
 
 
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:

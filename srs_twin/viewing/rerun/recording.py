@@ -23,9 +23,9 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
+from srs_twin.comparison.contacts import touches
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.metrics import touches
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Event, Trajectory

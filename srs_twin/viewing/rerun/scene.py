@@ -10,18 +10,13 @@ import numpy as np
 import rerun as rr
 
 from srs_twin.comparison.centre_line import centre_lines
-from srs_twin.planning.metrics import TOUCH_N, following, footprint_of, segments_of
+from srs_twin.comparison.contacts import TOUCH_N
+from srs_twin.planning.metrics import following, footprint_of, segments_of
+from srs_twin.planning.pictures import goal_ring, segment_points
 from srs_twin.robot.spec import Geometry
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.signals import (
-    body_line,
-    goal_ring,
-    pressure_difference,
-    segment_points,
-    wheel_centres,
-    wheel_turns,
-)
+from srs_twin.viewing.plots.signals import body_line, pressure_difference, wheel_centres, wheel_turns
 from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
