@@ -28,10 +28,10 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
-from srs_twin.identification import read_motion
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
 from srs_twin.identification.recorded_runs import measured_length
 from srs_twin.identification.unknowns import with_values
+from srs_twin.recordings.recording import read_motion
 
 NAMES = (
     "friction.mu_t", "friction.mu_n", "bending.stiffness_nm_per_rad", "geometry.rigid_gap_m",

@@ -23,7 +23,7 @@ from grid import table
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import each
 from srs_twin.io.files import atomic_write
-from srs_twin.planning import load_footprint
+from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
 from srs_twin.planning.route import Route
 from srs_twin.rollout import rollout

@@ -18,8 +18,8 @@ import pyarrow.parquet as pq
 from grid import table
 from matplotlib.figure import Figure
 
-from srs_twin.studies.sweep import load_sweep, open_sweep
-from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.execution import local, open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.viewing.plots.style import finish, save
 
 FREQUENCY = "controller.reference.frequency_hz"

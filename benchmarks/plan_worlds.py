@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.planning import Footprint, Problem, load_footprint
-from srs_twin.planning.footprint import Transient
+from srs_twin.planning.footprint import Footprint, Transient, load_footprint
+from srs_twin.planning.problem import Problem
 from srs_twin.robot.drawn_worlds import strewn
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from srs_twin.io.files import atomic_write
-from srs_twin.reproduction import Baseline, Claim, Judged, Outcome, load_baseline, load_claims
+from srs_twin.reproduction.claims import Claim, load_claims
 from srs_twin.reproduction.report import MEANINGS, TITLES, by_category, cell, count, published
-from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED
+from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED, Baseline, Judged, Outcome, load_baseline
 
 ROOT = Path(__file__).parents[1]
 NAME = "reproduction"

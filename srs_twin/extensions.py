@@ -41,11 +41,12 @@ SECTIONS = {
 METRICS = {"following": "srs_twin.planning.metrics:METRICS"}
 """Metrics of a run: `comparison.group.MetricGroup`."""
 
-PICTURES = {"following": "srs_twin.planning.run_pictures:PICTURES"}
+PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
 """Additions to the pictures of a run: `viewing.additions.RunPictures`."""
 
 PAGES = {
-    "run": "srs_twin.viewing.html.report:shown",
+    "run": "srs_twin.viewing.html.report:page_of_run",
+    "comparison": "srs_twin.viewing.html.report:page_of_comparison",
     "plan": "srs_twin.planning.pictures:plan_page",
     "fit": "srs_twin.identification.fit_report:fit_page",
 }

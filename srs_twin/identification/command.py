@@ -14,23 +14,14 @@ from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
-    FilesArgument,
-    FindOption,
-    FitOptions,
     FloorOption,
-    FrequencyOption,
     JobsOption,
     JsonOption,
-    OffsetOption,
     OverwriteOption,
     PressureOption,
     QuietOption,
-    ReadingOptions,
     RobotArgument,
-    RobotOption,
     ScenarioArgument,
-    ValidateOption,
-    ValvesOption,
     argument,
     at_once,
     option,
@@ -47,7 +38,9 @@ from srs_twin.identification.fitting import (
     names_in,
     print_table,
 )
+from srs_twin.identification.options import FilesArgument, FindOption, FitOptions, RobotOption, ValidateOption
 from srs_twin.io.files import shown
+from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
 
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import Measured
@@ -137,7 +130,7 @@ def design(
     from srs_twin.cli.console import console, new_table
     from srs_twin.identification.design import design as designed
     from srs_twin.robot.file import load_robot, load_robot_file
-    from srs_twin.studies.uncertainty import Priors
+    from srs_twin.robot.priors import Priors
 
     wanted = {}
     for text in want.split(","):

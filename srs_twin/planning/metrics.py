@@ -17,7 +17,8 @@ from srs_twin.plants.twin.mjcf.numerics import WALL_M
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Footprint, Segment
+    from srs_twin.planning.footprint import Footprint
+    from srs_twin.planning.problem import Segment
 
 PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
 """Metrics of a plan alone."""
@@ -71,7 +72,7 @@ def legs(trajectory: Trajectory) -> Iterator[Leg]:
 
 def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
     """Return the path of a recorded plan."""
-    from srs_twin.planning import Segment
+    from srs_twin.planning.problem import Segment
     from srs_twin.robot.world import Pose
 
     return tuple(
@@ -82,7 +83,7 @@ def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
 
 def footprint_of(about: Mapping[str, Any]) -> Footprint:
     """Return the recorded footprint that the plans were made with."""
-    from srs_twin.planning import Footprint
+    from srs_twin.planning.footprint import Footprint
 
     given = about["footprint"]
     columns = {k: tuple(given[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
@@ -128,7 +129,8 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
 
 def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, Any]:
     """Return the metrics of a plan alone."""
-    from srs_twin.planning import Outcome, Plan
+    from srs_twin.planning.plan import Plan
+    from srs_twin.planning.problem import Outcome
 
     plan = Plan(Outcome.FOUND if found else Outcome.STUCK, "", segments)
     return {

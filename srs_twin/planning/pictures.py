@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +16,19 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 from srs_twin.planning.metrics import following, footprint_of, segments_of
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.from_above import draw_run, strobe_times
+from srs_twin.viewing.additions import FloorLine, FollowedSignal, RunPictures
+from srs_twin.viewing.html.page import Table, cell, picture, piece
+from srs_twin.viewing.plots.from_above import draw_run, lines_plot, strobe_times
+from srs_twin.viewing.plots.signals import goal_ring
 from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, finish, panels, style_of
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Footprint, Segment
+    from pathlib import Path
+
     from srs_twin.planning.explored import Explored
+    from srs_twin.planning.footprint import Footprint
+    from srs_twin.planning.plan import Plan
+    from srs_twin.planning.problem import Segment
 
 _SPACING = 0.01
 
@@ -41,14 +49,7 @@ def segment_points(
     return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
 
 
-def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
-    """Return the edge of a goal, shape (n, 2), m."""
-    angle = np.linspace(0, 2 * np.pi, 49)
-    around = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.array([goal["x"], goal["y"]]) + goal["radius"] * around
-
-
-_OBSTACLE, _SWEPT, _PATH = "0.35", "#c9dcec", STYLES["plan"].color
+_OBSTACLE, _SWEPT, _PATH, _EDGE = "0.35", "#c9dcec", STYLES["plan"].color, "#78a5cd"
 
 
 def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure | None:
@@ -152,3 +153,88 @@ def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
 def path_points(segments: Sequence[Segment]) -> np.ndarray:
     """Return points along a path, shape (k, 2)."""
     return np.concatenate([segment_points(segment) for segment in segments])
+
+
+def plan_page(plan: Plan) -> str:
+    """Return a plan as HTML for a notebook."""
+    rows = [
+        ["length", "m", cell(plan.length)],
+        ["time", "s", cell(plan.duration)],
+        ["segments", "1", str(len(plan.segments))],
+        ["nodes", "1", str(plan.expanded)],
+    ]
+    path = None
+    if plan.segments:
+        figure = lines_plot({"path": path_points(plan.segments)})
+        path = picture(figure, "Path of the centre of mass.")
+    return piece(f"{plan.outcome.value}: {plan.reason}", Table(["", "unit", "value"], rows, [2]), path)
+
+
+def write_search(path: Path, plan: Plan, explored: Explored, title: str) -> None:
+    """Write a Rerun recording of a search: world, plan, explored and rejected arcs.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        plan: answer of the planner, with its problem.
+        explored: arcs of its trees.
+        title: name of the recording in the viewer.
+    """
+    from srs_twin.viewing.rerun.recording import write_floor
+    from srs_twin.viewing.rerun.scene import FORCE_COLOR
+
+    problem = plan.problem
+    assert problem is not None, "the planner sets it"
+    lines = plan_lines(plan.segments, problem.footprint, asdict(problem.goal))
+    lines.append(FloorLine("search/explored", tuple(explored.arcs), "#aaaaaa", 0.0005))
+    lines.append(FloorLine("search/gates", tuple(explored.gates), GOAL_COLOR, 0.0015))
+    for reason in sorted(set(explored.reasons)):
+        pairs = zip(explored.rejected, explored.reasons, strict=True)
+        arcs = tuple(arc for arc, why in pairs if why == reason)
+        lines.append(FloorLine(f"search/rejected/{reason.replace(' ', '_')}", arcs, FORCE_COLOR, 0.0005))
+    write_floor(path, title, problem.world, lines)
+
+
+def plan_lines(segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]) -> list[FloorLine]:
+    """Return a plan as lines on the floor: its path, the edges of the planned footprint, the goal."""
+    lines = []
+    if segments:
+        lines.append(FloorLine("plan/path", tuple(map(segment_points, segments)), _PATH, 0.002))
+        edges = tuple(
+            segment_points(segment, offset)
+            for segment in segments
+            for motion in [footprint.at(segment.curvature)]
+            for offset in (motion.left, -motion.right)
+        )
+        lines.append(FloorLine("plan/edges", edges, _EDGE, 0.0015))
+    return [*lines, FloorLine("plan/goal", (goal_ring(goal),), GOAL_COLOR, 0.002)]
+
+
+class FollowingPictures(RunPictures):
+    """Pictures of runs that follow a plan."""
+
+    kind = "following"
+    legend = {"plan": _PATH, "goal": GOAL_COLOR}  # noqa: RUF012
+    signals = (
+        FollowedSignal("cross_track", "cross_track", 1e3, "Distance from the path, left positive (mm)"),
+        FollowedSignal("offset_commanded", "offset", 1.0, "Offset commanded"),
+    )
+
+    def applies(self, run: Trajectory) -> bool:
+        """See `RunPictures.applies`."""
+        return following(run) is not None
+
+    def figures(self, runs: Mapping[str, Trajectory], spec: RobotSpec) -> dict[str, Figure]:
+        """See `RunPictures.figures`."""
+        figure = following_plot(runs, spec)
+        caption = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."
+        return {} if figure is None else {caption: figure}
+
+    def floor_lines(self, run: Trajectory) -> list[FloorLine]:
+        """See `RunPictures.floor_lines`."""
+        about = following(run)
+        assert about is not None, "applies() was asked"
+        return plan_lines(segments_of(about["plans"][0]), footprint_of(about), about["goal"])
+
+
+PICTURES = FollowingPictures()
+"""Registry entry."""

@@ -15,13 +15,14 @@ from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera
 from srs_twin.errors import InputError
 from srs_twin.io.files import find
-from srs_twin.planning import Footprint, Outcome, Plan, Primitives, Problem, Segment, Settings, plan
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.follower import Conditions, Follower
-from srs_twin.planning.footprint import FootprintFile, checked, load_footprint_file
+from srs_twin.planning.footprint import Footprint, FootprintFile, checked, load_footprint_file
 from srs_twin.planning.margins import SPREADS, ConditionsFile, Margin, margin
-from srs_twin.planning.planner import plan_shaped
-from srs_twin.planning.problem import path_of
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.planner import plan, plan_shaped
+from srs_twin.planning.problem import Outcome, Problem, Segment, Settings, path_of
 from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec

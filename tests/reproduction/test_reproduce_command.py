@@ -13,9 +13,9 @@ from conftest import ROOT
 from reproduction import between, markdown, remembered, table
 
 from srs_twin.cli import main
-from srs_twin.reproduction import load_baseline, load_claims
+from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.command import _narrow
-from srs_twin.reproduction.verdicts import MET, Outcome
+from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
 OUT = "out/reproduce"

@@ -12,11 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.reproduction import Judged, Outcome, judge
 from srs_twin.reproduction.claims import Cause, Claim, Measure
 from srs_twin.reproduction.report import count, summary_line
 from srs_twin.reproduction.runs import Job
-from srs_twin.reproduction.verdicts import Baseline, combined, load_baseline, taken, write_baseline
+from srs_twin.reproduction.verdicts import (
+    Baseline,
+    Judged,
+    Outcome,
+    combined,
+    judge,
+    load_baseline,
+    taken,
+    write_baseline,
+)
 from srs_twin.studies.sweep.task import DONE, Row
 
 pytestmark = pytest.mark.fast

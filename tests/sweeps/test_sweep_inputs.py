@@ -15,7 +15,7 @@ from small import write
 from subsets import first_by_default
 
 from srs_twin.scenario.provenance import file_digests
-from srs_twin.studies.sweep import load_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.task import DONE, run_point
 from srs_twin.trajectory import Trajectory
 

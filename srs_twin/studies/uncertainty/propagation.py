@@ -24,7 +24,7 @@ from srs_twin.io.file_sets import replaced, unmark
 from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
-from srs_twin.studies.sweep import open_sweep
+from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.store import write
 from srs_twin.studies.uncertainty.remarks import Remarks, remedy
 from srs_twin.studies.uncertainty.spreads import RANGES, Spread, predicted, sampling_errors
@@ -33,8 +33,8 @@ from srs_twin.studies.uncertainty.surrogates import Chaos
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
-    from srs_twin.studies.sweep import Sweep
     from srs_twin.studies.sweep.execution import Engine
+    from srs_twin.studies.sweep.points import Sweep
     from srs_twin.studies.sweep.task import Row
 
 Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]

@@ -1,9 +1,8 @@
-"""What is drawn but not recorded: speeds, pressures, the whole centre line, wheels, lines of a plan."""
+"""What is drawn but not recorded: speeds, pressures, the whole centre line, wheels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -11,14 +10,11 @@ from srs_twin.comparison.centre_line import centre_lines, on_both_sides
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.tracking import frequency_of
 from srs_twin.errors import InputError
-from srs_twin.planning.metrics import following
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.additions import added_to
 
-if TYPE_CHECKING:
-    pass
-
-Kind = Literal["gait", "bench", "learning", "following"]
+pass
 
 
 def check_drawable(trajectories: Mapping[str, Trajectory]) -> None:
@@ -43,6 +39,13 @@ def body_line(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 
+def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
+    """Return the edge of a goal, shape (n, 2), m."""
+    angle = np.linspace(0, 2 * np.pi, 49)
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.array([goal["x"], goal["y"]]) + goal["radius"] * around
+
+
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the wheels at ± half the track, shape (samples, N, 2, 2), m: left, then right."""
     theta = trajectory.stack("theta")[..., None]
@@ -65,13 +68,14 @@ def pressure_difference(trajectory: Trajectory) -> np.ndarray:
     return trajectory.stack("pressure_plus") - trajectory.stack("pressure_minus")
 
 
-def kind_of(trajectories: Mapping[str, Trajectory]) -> Kind:
-    """Return what kind of experiment runs are of: it decides which plots matter."""
+def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
+    """Return the kind of experiment, which decides the plots: gait, bench, learning, or an extension's."""
     runs = trajectories.values()
     if any(run.has("reference_1") or run.metadata.get("base") == "clamped" for run in runs):
         return "bench"
-    if any(following(run) is not None for run in runs):
-        return "following"
+    for run in runs:
+        if pictures := added_to(run):
+            return pictures.kind
     return "learning" if any(map(is_learning, runs)) else "gait"
 
 
