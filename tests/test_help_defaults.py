@@ -131,7 +131,7 @@ def test_a_live_command_takes_name_and_broker_that_its_help_says(
         raise InputError("refused")
 
     name = words.split()[0]
-    monkeypatch.setattr(f"srs_twin.cli.{name}.broker_link", refuse)
+    monkeypatch.setattr(f"srs_twin.live.{name}_command.broker_link", refuse)
     monkeypatch.setattr(session, "warm_up", lambda spec: None)
     assert srs_twin(*words.split(), cwd=tmp_path).returncode == 2
     (robot, _, broker, *_) = asked[0]

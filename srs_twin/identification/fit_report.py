@@ -40,7 +40,7 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
     )
     data = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
     return render(
-        "viewing/html/fit.html",
+        "identification/fit.html",
         title=fit.title,
         subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
         parameters=parameter_table(fit.parameters),

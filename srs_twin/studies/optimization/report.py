@@ -86,7 +86,7 @@ def write_report(folder: Path, answer: Answer) -> list[str]:
     write_text(
         folder / "report.html",
         render(
-            "optimization/report.html",
+            "studies/optimization/report.html",
             title=study.title,
             subtitle=", ".join(f"{n} runs of {part}" for part, n in answer.document()["evaluations"].items()),
             best=_best(answer),
