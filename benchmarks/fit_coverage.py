@@ -155,7 +155,12 @@ def main() -> None:
         with given.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(done[seed]) + "\n")
     head = ["model", "parameter", "fits", "identified, %", "cannot tell, %"]
-    print(table(head + ["of identified: holds, %", "lower 95 % bound, %"], list(rows([*done.values()]))))
+    print(
+        table(
+            head + ["coverage of identified values, %", "lower 95 % bound of the coverage, %"],
+            list(rows([*done.values()])),
+        )
+    )
     if some := [each["fits"][m]["seconds"] for each in done.values() for m in each["fits"]]:
         print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s a fit")
 

@@ -129,9 +129,9 @@ def least_clearance(rows: list[dict[str, Any]]) -> str:
 
 HEADINGS = (
     "field", "plant", "follower", "reached without contact", "reached", "cross-track RMS, median, mm",
-    "largest, mm", "after 4 s, mm", "inside, median, %", "inside text's box, %", "least clearance, mm",
-    "from goal, median, mm",
-    "heading, median, rad", "time, median, s", "new plans in all",
+    "largest, mm", "largest after 4 s, mm", "inside, median, %", "inside the dissertation's box, %",
+    "minimum clearance, mm", "distance from the goal, median, mm", "heading error, median, rad",
+    "time, median, s", "new plans, total",
 )  # fmt: skip
 
 

@@ -212,8 +212,8 @@ def tables(found: dict[str, Any]) -> str:
         ]
         for name, r in ((name, found[name]) for name in names)
     ]  # fmt: skip
-    head = ["planner", f"solved of {total}", "of these drivable", "of those any solved"]
-    head += ["misses of greedy's", "median ms", "p95 ms", "most ms", "mean length m"]
+    head = ["planner", f"solved of {total}", "drivable", "of the worlds that any planner solves"]
+    head += ["unsolved, but solved by greedy", "median, ms", "95 %, ms", "max, ms", "mean length, m"]
     by_count = [[name, *(f"{100 * share:.0f}" for share in success[name].values())] for name in names]
     return f"{table(head, rows)}\n\n{table(['success %', *map(str, success[names[0]])], by_count)}"
 

@@ -85,7 +85,7 @@ class RecordingFile(ExtensionSection):
     layout: Literal["auto", "single", "head", "pair", "middles", "head_middles"] = constructor_default()
     """Where the markers are."""
     map: RecordingMap = constructor_default()
-    """Which marker, rigid body or column is what (docs/logs.md#a-map)."""
+    """Which marker, rigid body or column is what (docs/logs.md#recording-map)."""
     head: Line | None = constructor_default()
     """Column of the marker at the head; the end towards which it crawls where there is none."""
     longest_gap_s: float = quantity(0.0, 10.0)
