@@ -6,7 +6,7 @@ An entry whose extension is not installed is left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -92,3 +92,18 @@ def _is_installed(entry: str) -> bool:
 @cache
 def _has_package(name: str) -> bool:
     return find_spec(name) is not None
+
+
+def lazy(entries: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package whose names are imported when they are asked for.
+
+    Args:
+        entries: name → ``module:object``.
+    """
+
+    def get(name: str) -> Any:
+        if name not in entries:
+            raise AttributeError(f"no attribute {name!r}")
+        return load(entries[name])
+
+    return get

@@ -2,3 +2,13 @@
 
 `plan(problem)` → `Plan`. footprint → primitives → search; geometry in `arcs`, `dubins`, `collision`.
 """
+
+from srs_twin.extensions import lazy
+
+__getattr__ = lazy(
+    {
+        "Problem": "srs_twin.planning.problem:Problem",
+        "load_footprint": "srs_twin.planning.footprint:load_footprint",
+        "plan": "srs_twin.planning.planner:plan",
+    }
+)
