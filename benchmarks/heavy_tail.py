@@ -222,7 +222,8 @@ def switched_off() -> None:
         [name, row(a), remarks(a), row(b), remarks(b)]
         for (name, _, _), a, b in zip(SWITCHES, slow, fast, strict=True)
     ]
-    print(table(["change", *(cell for f in gaits for cell in (f"{f:g} Hz", "observations"))], rows), end="\n\n")
+    head = ["change", *(cell for f in gaits for cell in (f"{f:g} Hz", "observations"))]
+    print(table(head, rows), end="\n\n")
 
 
 def loads_by_height() -> dict[float, np.ndarray]:
@@ -279,7 +280,8 @@ def on_two_axles() -> None:
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
         found = list(pool.map(lifted, *zip(*cases, strict=True)))
     names = ["one axle" if tail is None else f"two, {1e3 * tail.com_height:g} mm" for tail, _, _ in cases]
-    head = ["f Hz", "c/k ms", "tail", "mm/s", "amplitudes, rad", "observations", "one front wheel lifted, %", "both, %"]
+    lifts = ["one front wheel lifted, %", "both, %"]
+    head = ["f Hz", "c/k ms", "tail", "mm/s", "amplitudes, rad", "observations", *lifts]
     rows = [
         [f"{f:g}", f"{1e3 * lag:g}", name, *cells]
         for (_, f, lag), name, cells in zip(cases, names, found, strict=True)

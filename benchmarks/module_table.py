@@ -5,7 +5,7 @@
 
 What the runs gave goes to docs/module.json, and the table between two marks in docs/module.md. Tests hold
 that the table is the one that these numbers give, and that the shipped scenarios still give these numbers.
-Bold: not met. `difference`: the largest difference of the benches in a line, relative to the analytical value.
+Bold: not met. `difference`: largest difference of the benches in a line, relative to the analytical value.
 """
 
 from __future__ import annotations

@@ -159,7 +159,8 @@ def by_chamber() -> None:
                 f"{per_volt * sensor.step:.2f}",
             ]
         )
-    head = ["chamber", "V", "R²", "largest error, °", "not monotonic, °", "noise RMS, °", "converter's step, °"]
+    angles = ["largest error, °", "not monotonic, °", "noise RMS, °", "converter's step, °"]
+    head = ["chamber", "V", "R²", *angles]
     print("\n" + table(head, rows), flush=True)
 
 

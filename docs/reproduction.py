@@ -49,7 +49,8 @@ def markdown(rows: Sequence[Judged]) -> str:
 def table(rows: Sequence[Judged]) -> str:
     """Return the table of the README: rows met by category, headline first."""
     columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
-    lines = [f"{len(rows)} rows in total; the table counts the rows that are met:", "", f"| rows | {' | '.join(columns.values())} |"]
+    lines = [f"{len(rows)} rows in total; the table counts the rows that are met:", ""]
+    lines += [f"| rows | {' | '.join(columns.values())} |"]
     lines += [f"|{' --- |' * (len(columns) + 1)}"]
     for name, chosen in by_category(rows).items():
         counts = [count(chosen, column) for column in columns]

@@ -57,7 +57,7 @@ class Page:
 
     @property
     def anchors(self) -> set[str]:
-        """Targets of links: headings, as forges and the site spell them, and labels of MyST such as ``(gains)=``."""
+        """Targets of links: headings, as forges and the site spell them, and labels such as ``(gains)=``."""
         headings = re.findall(r"^#+ (.*)$", self.prose, re.M)
         labels = re.findall(r"^\(([\w-]+)\)=$", self.prose, re.M)
         return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings} | {*labels}

@@ -55,11 +55,11 @@ MEANINGS: dict[Category, str] = {
         "predicted speeds and edges and three of four radii, so these rows are weak evidence for the model."
     ),
     "tuned_controller": (
-        "The search for the gains of the controllers minimised overshoot and valve openings, with settling within "
-        "0.25 s and a lag of at most 0.5 rad. Rows that follow from these criteria are no evidence."
+        "The search for the gains of the controllers minimised overshoot and valve openings, with settling "
+        "within 0.25 s and a lag of at most 0.5 rad. Rows that follow from these criteria are no evidence."
     ),
-    "chosen_obstacles": "The obstacles and paths of the figures are not available, so the simulations use our own.",
-    "between_models": "The published comparison is between model and robot; here it is between our two models.",
+    "chosen_obstacles": "The obstacles and paths of the figures are not available; ours are simulated.",
+    "between_models": "The published comparison is between model and robot, ours between our two models.",
     "shape": "Orders and trends that the simulation could have missed.",
     "by_construction": "These rows follow from symmetry or from our assumptions, so they are no evidence.",
     "law": "Laws are true by construction or theory; they test the program.",
