@@ -274,6 +274,7 @@ def _explained(store: Store, claim: Claim, column: str, outcome: Outcome) -> Out
             return replace(outcome, why=f"presumed cause: {cause.says}")
         switched = judged(store, claim.switched(cause), column)
         if switched.verdict == MET:
-            return replace(outcome, verdict=EXPLAINED, why=f"{cause.switch}: {cause.says}; met with this assumption switched")
+            why = f"{cause.switch}: {cause.says}; met with this assumption switched"
+            return replace(outcome, verdict=EXPLAINED, why=why)
     tried = ", ".join(f"{cause.switch}" for cause in causes)
     return replace(outcome, why=outcome.why or f"not met either with {tried} switched")
