@@ -57,7 +57,7 @@ def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
     outside = Outside()
     outside.feed(page)
     assert outside.found == [] and "<script" not in page
-    assert "could it have failed?" in page and "No: the division of two published numbers." in page
+    assert "could it have failed?" in page and "No: the value is the ratio of two published values." in page
     assert "Fig. 20" in page and "Fig. 31" not in page
     suites = ElementTree.parse(folder / "reproduce.xml").getroot()
     failed = {case.get("classname") for case in suites.iter("testcase") if case.find("failure") is not None}
