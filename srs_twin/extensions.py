@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from typing import Any
 
 COMMANDS = {
+    "export": "srs_twin.recordings.export_command:export",
     "inspect": "srs_twin.recordings.inspect_command:inspect",
     "plan": "srs_twin.planning.command:plan",
     "replay": "srs_twin.identification.replay_command:replay",

@@ -43,7 +43,7 @@ _CORE = {
 }
 _ORDER = (
     *("list", "show", "inspect", "run", "compare", "plan", "replay", "sweep", "optimize", "uncertainty"),
-    *("reproduce", "view", "play", "emulate", "shadow", "render", "diff", "schema", "doctor"),
+    *("reproduce", "view", "play", "emulate", "shadow", "render", "export", "diff", "schema", "doctor"),
     *("calibrate", "models"),
 )
 """Order in the help; other commands come last."""
