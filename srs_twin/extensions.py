@@ -56,6 +56,9 @@ PAGES = {
 ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
 """Engines of batches of twins."""
 
+LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
+"""Functions that read and check a kind of file."""
+
 SCHEMAS = {
     "sweep": "srs_twin.studies.sweep.file:sweep_json_schema",
     "study": "srs_twin.studies.optimization.file:study_json_schema",

@@ -23,7 +23,7 @@ def export(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a run as MCAP with ROS 2 messages, CSV or NumPy archive.
+    """Write a run as MCAP (ROS 2), CSV or NumPy archive.
 
     MCAP holds all plants. A recording map, with which `inspect` and `replay` read the file, and a Foxglove
     layout are written next to it.
@@ -33,8 +33,8 @@ def export(
         mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
         csv: Columns of the trajectory in SI units.
         npz: The same columns as a NumPy archive.
-        plant: analytical, twin or measured. [default: MCAP all; others the twin if there is one]
-        out: File to write. [default: RUN/PLANT.csv, RUN/PLANT.npz or RUN/run.mcap]
+        plant: analytical, twin or measured. [default: all in MCAP, else the twin]
+        out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
     from srs_twin.io.files import open_folder, shown, write_text
