@@ -488,13 +488,15 @@ def test_what_a_batch_refuses():
         geometry=replace(SPEC.geometry, connectors=3),
         mass=replace(SPEC.mass, connectors=SPEC.mass.connectors[:3]),
     )
-    for specs, words in (([], "no robot at all"), ([SPEC, longer], "3, 5")):
-        with pytest.raises(InputError, match=f"robots with one number of connectors; found {words}$"):
+    for specs, words in (([], "no robot"), ([SPEC, longer], "3, 5")):
+        with pytest.raises(InputError, match=f"the same number of connectors, not {words}$"):
             TwinBatch(specs)
-    with pytest.raises(InputError, match=r"supply_pa: 3 were given for 2 runs; give one, or one a run"):
+    with pytest.raises(
+        InputError, match=r"supply_pa: 3 were given for 2 runs; give one value, or one per run"
+    ):
         TwinBatch([SPEC, SPEC], supply_pa=[1e4, 2e4, 3e4])
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
-    with pytest.raises(InputError, match="one object cannot be the chambers of every twin; give its kind"):
+    with pytest.raises(InputError, match="the twins of a batch cannot share one object; give its kind"):
         TwinBatch([SPEC, SPEC], pneumatics=own)
     with pytest.raises(InputError, match="contact 'lose' is unknown; allowed: loaded, preloaded"):
         TwinBatch([SPEC, SPEC], contact="lose", threads=2)
@@ -502,11 +504,11 @@ def test_what_a_batch_refuses():
 
 def test_what_a_batch_in_hand_refuses():
     batch = TwinBatch([SPEC, SPEC], threads=1)
-    with pytest.raises(InputError, match="poses: 1 were given for 2 runs; give one a run"):
+    with pytest.raises(InputError, match="poses: 1 were given for 2 runs; give one per run"):
         batch.reset(poses=POSES[:1])
-    with pytest.raises(InputError, match="valves: 3 were given for 2 runs; give one array a run"):
+    with pytest.raises(InputError, match="valves: 3 were given for 2 runs; give one array per run"):
         batch.step(np.stack([vented(SPEC)] * 3))
-    with pytest.raises(InputError, match="schedules: 0 were given for 2 runs; give one a run"):
+    with pytest.raises(InputError, match="schedules: 0 were given for 2 runs; give one per run"):
         batch.play([], 1)
     impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
     with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):

@@ -17,8 +17,8 @@ import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
 from srs_twin.compute.workers import Done
 from srs_twin.errors import EngineWarning
-from srs_twin.plants.twin.friction_held import held, rolling
-from srs_twin.pneumatics.chambers import as_felt
+from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
+from srs_twin.pneumatics.chambers import equivalent_linear_pressure
 from srs_twin.robot.world import Circle, World
 from srs_twin.studies.sweep import load_sweep
 from srs_twin.studies.sweep.execution import local
@@ -48,10 +48,10 @@ def both(specs, gaits, seconds, **settings):
 
 
 def test_the_laws_of_friction_are_the_same_in_warp():
-    from srs_twin.warp.ported import ported
+    from srs_twin.warp.translation import as_warp_functions
 
-    laws = ported([held, rolling])
-    wheel = laws["rolling"]
+    laws = as_warp_functions([stick_slip_friction, rolling_friction])
+    wheel = laws["rolling_friction"]
 
     @wp.kernel(enable_backward=False)
     def each(given: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
@@ -76,7 +76,7 @@ def test_the_laws_of_friction_are_the_same_in_warp():
     )
     out = wp.zeros((200, 6), dtype=float, device="cpu")
     wp.launch(each, dim=200, inputs=[wp.array(given, dtype=float, device="cpu"), out], device="cpu")
-    here = np.array([rolling(*row[:5], 0.001, *row[5:]) for row in given])
+    here = np.array([rolling_friction(*row[:5], 0.001, *row[5:]) for row in given])
     scale = np.abs(here).max(axis=0)
     assert np.abs(out.numpy() - here).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
     assert np.abs(out.numpy() - here)[:, :2].max() < 1e-5
@@ -84,20 +84,30 @@ def test_the_laws_of_friction_are_the_same_in_warp():
 
 def waves(gaits, slot, slots, steps):
     """Return the valves that the device computes for gaits, shape (gaits, slots, segments, 2)."""
-    from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
-    from srs_twin.warp.ported import record, stacked
+    from srs_twin.warp.kernels import (
+        Accumulators,
+        BodyViews,
+        ChamberState,
+        GaitWave,
+        StepSettings,
+        build_kernels,
+    )
+    from srs_twin.warp.translation import stack_records, warp_struct
 
     twin, empty = TwinSnake(GEN2), np.zeros((GEN2.segments, 2))
     whole = empty.astype(int)
     records = {
-        "relaxation": twin.pneumatics.relaxation(slot), "columns": twin.physics.columns,
-        "air": Air(empty, empty[:, 0], whole, whole, empty[:, 0]), "kept": Kept(empty[0], *3 * [empty]),
-        "wave": Wave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": Bodies(*7 * [empty]),
+        "relaxation": twin.pneumatics.relaxation(slot), "addresses": twin.physics.sensor_addresses,
+        "chambers": ChamberState(empty, empty[:, 0], whole, whole, empty[:, 0]),
+        "accumulators": Accumulators(empty[0], *3 * [empty]),
+        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
-    ported = {name: record(each) for name, each in records.items()}
-    spec = SimpleNamespace(h=slots * slot, slot=slot, slots=slots, tick=1, middle=False)
-    kernel, found = kernels(ported, spec).wave, []
-    given = stacked(ported["wave"], [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu")
+    ported = {name: warp_struct(each) for name, each in records.items()}
+    spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_pressure=False)
+    kernel, found = build_kernels(ported, spec).set_gait, []
+    given = stack_records(
+        ported["wave"], [GaitWave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu"
+    )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
     for step in range(steps):
         count = wp.full(1, step, dtype=int, device="cpu")
@@ -125,26 +135,39 @@ def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
 
 def test_pressures_on_the_device_act_as_on_the_processor():
     """The bends of these segments saturate. Under equal pressures the law has its slope at rest."""
-    from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
-    from srs_twin.warp.ported import record, stacked
+    from srs_twin.warp.kernels import (
+        Accumulators,
+        BodyViews,
+        ChamberState,
+        GaitWave,
+        StepSettings,
+        build_kernels,
+    )
+    from srs_twin.warp.translation import stack_records, warp_struct
 
     bent = replace(GEN2, actuator=replace(GEN2.actuator, bend_limit=0.6))
     twin, empty = TwinSnake(bent), np.zeros((bent.segments, 2))
     pressure = 1e3 * np.array([[0.0, 0.0], [30.0, 30.0], [45.0, 5.0], [2.0, 40.0]])
     whole = empty.astype(int)
-    air = Air(pressure, empty[:, 0], whole, whole, empty[:, 0])
+    air = ChamberState(pressure, empty[:, 0], whole, whole, empty[:, 0])
     records = {
-        "relaxation": twin.pneumatics.relaxation(1e-4), "columns": twin.physics.columns, "air": air,
-        "kept": Kept(empty[0], *3 * [empty]), "wave": Wave(1.0, 0.0, 0.0, empty[:, 0]),
-        "bodies": Bodies(*7 * [empty]),
+        "relaxation": twin.pneumatics.relaxation(1e-4), "addresses": twin.physics.sensor_addresses,
+        "chambers": air,
+        "accumulators": Accumulators(empty[0], *3 * [empty]), "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
+        "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
-    ported = {name: record(each) for name, each in records.items()}
-    spec = SimpleNamespace(h=1e-4, slot=1e-4, slots=1, tick=1, middle=False)
+    ported = {name: warp_struct(each) for name, each in records.items()}
+    spec = StepSettings(h=1e-4, slot=1e-4, slots=1, tick=1, mean_pressure=False)
     ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
-    given = [stacked(ported[name], [records[name]], "cpu") for name in ("relaxation", "air")]
+    given = [stack_records(ported[name], [records[name]], "cpu") for name in ("relaxation", "chambers")]
     valves = wp.zeros((1, 1, bent.segments, 2), dtype=int, device="cpu")
-    wp.launch(kernels(ported, spec).fill, dim=(1, bent.segments), inputs=[*given, valves, ctrl], device="cpu")
-    assert ctrl.numpy().reshape(-1, 2) == pytest.approx(as_felt(bent, pressure), rel=1e-5)
+    wp.launch(
+        build_kernels(ported, spec).advance_chambers,
+        dim=(1, bent.segments),
+        inputs=[*given, valves, ctrl],
+        device="cpu",
+    )
+    assert ctrl.numpy().reshape(-1, 2) == pytest.approx(equivalent_linear_pressure(bent, pressure), rel=1e-5)
 
 
 @pytest.mark.slow

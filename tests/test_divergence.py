@@ -78,8 +78,8 @@ TWIN = {
     "spin": put("physics.data.qvel", 5),
     "hinge's rate": put("physics.data.qvel", 8),
     "heading": put("_theta", 2),
-    "work": put("_spent"),
-    "internal loss": put("_internal"),
+    "work": put("_energy_loss"),
+    "internal loss": put("_internal_loss"),
 }
 LAG = {
     "pressure": put("pneumatics.pressure", (1, 0)),
@@ -89,7 +89,7 @@ LAG = {
 ORIFICE = {
     "amount of air": put("pneumatics._state", (1, 0)),
     "free bend": put("pneumatics._state", (1, 2)),
-    "air drawn": put("pneumatics._books", 1),
+    "air drawn": put("pneumatics._amounts", 1),
     "pressure": put("pneumatics.pressure", (1, 0)),
 }
 CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
@@ -163,7 +163,7 @@ def test_whatever_is_spoilt_is_found_within_a_tick_and_what_was_good_is_kept(cas
 def test_a_plant_that_follows_a_script_is_looked_at_between_stretches(case):
     build, spoils = CASES[case]
     plant = build()
-    plant.stretch = AT
+    plant.max_chunk_s = AT
     for spoil in spoils.values():
         spoiling = at(AT, partial(spoil, plant, 1e15))
 
@@ -241,7 +241,7 @@ def test_whole_numbers_run_away_too():
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
 def test_a_script_that_runs_away_is_refused_in_its_stretch(build):
     plant = build(SPEC)
-    plant.stretch = TICK
+    plant.max_chunk_s = TICK
     with pytest.raises(DivergedError, match=rf"controller 'runaway' diverged at t = {AT} s") as caught:
         rollout(plant, Runaway(with_one(np.nan), scripted=True), 0.3)
     assert_kept(caught.value, AT)

@@ -256,7 +256,7 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     for k, row in enumerate(controls):
         data.ctrl[: len(row)] = row
         mujoco.mj_step(model, data)
-        inside = plant.physics.internal
+        inside = plant.physics.internal_joints
         speed = np.empty(data.nefc)
         mujoco.mj_mulJacVec(model, data, speed, data.qvel)
         normal = data.contact.efc_address

@@ -35,7 +35,7 @@ from srs_twin import (
     rollout,
     run_many,
 )
-from srs_twin.plants.twin.friction_held import held, rolling
+from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 from srs_twin.robot.friction import ellipse, wheel
 from srs_twin.robot.spec import Friction, Tail
 
@@ -49,8 +49,10 @@ MU = st.floats(0.01, 1.0)
 def test_what_slides_fast_is_the_ellipse_and_what_rests_keeps_its_force(v_t, v_n, mu_t, mu_n, at):
     assume(abs(v_t) > 1e-3 and abs(v_n) > 1e-3)
     p_t, p_n = 0.99 * LOAD * mu_t * math.cos(at), 0.99 * LOAD * mu_n * math.sin(at)
-    assert held(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[:2] == pytest.approx((p_t, p_n), rel=1e-12)
-    assert held(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[:2] == pytest.approx(
+    assert stick_slip_friction(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[:2] == pytest.approx(
+        (p_t, p_n), rel=1e-12
+    )
+    assert stick_slip_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[:2] == pytest.approx(
         ellipse(v_t, v_n, LOAD, mu_t, mu_n, 0.0)[:2], rel=1e-3, abs=1e-3 * LOAD * max(mu_t, mu_n)
     )
 
@@ -58,14 +60,14 @@ def test_what_slides_fast_is_the_ellipse_and_what_rests_keeps_its_force(v_t, v_n
 @given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
 def test_what_contact_and_axle_give_is_what_the_rim_gains(v_t, v_n, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    f_t, f_n, _, _, _, w = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
+    f_t, f_n, _, _, _, w = rolling_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
     assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    f_t, f_n, *_ = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
+    f_t, f_n, *_ = rolling_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
@@ -74,7 +76,7 @@ def test_a_wheel_without_inertia_is_the_wheel_law(v_t, v_n, mu_n, share):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    found = rolling(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
+    found = rolling_friction(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
     assert found == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
@@ -85,9 +87,12 @@ def test_slopes_of_a_wheel_that_spins_are_those_of_its_forces(seed, slip):
         [-1, -1, -1, 0.01, 0.1, -0.1, -0.1], [1, 1, 1, 0.1, 1, 0.1, 0.1]
     )
     step, arguments = 1e-7, (LOAD, mu_t, mu_n, slip, p_t, p_n, rim, 0.5)
-    _, _, tt, tn, nn, _ = rolling(v_t, v_n, *arguments)
-    ahead, behind = rolling(v_t + step, v_n, *arguments), rolling(v_t - step, v_n, *arguments)
-    left, right = rolling(v_t, v_n + step, *arguments), rolling(v_t, v_n - step, *arguments)
+    _, _, tt, tn, nn, _ = rolling_friction(v_t, v_n, *arguments)
+    ahead, behind = (
+        rolling_friction(v_t + step, v_n, *arguments),
+        rolling_friction(v_t - step, v_n, *arguments),
+    )
+    left, right = rolling_friction(v_t, v_n + step, *arguments), rolling_friction(v_t, v_n - step, *arguments)
     found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [(left[1] - right[1]) / (2 * step)]
     assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
 
@@ -265,7 +270,7 @@ def test_a_contact_refuses_what_it_does_not_know():
     ],
 )
 def test_former_keywords_of_a_twin_still_work_and_warn(former, contact, numerics):
-    with pytest.warns(DeprecationWarning, match="of TwinSnake: give contact="):
+    with pytest.warns(DeprecationWarning, match="of TwinSnake are deprecated; pass contact="):
         twin = TwinSnake(SPEC, **former)
     assert (twin.contact, twin._settings.numerics) == (contact, numerics)
 

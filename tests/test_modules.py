@@ -28,7 +28,7 @@ from srs_twin.control.replay import HoldValves
 from srs_twin.plants.twin.mjcf.model import robot_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
-from srs_twin.pneumatics.chambers import air_bend, as_felt, bent, largest_bend
+from srs_twin.pneumatics.chambers import air_bend, apply_bend_law, equivalent_linear_pressure, largest_bend
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import ModulesFile, load_robot_file
 from srs_twin.robot.spec import Modules
@@ -68,14 +68,14 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 @given(st.floats(-5, 5), st.floats(0.3, 3))
 def test_bends_flatten_towards_their_limit(x, limit):
     law = limit, 0.0, 1.0, 1.0
-    value, slope, curve = bent(x, law)
+    value, slope, curve = apply_bend_law(x, law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
     assert value**4 * (limit**4 + x**4) == pytest.approx((x * limit) ** 4, rel=1e-9, abs=1e-12)
     step = 1e-4
-    ahead, behind = bent(x + step, law), bent(x - step, law)
+    ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2)
-    assert bent(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
+    assert apply_bend_law(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
 
 
 @pytest.mark.slow
@@ -86,17 +86,17 @@ def test_bends_flatten_towards_their_limit(x, limit):
 )  # fmt: skip
 def test_bends_that_begin_late_are_odd_smooth_and_rise(x, limit, share, onset, width):
     law, step = (limit, share, onset, width), 1e-5
-    value, slope, curve = bent(x, law)
+    value, slope, curve = apply_bend_law(x, law)
     y = x - share * width / 2 * np.log(np.cosh((x + onset) / width) / np.cosh((x - onset) / width))
     assert value == pytest.approx(y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12)
-    assert (value, slope) == (-bent(-x, law)[0], bent(-x, law)[1]) and slope >= 0
-    assert bent(0.0, law)[1] == pytest.approx(1 - share * np.tanh(onset / width))
+    assert (value, slope) == (-apply_bend_law(-x, law)[0], apply_bend_law(-x, law)[1]) and slope >= 0
+    assert apply_bend_law(0.0, law)[1] == pytest.approx(1 - share * np.tanh(onset / width))
     spec = unlike(limit=limit, onset_share=share, onset=onset, onset_width=width)
     pressure = np.zeros((4, 2))
     pressure[:, 0] = x / (spec.actuator.gain * spec.modules.array("gain")[:, 0])
     assert air_bend(spec, pressure) == pytest.approx(np.full(4, value), abs=1e-12)
-    assert as_felt(spec, np.zeros((4, 2))) == pytest.approx(np.zeros((4, 2)))
-    ahead, behind = bent(x + step, law), bent(x - step, law)
+    assert equivalent_linear_pressure(spec, np.zeros((4, 2))) == pytest.approx(np.zeros((4, 2)))
+    ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
@@ -104,8 +104,10 @@ def test_bends_that_begin_late_are_odd_smooth_and_rise(x, limit, share, onset, w
 def test_what_mujoco_gets_bends_linear_muscles_as_far():
     spec, pressure = unlike(), np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
     linear = replace(spec, actuator=replace(spec.actuator, bend_limit=np.inf))
-    assert air_bend(linear, as_felt(spec, pressure)) == pytest.approx(air_bend(spec, pressure), rel=1e-12)
-    assert as_felt(linear, pressure) is pressure
+    assert air_bend(linear, equivalent_linear_pressure(spec, pressure)) == pytest.approx(
+        air_bend(spec, pressure), rel=1e-12
+    )
+    assert equivalent_linear_pressure(linear, pressure) is pressure
     full = np.array([SUPPLY, 0.0])
     nominal = replace(spec, variation=None)
     assert largest_bend(nominal, SUPPLY) == pytest.approx(air_bend(nominal, np.tile(full, (4, 1)))[0])

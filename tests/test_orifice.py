@@ -138,7 +138,7 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
 
     def rates(_, y, state):
         pressure, bend = look(y)
-        line = y[3 * n] / air.line if air.limited else SUPPLY + AMBIENT
+        line = y[3 * n] / air.line_volume if air.limited else SUPPLY + AMBIENT
         into, out = np.zeros((n, 2)), air.leak * (pressure - AMBIENT)
         for at in np.ndindex(n, 2):
             if state[at] == 1:
@@ -148,13 +148,13 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
         turning = (actuator.gain * (pressure[:, 0] - pressure[:, 1]) - bend) / actuator.tau_mode
         supplied = into.sum()
         if air.limited:
-            supplied = air.most * np.clip((SUPPLY + AMBIENT - line) / (0.01 * SUPPLY), 0, 1)
+            supplied = air.max_flow * np.clip((SUPPLY + AMBIENT - line) / (0.01 * SUPPLY), 0, 1)
         return np.concatenate(
             [(into - out).ravel(), turning, [supplied - into.sum(), supplied, out.sum()]]
         )  # fmt: skip
 
     y = np.concatenate(
-        [np.full(2 * n, AMBIENT * air.dead), np.zeros(n), [(SUPPLY + AMBIENT) * air.line, 0, 0]]
+        [np.full(2 * n, AMBIENT * air.dead), np.zeros(n), [(SUPPLY + AMBIENT) * air.line_volume, 0, 0]]
     )
     rows = []
     for k, state in enumerate(order.states):
@@ -261,7 +261,7 @@ def test_a_closed_chamber_is_compressed_by_the_bend_that_it_is_told():
     """Boyle: P V stays, within a stretch as the rate says and from one stretch to the next."""
     spec = robot()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out")
-    assert chambers.feels_bend and not LagPneumatics.feels_bend
+    assert chambers.depends_on_bend and not LagPneumatics.depends_on_bend
     bend, rate = np.full(4, 1.2), np.full(4, -2.0)
     chambers.advance(chambers.schedule(FILL, 0.5), np.zeros(0), bend=bend)
     times = np.linspace(0, 0.1, 6)
@@ -336,7 +336,7 @@ def test_regulated_supply_is_a_supply_of_that_pressure(limit):
     lower = 0.6 * SUPPLY
     more = {"flow_limit": limit, "line_begins": lower, "leak_per_s": 0.2}
     regulated, made = (OrificePneumatics(robot(), supply_pa=each, **more) for each in (SUPPLY, lower))
-    regulated.regulate(lower)
+    regulated.set_supply_pressure(lower)
     traces = [each.advance(each.schedule(FILL, 0.3), np.linspace(0, 0.3, 7)) for each in (regulated, made)]
     assert traces[0].pressure == pytest.approx(traces[1].pressure, abs=1e-6 * lower)
     assert traces[0].air[-1] > 0 and traces[0].air == pytest.approx(traces[1].air, rel=1e-9)
@@ -347,7 +347,7 @@ def test_placed_chambers_have_their_pressures_and_bends():
     chambers, random = OrificePneumatics(robot(), supply_pa=SUPPLY), np.random.default_rng(2)
     pressure, bend = random.uniform(0, SUPPLY, (4, 2)), np.array([1.1, -0.8, 0.3, -0.1])
     chambers.place(pressure, bend)
-    now = chambers.now()
+    now = chambers.current_trace()
     assert now.pressure[0] == pytest.approx(pressure) and now.bend[0] == pytest.approx(bend)
 
 
@@ -400,7 +400,7 @@ def test_starved_chambers_and_yielding_bends_take_turns_often_enough(l_per_min, 
 
     def run(finer: float) -> tuple[np.ndarray, np.ndarray]:
         chambers = limited(l_per_min)
-        chambers.felt_s /= finer
+        chambers.coupling_step_s /= finer
         monkeypatch.setattr(analytical, "_MASSLESS_S", 1e-4 / finer)
         found = rollout(AnalyticalSnake(robot(), pneumatics=chambers, **options), Gait(2.0, 0.4), 0.4)
         pressure = np.concatenate([found.stack("pressure_plus"), found.stack("pressure_minus")])
@@ -428,7 +428,7 @@ def test_closed_chambers_do_not_drive_a_twin_on_its_loads(flow_limit):
 
     def crawled(**options: Any) -> tuple[float, float]:
         chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow_limit)
-        step = {"timestep": min(0.001, chambers.felt_s)} | options
+        step = {"timestep": min(0.001, chambers.coupling_step_s)} | options
         found = rollout(
             TwinSnake(robot(), supply_pa=SUPPLY, pneumatics=chambers, **step), Gait(2.0, offset=0.4), 2.0
         )

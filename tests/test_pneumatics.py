@@ -228,10 +228,10 @@ def test_what_valves_do_is_known_beforehand():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, valve_delay_s=0.03)
     fill = np.ones((2, 2), dtype=np.int8)
     first = pneumatics.schedule(fill, 0.02)
-    assert pneumatics.effective(first).states.tolist() == [(-fill).tolist()]
+    assert pneumatics.effective_schedule(first).states.tolist() == [(-fill).tolist()]
     pneumatics.advance(first, np.zeros(0))
     second = pneumatics.schedule(fill, 0.02)
-    assert pneumatics.effective(second).events == pytest.approx([0.01])
+    assert pneumatics.effective_schedule(second).events == pytest.approx([0.01])
     assert pneumatics.openings.sum() == 0 and pneumatics.valves.max() == -1
     pneumatics.advance(second, np.zeros(0))
     assert (pneumatics.openings == 1).all() and pneumatics.valves.min() == 1
@@ -248,12 +248,12 @@ def test_reset_empties_everything():
 
 def test_a_schedule_joins_equal_slots_and_is_cut_and_joined_again():
     slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones((1, 2, 2), dtype=np.int8)
-    whole = Schedule.of_slots(slots, 0.6)
+    whole = Schedule.from_slots(slots, 0.6)
     assert whole.starts == pytest.approx([0.0, 0.2, 0.5]) and whole.events == pytest.approx([0.2, 0.5])
     assert whole.states[:, 0, 0].tolist() == [1, -1, 1]
-    middle = whole.part(0.2, 0.55)
+    middle = whole.slice(0.2, 0.55)
     assert middle.starts == pytest.approx([0.0, 0.3]) and middle.span == pytest.approx(0.35)
-    again = whole.part(0.0, 0.3).then(whole.part(0.3, 0.6))
+    again = whole.slice(0.0, 0.3).followed_by(whole.slice(0.3, 0.6))
     assert again.starts == pytest.approx(whole.starts) and (again.states == whole.states).all()
 
 

@@ -35,8 +35,8 @@ from srs_twin.plants.base import (
     PneumaticPlant,
     Pose,
     SnakeState,
-    check_before,
-    check_moment,
+    check_before_step,
+    check_initial_state,
     check_plausible,
 )
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
@@ -408,7 +408,7 @@ class AnalyticalSnake(PneumaticPlant):
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
-        self._equip(pneumatics, supply_pa, layout, sensor)
+        self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self._model, self._inertia, self._turning = model, inertia, friction_torque
         self.base = base
         if track is None:
@@ -430,29 +430,29 @@ class AnalyticalSnake(PneumaticPlant):
         self.pneumatics.reset()
         self._ticks, self.seed = 0, seed
         self._body.reset(pose)
-        body, trace = self._body, self.pneumatics.resting()
+        body, trace = self._body, self.pneumatics.rest_trace()
         now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
         """See `Plant.place`."""
-        check_moment(snake, yaw_rate, self.spec.segments)
+        check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
-        body, trace = self._body, self.pneumatics.now()
+        body, trace = self._body, self.pneumatics.current_trace()
         own = (snake.bend, snake.bend_rate) if body.yields else (trace.bend[0], trace.bend_rate[0])
         body.place(np.array([*snake.com_velocity, yaw_rate]), *(np.array(each, dtype=float) for each in own))
         now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
 
-    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+    def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
         begun = self._ticks * self.tick
-        check_before(self.name, begun + self.timestep, self._body.state, self._body.velocity)
-        steps = self._steps(self.pneumatics.effective(schedule), samples)
+        check_before_step(self.name, begun + self.timestep, self._body.state, self._body.velocity)
+        steps = self._steps(self.pneumatics.effective_schedule(schedule), samples)
         done, motion, trace = self._drive(schedule, steps)
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
@@ -486,7 +486,7 @@ class AnalyticalSnake(PneumaticPlant):
             yield schedule, steps
             return
         for begin, end, piece in steps.pieces(self._turn):
-            yield schedule.part(begin, end), piece
+            yield schedule.slice(begin, end), piece
 
     def describe(self) -> dict[str, Any]:
         """Return the settings worth recording."""
@@ -523,13 +523,15 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def _chambers_feel(self) -> bool:
-        return self.pneumatics.feels_bend and self._body.yields
+        return self.pneumatics.depends_on_bend and self._body.yields
 
     @property
     def _turn(self) -> float:
         """How often bodies and chambers take turns at least, s: what has no inertia follows air at once."""
         massless = not self._body.solid.inertia.all()
-        return min(self.pneumatics.felt_s, _MASSLESS_S) if massless else self.pneumatics.felt_s
+        return (
+            min(self.pneumatics.coupling_step_s, _MASSLESS_S) if massless else self.pneumatics.coupling_step_s
+        )
 
     def _own_inertia(self) -> np.ndarray:
         """Return the connectors' moments of inertia about themselves, shape (N,), kg·m²."""

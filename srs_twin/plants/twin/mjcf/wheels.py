@@ -48,7 +48,7 @@ def treads(spec: RobotSpec) -> list[str]:
     return [f"tread_{side}_{i}" for i in range(1, len(spec.axles) + 1) for side in _SIDES]
 
 
-def rest_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
+def static_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
     """Return the load of each wheel of a snake at rest, head first, shape (axles, 2), N."""
     return np.repeat([[axle.mass * gravity / 2] for axle in spec.axles], 2, axis=1)
 
@@ -178,7 +178,7 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: l
             mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
             for tread in treads(spec)
         ]
-    for pair, slower in zip(pairs, itertools.cycle(_slower(mj, spec)), strict=False):
+    for pair, slower in zip(pairs, itertools.cycle(_contact_time_factors(mj, spec)), strict=False):
         pair.solref = [round(settings.contact_time * slower, 7), 1]
     for tread in treads(spec):
         what = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
@@ -207,19 +207,19 @@ def add_force_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str, *, on: str, p
     sensor.intprm[:3] = [fields, _NET_FORCE, 1]
 
 
-def _slower(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
+def _contact_time_factors(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
     """Return by how much slower each normal contact must be for all to sink in alike, 1 for the fastest.
 
     MuJoCo softens a contact by a regularisation R that it takes from the tree of bodies: 1.25 times as much
     at gen 2's root as at its ends. What sinks deeper hands part of its load to its neighbours.
     """
-    depth = softness(mj.compile(), spec)
-    depth *= rest_loads(spec).ravel()
+    depth = contact_regularisation(mj.compile(), spec)
+    depth *= static_loads(spec).ravel()
     slower: np.ndarray = np.sqrt(depth.max() / depth)
     return slower
 
 
-def softness(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
+def contact_regularisation(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
     """Return how softly each normal contact yields, MuJoCo's R, in the order of `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
