@@ -18,8 +18,8 @@ from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
 from srs_twin.sensing.calibration import fit_line
-from srs_twin.sensing.hall import MOMENT, ROUND_AT, SPAN, USED, dipole, element_place, field
-from srs_twin.sensing.sensors import SLOT, _mixed, standard_normal
+from srs_twin.sensing.hall import MOMENT, RAIL_SHARE, ROUNDING_BEND_RAD, SPAN, dipole, element_place, field
+from srs_twin.sensing.sensors import SLOT, _splitmix, standard_normal
 
 MU0_4PI = 1e-7
 LENGTH = 0.075
@@ -173,7 +173,7 @@ def test_a_trimmed_amplifier_uses_its_share_of_the_rails():
     for strip in (Strip(LENGTH), Strip(0.037, orientation="side"), Strip(LENGTH, chamber="rectangular")):
         sensor = HallSensor.trimmed(strip, bits=None)
         volts = sensor.voltage(np.linspace(-SPAN, SPAN, 181))
-        assert np.abs(volts - 2.5).max() == pytest.approx(USED * 2.5, rel=1e-12)
+        assert np.abs(volts - 2.5).max() == pytest.approx(RAIL_SHARE * 2.5, rel=1e-12)
         assert sensor.voltage(0.0) == 2.5
 
 
@@ -223,14 +223,14 @@ def test_only_semicircular_chambers_leave_the_reading_monotonic(robot):
     assert not bad.calibration.monotonic
     turned = np.abs(BENDS[1:][np.diff(bad.hall.voltage(BENDS)) > 0])
     # tanh'(q/q_c) = 1/2 at 0.88 q_c: there the reading turns; the field's own curvature moves it a little.
-    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * ROUND_AT, abs=0.02)
+    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * ROUNDING_BEND_RAD, abs=0.02)
     assert bad.calibration.r_squared < good.calibration.r_squared
     assert bad.calibration.worst_error > good.calibration.worst_error
 
 
 def test_a_round_chamber_presses_no_further():
     good, bad = Strip(LENGTH), Strip(LENGTH, chamber="rectangular")
-    shift = 2 * ROUND_AT
+    shift = 2 * ROUNDING_BEND_RAD
     far = np.linspace(1.2, 2.0, 9)
     assert field(far, bad) == pytest.approx(field(far - shift, good), rel=1e-6)
     assert field(-far, bad) == pytest.approx(field(-far + shift, good), rel=1e-6)
@@ -330,7 +330,7 @@ def test_the_study_prints_and_draws(tmp_path, monkeypatch, capsys):
 def test_splitmix64_gives_the_numbers_of_its_reference():
     golden = np.uint64(0x9E3779B97F4A7C15)
     states = np.arange(1, 4, dtype=np.uint64) * golden  # seed 0
-    assert [int(word) for word in _mixed(states)] == [
+    assert [int(word) for word in _splitmix(states)] == [
         0xE220A8397B1DCDAF,
         0x6E789E6AA1B965F4,
         0x06C45D188009454F,
@@ -452,7 +452,7 @@ def test_sensors_by_name():
     ("options", "words"),
     [
         ({"kind": "halll"}, "unknown sensor 'halll'; did you mean hall?"),
-        ({"kind": "ideal", "bits": 8}, "this sensor takes no options; given: bits"),
+        ({"kind": "ideal", "bits": 8}, "this sensor has no options; leave out bits"),
         ({"bit": 8}, "unknown option of sensor 'hall' 'bit'; did you mean bits?"),
         ({"orientation": "upp"}, "unknown magnet orientation 'upp'; did you mean up?"),
         (
@@ -475,8 +475,8 @@ def test_sensors_by_name():
         ({"bits": 0}, "bits 0 is not allowed; it must be 1 to 32, or none"),
         ({"rails": (5.0, 0.0)}, "rails 5.0 to 0.0 V is not allowed; it must be a finite range"),
         ({"offset": 5.0}, "offset 5.0 is not allowed; it must be finite and between the rails, 0 and 5 V"),
-        ({"offset": 0.1}, "no gain suits this sensor: its element swings by"),
-        ({"gain": 1e-9, "offset": 2.501}, "no line from 2.50244 to 2.50244 V to these angles"),
+        ({"offset": 0.1}, "no gain suits this sensor: the element's output changes by"),
+        ({"gain": 1e-9, "offset": 2.501}, "voltages from 2.50244 to 2.50244 V do not give a line"),
         ({"span": -1.0, "gain": 500.0}, "calibration span -1.0 rad is not allowed"),
     ],
 )
@@ -492,10 +492,10 @@ def test_what_cannot_be_is_refused(options, words):
 @pytest.mark.parametrize(
     ("voltage", "angle", "words"),
     [
-        ([1.0, 2.0], [0.0, 1.0], "a line needs 3 or more pairs"),
-        ([1.0, 2.0, 3.0], [0.0, 1.0], "a line needs 3 or more pairs"),
+        ([1.0, 2.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
+        ([1.0, 2.0, 3.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
         ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "finite voltages and angles only"),
-        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "no line from 1 to 1 V to these angles: the voltage must change"),
+        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line: the voltage must change"),
         ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles ascend"),
     ],
 )
