@@ -495,7 +495,7 @@ def test_what_cannot_be_is_refused(options, words):
         ([1.0, 2.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
         ([1.0, 2.0, 3.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
         ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "finite voltages and angles only"),
-        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line: the voltage must change"),
+        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line"),
         ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles ascend"),
     ],
 )

@@ -206,7 +206,7 @@ class TwinSnake(PneumaticPlant):
         settings = self._settings
         own = {_CONTACT_KEYS.get(name, name): value for name, value in vars(self.contact).items()}
         if isinstance(self.contact, PreloadedContact):
-            own["preload"] = self.contact.pressed
+            own["preload"] = self.contact.preload_ratio
         rest = {name: getattr(settings, name) for name in ("hinges_per_segment", "base")}
         rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
         return super().describe() | {"contact": self.contact.name} | own | rest | vars(settings.numerics)
