@@ -211,7 +211,7 @@ def test_steps_end_on_events_and_samples_and_never_twice(places, samples, timest
     starts = starts[starts < 0.04 - 1e-6]
     states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(np.int8)
     steps = plant._steps(Schedule(0.04, starts, states), samples)
-    ends, marks = steps.ends, steps.marks
+    ends, marks = steps.ends, steps.sample_steps
     assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(0.04)
     assert np.diff(np.append(0.0, ends)).max() <= timestep * (1 + 1e-9)
     assert ends[marks - 1] == pytest.approx(0.04 * np.arange(1, samples + 1) / samples, abs=1e-12)

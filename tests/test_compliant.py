@@ -13,7 +13,7 @@ from snakes import chain, robot, vented
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, rollout
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
-from srs_twin.plants.analytical.kinematics import Solid
+from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.robot.friction import LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import Mass
@@ -38,28 +38,28 @@ class Body:
     mu_n: float = 3.0
 
     @property
-    def solid(self) -> Solid:
-        return Solid(self.mass, self.inertia, LENGTH, GAP, 0.0)
+    def solid(self) -> BodyParameters:
+        return BodyParameters(self.mass, self.inertia, LENGTH, GAP, 0.0)
 
     @property
     def floor(self) -> FloorFriction:
         return floor_friction(self.law, self.track, self.mu_t, self.mu_n, SLIP)
 
     @property
-    def model(self) -> tuple[Solid, tuple[float, float], FloorFriction]:
+    def model(self) -> tuple[BodyParameters, tuple[float, float], FloorFriction]:
         return self.solid, (self.stiffness, self.damping), self.floor
 
     def balance(self, q, u, moment) -> tuple[np.ndarray, np.ndarray]:
         """Return the kernel's momenta and their rates."""
         momentum, force = np.empty((2, len(u)))
-        room = compliant_kernels.room(len(self.mass))
+        room = compliant_kernels.work_arrays(len(self.mass))
         compliant_kernels.balance(q, u, moment, 0.0, self.model, momentum, force, room)
         return momentum, force
 
     def newton(self, q, u, a, residual) -> np.ndarray:
         """Return the kernel's step of Newton's method."""
         momentum, force, step = np.empty((3, len(u)))
-        room = compliant_kernels.room(len(self.mass))
+        room = compliant_kernels.work_arrays(len(self.mass))
         compliant_kernels.balance(q, u, np.zeros_like(q), a, self.model, momentum, force, room)
         compliant_kernels.solve(a, self.model, residual, step, room)
         return step

@@ -61,7 +61,7 @@ def put(path: str, index: Any = None) -> Spoil:
 
 BODY = {
     name: put("_body.state", getattr(kernels, name))
-    for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "SPENT")
+    for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "ENERGY_LOSS")
 }
 YIELDING = {
     "bend": put("_body.state", BENDS),

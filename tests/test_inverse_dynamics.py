@@ -10,7 +10,7 @@ from rows import fill_rows
 
 from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
-from srs_twin.plants.analytical.kinematics import ROWS, Solid, pose_body
+from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, pose_body
 from srs_twin.pneumatics import Trace
 from srs_twin.robot.friction import LAWS
 
@@ -19,7 +19,7 @@ def by_rows(
     u: np.ndarray,
     bend: np.ndarray,
     acceleration: np.ndarray,
-    solid: Solid,
+    solid: BodyParameters,
     floor: FloorFriction,
     turning: bool,
 ) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_the_tail_knows_what_the_rows_of_the_whole_body_say(seed, connectors, la
     random = np.random.default_rng(seed)
     mass = random.uniform(0.01, 0.1, connectors)
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
-    solid = Solid(mass, inertia, 0.037, 0.018, frozen)
+    solid = BodyParameters(mass, inertia, 0.037, 0.018, frozen)
     floor = floor_friction(law, random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
     samples, segments = 3, connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from srs_twin.plants.analytical import kernels, kinematics
 from srs_twin.plants.analytical.floor import connector_friction, fill_forces, floor_forces, floor_friction
-from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
+from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, BodyParameters, X, Y, pose_body
 from srs_twin.plants.analytical.steps import advance, bend_within
 from srs_twin.pneumatics import Trace
 from srs_twin.robot import friction
@@ -63,7 +63,7 @@ def run(
     state, slope = np.zeros((2, kernels.STATES))
     state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
-    solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
+    solid = BodyParameters(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
     now, seen = (
@@ -196,15 +196,15 @@ def test_regularisation_does_not_decide_the_result():
     assert far[1] == pytest.approx(far[0], rel=5e-3)
 
 
-def draw(seed: int, connectors: int) -> tuple[Solid, np.ndarray, np.ndarray]:
+def draw(seed: int, connectors: int) -> tuple[BodyParameters, np.ndarray, np.ndarray]:
     """Return a random body, bends and rates."""
     g = np.random.default_rng(seed)
     mass, own = g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors)
     bend, rate = g.normal(size=(2, connectors - 1))
-    return Solid(mass, own, 0.04, 0.02, 0.0), bend, rate
+    return BodyParameters(mass, own, 0.04, 0.02, 0.0), bend, rate
 
 
-def posed(solid: Solid, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Return the body as the kernels pose it."""
     body = np.empty((kinematics.ROWS, len(solid.mass)))
     pose_body(bend, rate, solid, body)
@@ -275,7 +275,7 @@ def test_posed_body_moves_at_the_rates_it_says():
 def test_headings_of_a_coil_of_several_turns_have_their_mean_at_zero():
     """One rad in each of 40 segments: the head stands 20 rad, three turns, ahead of the mean."""
     bend = np.ones(40)
-    solid = Solid(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
+    solid = BodyParameters(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
     body, phi = posed(solid, bend, 0 * bend), relative_headings(bend)
     assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
     assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)
@@ -320,7 +320,7 @@ def test_a_glide_that_ends_inside_a_step_ends_where_it_should(speed):
     assert state[kernels.STATE_Y] == pytest.approx(way, abs=2e-6)
     assert parts < 2 * 40
     # The energy that the floor took is that of the throw.
-    assert state[kernels.SPENT] == pytest.approx(0.06 * speed**2, rel=2e-3)
+    assert state[kernels.ENERGY_LOSS] == pytest.approx(0.06 * speed**2, rel=2e-3)
 
 
 def test_cut_steps_err_several_times_less_where_friction_turns():

@@ -182,12 +182,12 @@ def _turning(kind, spec, run):
 
 def test_the_analytical_moment_is_that_of_lagrange():
     """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
-    from srs_twin.plants.analytical import hang, kernels
-    from srs_twin.plants.analytical.kinematics import Solid
+    from srs_twin.plants.analytical import kernels, simulate_clamped
+    from srs_twin.plants.analytical.kinematics import BodyParameters
     from srs_twin.pneumatics import Trace
 
     mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
-    solid = Solid(mass, inertia, 0.07, 0.004, 0.0)
+    solid = BodyParameters(mass, inertia, 0.07, 0.004, 0.0)
 
     def places(q):
         """Return the connectors' places and headings by integrating the arcs piece by piece."""
@@ -220,7 +220,7 @@ def test_the_analytical_moment_is_that_of_lagrange():
     head = np.array([0.3, -0.2, 1.1])
     states, velocities, torque = np.zeros((1, kernels.STATES)), np.zeros((1, 3)), np.zeros((1, 2))
     trace = Trace.empty(1, len(q))._replace(bend=q[None], bend_rate=dq[None], bend_acceleration=ddq[None])
-    hang(trace, solid, head, states, velocities, torque)
+    simulate_clamped(trace, solid, head, states, velocities, torque)
     assert torque[0] == pytest.approx(expected, rel=1e-4)
 
     def turned(vector):

@@ -186,7 +186,7 @@ def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings:
 
 def _add_segment(
     mj: MjSpec, body: MjsBody, spec: RobotSpec, near: int, far: int, settings: ModelSettings
-) -> MjsBody:  # noqa: D417
+) -> MjsBody:
     """Add the segment between two neighbouring connectors; return the body of the far connector.
 
     Each hinge carries the body beyond it; the last hinge carries the far connector. Stations are distances
@@ -196,7 +196,8 @@ def _add_segment(
         mj: model, in place.
         body: body of the near connector.
         spec: the robot.
-        near, far: numbers of the connectors.
+        near: number of the near connector.
+        far: number of the far connector.
         settings: discretisation.
     """
     g, n, j = spec.geometry, settings.hinges_per_segment, min(near, far)
