@@ -180,7 +180,7 @@ def test_simplified_is_a_model_of_its_own_in_a_gait():
 def test_only_simplified_goes_without_friction_torque(model):
     with pytest.raises(InputError) as error:
         AnalyticalSnake(robot(), model=model, friction_torque=False)
-    assert str(error.value) == f"model '{model}' has a friction torque; only 'simplified' goes without"
+    assert str(error.value) == f"model '{model}' has a friction torque; use 'simplified' to leave it out"
 
 
 @pytest.mark.parametrize(

@@ -396,7 +396,7 @@ def test_noise_knows_a_moment_to_a_slot():
     assert standard_normal(1, 0.0001, 1) != standard_normal(1, 0.0002, 1)
     assert (standard_normal(2**64 + 7, ticks, 2) == standard_normal(7, ticks, 2)).all()
     for time in (math.nan, math.inf, 1e300):
-        with pytest.raises(InputError, match="sensor noise has no time"):
+        with pytest.raises(InputError, match="times of sensor noise must be finite"):
             standard_normal(0, time, 1)
 
 
@@ -461,7 +461,7 @@ def test_sensors_by_name():
         ),
         ({"distance": 0.0}, "distance 0.0 is not allowed; it must be finite and above 0"),
         ({"moment": math.nan}, "moment nan is not allowed"),
-        ({"distance": 0.2}, "distance 0.2 m from magnet to element is not allowed; the segment is 0.075 m"),
+        ({"distance": 0.2}, "distance 0.2 m from magnet to element is not allowed; it must be at most the segment's length"),
         (
             {"element_height": 0.001},
             "element_height 0.001 m is not allowed; at this distance it must be within",
@@ -494,9 +494,9 @@ def test_what_cannot_be_is_refused(options, words):
     [
         ([1.0, 2.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
         ([1.0, 2.0, 3.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
-        ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "finite voltages and angles only"),
+        ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "voltages and angles of a calibration must be finite"),
         ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line"),
-        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles ascend"),
+        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles must ascend"),
     ],
 )
 def test_pairs_without_a_line_are_refused(voltage, angle, words):

@@ -194,7 +194,7 @@ def test_steps_may_be_far_away_or_in_one_place(steps):
 
 
 def test_a_snake_begins_before_the_first_step():
-    with pytest.raises(InputError, match="before the first step, which is at x = -0.05 m"):
+    with pytest.raises(InputError, match="before the first step, at x = -0.05 m"):
         TwinSnake(SPEC, contact="loaded", world=World(steps=(Step(-0.05, 0.002),)))
 
 

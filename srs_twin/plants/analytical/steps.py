@@ -113,10 +113,10 @@ def _even(span: float, samples: int, per_sample: int) -> Steps:
 MAX_SUBSTEPS = 64
 """Largest number of substeps of a step, a power of 2."""
 
-_QUARTER_ABOVE = (
-    4.0  # error over tolerance above which a step is quartered, because halves would fail again, 1
-)
-_DOUBLE_BELOW = 0.5  # error over tolerance below which the next substep is doubled, 1
+# Ratios of error and tolerance, 1: above the first, a step is quartered, because halves would fail again;
+# below the second, the next substep is doubled.
+_QUARTER_ABOVE = 4.0
+_DOUBLE_BELOW = 0.5
 
 
 @compiled
