@@ -130,8 +130,8 @@ def main() -> None:
 
 
 HEADINGS = (
-    "robot", "plant", "reached, nothing touched", "touched", "no plan", "other endings", "inside the margin",
-    "new plans, median", "least clearance, mm",
+    "robot", "plant", "reached without contact", "touched", "no plan", "other endings", "inside the margin",
+    "new plans, median", "minimum clearance, mm",
 )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ METRICS = {
     "mechanical_power_w": "mechanical power, %",
     "cost_of_transport": "cost of transport, %",
     "pneumatic_power_w": "pneumatic power, %",
-    "position": "position at the end, % of the way",
+    "position": "final position, % of the path",
 }
 """Metric → its error and unit."""
 FINE_S = 0.0000625

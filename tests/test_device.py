@@ -20,8 +20,8 @@ from srs_twin.errors import EngineWarning
 from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 from srs_twin.pneumatics.chambers import equivalent_linear_pressure
 from srs_twin.robot.world import Circle, World
-from srs_twin.studies.sweep import load_sweep
 from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.on_device import on_device
 
 wp = pytest.importorskip("warp", reason="the extra gpu is not installed")

@@ -19,8 +19,7 @@ from srs_twin.scenario import Scenario, load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, changed_fields, marked
 from srs_twin.studies.optimization.file import SEGMENTS, StudyFile
 from srs_twin.studies.optimization.space import Space
-from srs_twin.studies.sweep import Experiment
-from srs_twin.studies.sweep.points import leaves
+from srs_twin.studies.sweep.points import Experiment, leaves
 from srs_twin.studies.uncertainty.study import compliant_partner
 
 

@@ -15,18 +15,16 @@ from srs_twin.cli.options import (
     ChangeOptions,
     CheckOption,
     FloorOption,
-    FrequencyOption,
     JsonOption,
-    OffsetOption,
     PressureOption,
     QuietOption,
-    ReadingOptions,
     StrictOption,
     argument,
     option,
     plants_of,
 )
 from srs_twin.errors import InputError
+from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions
 
 if TYPE_CHECKING:
     from srs_twin.robot.file import RobotFile
