@@ -31,7 +31,7 @@ def dragged(spec: RobotSpec, drag: float = DRAG, **changes: float) -> RobotSpec:
     ],
     ids=["complete", "compliant", "loaded", "preloaded", "skid"],
 )
-def test_it_adds_to_what_the_wheels_take_along_and_nothing_across(plant, rolls):
+def test_drag_acts_along_the_heading_only(plant, rolls):
     spec = dragged(STIFF)
     for direction, brake in (
         (0, STIFF.friction.mu_t * MASS * GRAVITY + DRAG),
@@ -47,7 +47,7 @@ def test_it_adds_to_what_the_wheels_take_along_and_nothing_across(plant, rolls):
         assert (state.com - start)[direction] == pytest.approx(way, rel=0.02)
 
 
-def test_of_equal_connectors_under_the_axis_law_it_is_a_greater_mu_t():
+def test_drag_equals_a_larger_mu_t_under_the_axis_law():
     spec = robot()
     share = DRAG / (spec.mass.total * GRAVITY)
     rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
@@ -56,7 +56,7 @@ def test_of_equal_connectors_under_the_axis_law_it_is_a_greater_mu_t():
         assert found[0][name] == pytest.approx(found[1][name], abs=1e-9)
 
 
-def test_with_two_contacts_per_connector_it_is_not_a_greater_mu_t():
+def test_drag_differs_from_mu_t_with_two_contacts():
     spec = robot()
     share = DRAG / (spec.mass.total * GRAVITY)
     rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
@@ -68,7 +68,7 @@ def test_with_two_contacts_per_connector_it_is_not_a_greater_mu_t():
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
-def test_it_slows_the_twin_as_it_slows_the_compliant_model_at_any_step(contact):
+def test_drag_slows_twin_and_compliant_model_equally(contact):
     def way(plant: AnalyticalSnake | TwinSnake) -> float:
         found = rollout(plant, Gait(2.0), 2.0)
         return float(found["com_x"][-1] - found["com_x"][0])

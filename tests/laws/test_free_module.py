@@ -89,7 +89,7 @@ def _distance_from_free_bend(timestep: float) -> float:
     return float(np.sqrt(np.mean(np.subtract(twin, chambers) ** 2)) / np.std(chambers))
 
 
-def test_soft_module_lags_and_overshoots_what_a_stiff_one_follows():
+def test_soft_module_lags_and_overshoots():
     errors = []
     for stiffness in (0.05, 20.0):
         plant = TwinSnake(module("gen4", stiffness), supply_pa=SUPPLY)

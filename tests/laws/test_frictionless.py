@@ -29,7 +29,7 @@ def valves(plant: Plant) -> np.ndarray:
 
 @ALL
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse", "viscous"])
-def test_analytical_snake_that_bends_keeps_its_momenta_to_rounding(options, law):
+def test_bending_analytical_snake_conserves_momentum(options, law):
     plant = AnalyticalSnake(UNEVEN, friction=law, **options)
     gait = Gait(2.0, 0.2)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
@@ -44,7 +44,7 @@ def test_analytical_snake_that_bends_keeps_its_momenta_to_rounding(options, law)
 
 
 @pytest.mark.parametrize("name", ["complete", "simplified", "compliant"])
-def test_moment_of_momentum_of_the_recorded_places_stays(name):
+def test_moment_of_momentum_of_recorded_positions_is_conserved(name):
     """Σ m ρ × ρ̇ from differences of places, which know nothing of the kernels' state."""
     step = 2e-4
     plant = AnalyticalSnake(
@@ -65,7 +65,7 @@ def test_moment_of_momentum_of_the_recorded_places_stays(name):
 
 @pytest.mark.parametrize("spec", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("smooth", [False, True], ids=["gait", "smooth"])
-def test_twins_momenta_drift_to_first_order_in_the_step(spec, smooth):
+def test_twin_momentum_drift_is_of_first_order(spec, smooth):
     """Half the step, half the drift: generalised coordinates take the inertia of a step's beginning."""
     drifts = np.array([drift(spec, timestep, smooth) for timestep in (0.001, 0.0005, 0.00025)])
     order = np.log2(drifts[:-1] / drifts[1:])

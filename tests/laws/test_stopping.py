@@ -80,7 +80,7 @@ def test_twin_stops_across(speed):
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_wheels_on_their_loads_stop_along_and_across(speed):
+def test_loaded_wheels_stop_along_and_across(speed):
     along = stopped(twin(contact="loaded"), (speed, 0.0), 2.0)
     expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
     assert along == pytest.approx([expected, 0], rel=1e-4, abs=1e-9)
@@ -88,7 +88,7 @@ def test_wheels_on_their_loads_stop_along_and_across(speed):
     assert across == pytest.approx([0, -(speed**2) / (2 * MU_N * GRAVITY)], rel=1e-4, abs=1e-7)
 
 
-def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
+def test_wheels_stopping_within_a_step_get_no_lateral_impulse():
     """By symmetry there is none.
 
     The friction solve leaves 1e-7 of friction's impulse at most, and its error lies along the wheels.
@@ -99,7 +99,7 @@ def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
 
 
 @pytest.mark.parametrize("degrees", [30, 60])
-def test_wheels_on_their_loads_stop_at_an_angle(degrees):
+def test_loaded_wheels_stop_at_an_angle(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
     expected = sliding_wheel(velocity, SPIN_MASS / MASS)
     assert stopped(twin(contact="loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.01)
@@ -151,7 +151,7 @@ def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
     assert stopped(twin("skid", "loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.005, abs=1e-5)
 
 
-def test_axis_law_stops_each_direction_by_itself():
+def test_axis_law_stops_each_direction_independently():
     way = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
     expected = [0.6**2 / (2 * MU_T * GRAVITY), 0.8**2 / (2 * MU_N * GRAVITY)]
     assert way == pytest.approx(expected, rel=0.01)

@@ -46,7 +46,7 @@ def turning(name: str) -> Trajectory:
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, np.pi / 6), (0.3, -0.2, 0.0), (-1.0, 2.0, np.pi / 6)])
 @pytest.mark.parametrize("name", PLANTS)
-def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, pose):
+def test_trajectory_transforms_with_the_initial_pose(name, pose):
     x, y, angle = pose
     here, there = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
     c, s = np.cos(angle), np.sin(angle)
@@ -58,7 +58,7 @@ def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, po
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_opposite_offset_with_half_a_period_gives_the_mirrored_path(name):
+def test_opposite_offset_and_half_period_mirror_the_path(name):
     left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0)
     # The same code runs with left and right exchanged: no more than rounding is allowed to differ.
     assert np.abs(right.position - left.position * [1, -1]).max() < 1e-9

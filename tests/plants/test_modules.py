@@ -66,7 +66,7 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 
 @settings(max_examples=100)
 @given(st.floats(-5, 5), st.floats(0.3, 3))
-def test_bends_flatten_towards_their_limit(x, limit):
+def test_bend_law_saturates_at_its_limit(x, limit):
     law = limit, 0.0, 1.0, 1.0
     value, slope, curve = apply_bend_law(x, law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
@@ -84,7 +84,7 @@ def test_bends_flatten_towards_their_limit(x, limit):
     st.floats(-3, 3), st.floats(0.5, 3) | st.just(np.inf), st.floats(0, 1),
     st.floats(0.05, 1.5), st.floats(0.05, 1.5),
 )  # fmt: skip
-def test_bends_that_begin_late_are_odd_smooth_and_rise(x, limit, share, onset, width):
+def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(x, limit, share, onset, width):
     law, step = (limit, share, onset, width), 1e-5
     value, slope, curve = apply_bend_law(x, law)
     y = x - share * width / 2 * np.log(np.cosh((x + onset) / width) / np.cosh((x - onset) / width))
@@ -101,7 +101,7 @@ def test_bends_that_begin_late_are_odd_smooth_and_rise(x, limit, share, onset, w
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
 
-def test_what_mujoco_gets_bends_linear_muscles_as_far():
+def test_equivalent_linear_pressure_gives_the_same_bend():
     spec, pressure = unlike(), np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
     linear = replace(spec, actuator=replace(spec.actuator, bend_limit=np.inf))
     assert air_bend(linear, equivalent_linear_pressure(spec, pressure)) == pytest.approx(
@@ -133,7 +133,7 @@ def law(spec: RobotSpec, kind: str, leak: float):
 
 
 @pytest.mark.parametrize("leak", [0.0, 0.7])
-def test_lag_solves_the_equations_of_modules_that_differ(leak):
+def test_lag_solves_the_equations_of_unequal_modules(leak):
     spec = unlike()
     chambers = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     assert chambers.bend == pytest.approx(spec.modules.bias, abs=0)
@@ -156,7 +156,7 @@ def test_lag_solves_the_equations_of_modules_that_differ(leak):
 
 
 @pytest.mark.parametrize("kind", ["lag", pytest.param("orifice", marks=pytest.mark.slow)])
-def test_accelerations_are_the_rates_slopes(kind):
+def test_bend_accelerations_are_derivatives_of_the_rates(kind):
     finer = {"substep": 5e-5} if kind == "orifice" else {}
     chambers = make_pneumatics(kind, unlike(), supply_pa=SUPPLY, layout="3/2", **finer)
     fill = np.tile([1, -1], (4, 1))
@@ -172,7 +172,7 @@ def test_accelerations_are_the_rates_slopes(kind):
         assert np.quantile(np.abs(slope - rate[1:-1])[50:], 0.995) < 0.01 * size
 
 
-def test_orifice_chambers_that_differ_keep_their_air_and_come_to_the_same_rest():
+def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
     assert not np.abs(chambers.pressure).any()
@@ -191,7 +191,7 @@ def test_orifice_chambers_that_differ_keep_their_air_and_come_to_the_same_rest()
     assert chambers.bend == pytest.approx(slow.bend, abs=1e-5)
 
 
-def test_slower_valves_of_one_chamber_pass_less_air():
+def test_larger_time_constant_means_smaller_conductance():
     spec = load_robot("gen4")
     slow = np.ones((4, 2))
     slow[2, 1] = 2.0
@@ -202,7 +202,7 @@ def test_slower_valves_of_one_chamber_pass_less_air():
     assert even_fill / fill == pytest.approx(slow, rel=0.02)
 
 
-def test_a_line_that_begins_empty_fills_later():
+def test_initially_empty_line_delays_filling():
     spec = load_robot("gen4")
     given = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
     full, empty = OrificePneumatics(spec, **given), OrificePneumatics(spec, **given, line_begins=0.0)
@@ -217,7 +217,7 @@ def test_a_line_that_begins_empty_fills_later():
 
 
 @both
-def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
+def test_snake_at_rest_has_the_rest_bends(kind):
     spec = unlike()
     plant = PLANTS[kind](spec)
     pose = (0.3, -0.2, 0.7)
@@ -238,7 +238,7 @@ def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
         ("minus", 1.0, 48e3, "lag"),
     ],
 )  # fmt: skip
-def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
+def test_static_bend_follows_the_module_gains(kind, way, share, supply, chambers):
     """On a bench, where nothing but the air bends it; the formula is written out once more."""
     spec = replace(load_robot("gen4_module"), variation=Modules.of(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
@@ -257,7 +257,7 @@ def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
 
 
 @both
-def test_the_mirrored_snake_in_the_mirrored_gait_goes_the_mirrored_way(kind):
+def test_mirrored_modules_and_gait_give_the_mirrored_path(kind):
     spec = unlike(bias=0.05)
     runs = [
         rollout(PLANTS[kind](each, supply_pa=60e3), Gait(1.0, phase=phase), 2.0)
@@ -269,7 +269,7 @@ def test_the_mirrored_snake_in_the_mirrored_gait_goes_the_mirrored_way(kind):
     assert abs(runs[0]["heading"][-1]) > 0.1
 
 
-def test_a_stiff_light_twin_bends_as_the_free_modules_would():
+def test_stiff_light_twin_has_the_free_bends():
     """The twin gets moments, the analytical model bends: only the law of `bending` makes them agree."""
     spec = unlike()
     stiff = replace(
@@ -286,7 +286,7 @@ def test_a_stiff_light_twin_bends_as_the_free_modules_would():
         assert np.sqrt(np.mean((twin[f"bend_{j}"] - free[f"bend_{j}"]) ** 2)) < 0.01
 
 
-def test_the_exported_model_has_the_modules_gains_and_rest_bends():
+def test_exported_model_has_module_gains_and_rest_bends():
     spec = unlike()
     model = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     for j in range(1, 5):
@@ -302,7 +302,7 @@ def test_the_exported_model_has_the_modules_gains_and_rest_bends():
 
 @both
 @pytest.mark.parametrize(("state", "level"), [(1, 1.0), (-1, 0.0)])
-def test_a_stuck_valve_does_not_obey_from_then_on(kind, state, level):
+def test_stuck_valve_ignores_commands(kind, state, level):
     plant = PLANTS[kind](robot("gen4"), supply_pa=48e3)
     plant.pneumatics.stuck = (StuckValve(2, 0, state, since=0.513),)
     run = rollout(plant, Gait(1.0), 3.0)
@@ -313,7 +313,7 @@ def test_a_stuck_valve_does_not_obey_from_then_on(kind, state, level):
     assert plant.openings()[1, 0] <= 2 < plant.openings()[1, 1]
 
 
-def test_a_stuck_valve_within_a_stretch_is_stuck_to_the_moment():
+def test_valve_can_stick_within_a_schedule():
     chambers = LagPneumatics(robot("gen4"), supply_pa=48e3)
     chambers.stuck = (StuckValve(1, 1, 1, since=0.01),)
     at = np.array([0.01, 0.02])
@@ -326,7 +326,7 @@ def test_a_stuck_valve_within_a_stretch_is_stuck_to_the_moment():
 # Drawing
 
 
-def test_drawn_modules_have_the_asked_spread_and_each_quantity_its_own_stream():
+def test_random_modules_have_the_requested_spread_and_independent_streams():
     record = {"unit": "1", "status": "estimated", "source": "test"}
     file = ModulesFile(
         gain_spread={**record, "value": 0.15}, bias_spread_rad={**record, "value": 0.1, "unit": "rad"}
@@ -342,7 +342,7 @@ def test_drawn_modules_have_the_asked_spread_and_each_quantity_its_own_stream():
     assert draws[7] == file.draw(4, 7) != draws[8]
 
 
-def test_listed_numbers_and_drawn_ones_come_together():
+def test_listed_and_random_module_values_combine():
     unit = {"unit": "1", "status": "measured", "source": "test"}
     listed = [[1.0, 2.0], [0.5, 1.0]]
     file = ModulesFile(gain={**unit, "value": listed}, gain_spread={**unit, "value": 0.1}, seed=3)
@@ -361,12 +361,12 @@ def test_listed_numbers_and_drawn_ones_come_together():
         ({"tau_fill": ((1.0, 0.0),) * 4}, "modules.tau_fill 0 is not allowed; it must be 0.01 to 100"),
     ],
 )
-def test_modules_that_cannot_be_are_refused(changed, words):
+def test_invalid_modules_raise(changed, words):
     with pytest.raises(InputError, match=words):
         replace(Modules.alike(4), **changed)
 
 
-def test_a_robot_of_another_length_is_refused():
+def test_modules_of_another_length_raise():
     with pytest.raises(InputError, match="modules: 3 is not allowed; the robot has 4"):
         replace(load_robot("gen4"), variation=Modules.alike(3))
 
@@ -389,7 +389,7 @@ faults:
 """
 
 
-def test_a_scenario_names_modules_and_faults(tmp_path):
+def test_scenario_with_modules_and_faults(tmp_path):
     path = tmp_path / "one.yaml"
     path.write_text(SCENARIO)
     scenario = load_scenario(path)
@@ -419,7 +419,7 @@ def test_a_scenario_names_modules_and_faults(tmp_path):
         ("stuck: open", "stuck: ajar", "open"),
     ],
 )
-def test_what_is_wrong_is_said_where_it_stands(tmp_path, old, new, words):
+def test_module_errors_name_the_key(tmp_path, old, new, words):
     path = tmp_path / "bad.yaml"
     path.write_text(SCENARIO.replace(old, new))
     with pytest.raises(InputError) as caught:
@@ -427,7 +427,7 @@ def test_what_is_wrong_is_said_where_it_stands(tmp_path, old, new, words):
     assert words in str(caught.value) and "bad.yaml:" in str(caught.value)
 
 
-def test_a_robot_file_with_modules_loads_and_names_their_sources(tmp_path):
+def test_robot_file_with_modules_has_sources(tmp_path):
     text = load_robot_file("gen4").model_dump(mode="json", exclude_none=True)
     record = {"unit": "1", "status": "measured", "source": "bench, 2026"}
     text["modules"] = {"gain": {**record, "value": [[1.1, 0.9]] * 4}}
@@ -437,7 +437,7 @@ def test_a_robot_file_with_modules_loads_and_names_their_sources(tmp_path):
     assert load_robot_file(path).records()["modules.gain"].source == "bench, 2026"
 
 
-def test_drifted_sensors_keep_their_own_noise():
+def test_sensor_drift_keeps_the_noise():
     spec = unlike(sensors=0.1)
     drifted, plain = make_sensor("hall", spec), make_sensor("hall", replace(spec, variation=None))
     bend, time = np.full((5, 4), 0.3), np.arange(5) * 0.01

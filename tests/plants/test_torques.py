@@ -86,7 +86,7 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
     ("law", "mu", "inertia"),
     [("viscous", SMOOTH, "point"), ("axis", {}, "point"), ("axis", {}, "lumped"), ("wheel", {}, "connector")],
 )
-def test_torques_are_what_newton_asks_for(model, law, mu, inertia):
+def test_torques_satisfy_newtons_law(model, law, mu, inertia):
     slip, spec = 0.02, chain(MASSES, **mu)
     plant = AnalyticalSnake(
         spec, model=model, friction=law, inertia=inertia, timestep=STEP, slip_speed=slip,
@@ -136,16 +136,16 @@ def apart(
 
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
 @pytest.mark.parametrize(("law", "mu"), [("viscous", SMOOTH), ("axis", {}), ("wheel", {})])
-def test_stiff_springs_exert_what_inverse_dynamics_says(law, mu, inertia):
+def test_stiff_springs_exert_the_inverse_dynamics_torques(law, mu, inertia):
     assert apart(law, mu, inertia, (320.0,))[0] < 0.02
 
 
-def test_springs_torques_get_closer_as_their_stiffness_grows():
+def test_spring_torques_converge_with_stiffness():
     soft, middle, stiff = apart("viscous", SMOOTH, "point", (20.0, 80.0, 320.0))
     assert np.log([soft / middle, middle / stiff]) / np.log(4) == pytest.approx([1, 1], abs=0.2)
 
 
-def test_one_segment_turns_two_masses_against_each_other():
+def test_torque_of_one_segment_between_two_masses():
     """By hand: without a floor two equal masses m, pitch L apart, in the frame of their mean heading.
 
     They lie on the line of that heading at ± L(q)/2, so their kinetic energy is m L'² q̇²/4, the mean heading

@@ -60,7 +60,7 @@ def module(**changes):
         ({"kind": "hold_valves", "minus": "hold"}, "in_out"),
     ],
 )
-def test_the_controller_decides_the_valves_and_a_bench_its_tick(controller, layout):
+def test_controller_selects_the_layout_and_bench_the_tick(controller, layout):
     scenario = module(controller=controller)
     assert scenario.layout == scenario.document["valves"]["layout"] == layout
     for kind in PLANTS:
@@ -69,12 +69,12 @@ def test_the_controller_decides_the_valves_and_a_bench_its_tick(controller, layo
     assert parse_scenario(scenario.document, name="module") == scenario
 
 
-def test_a_given_layout_stays_and_gaits_drive_it():
+def test_explicit_layout_is_kept():
     scenario = module(controller={"kind": "gait", "frequency_hz": 1.0}, valves={"layout": "in_out"})
     assert scenario.build_plant("twin").layout == "in_out"
 
 
-def test_gains_given_and_gains_found():
+def test_explicit_gains_override_shipped_gains():
     default = module().build_controller()
     given = module(
         controller={
@@ -88,7 +88,7 @@ def test_gains_given_and_gains_found():
     assert (default.D, default.epsilon, default.cutoff_hz) == (plain.D, plain.epsilon, plain.cutoff_hz)
 
 
-def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
+def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
     controller = {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 1.2}}
     with pytest.raises(InputFileError, match=r"asks for 68.75°.*41.97°.*beyond_range: saturate"):
         module(controller=controller)
@@ -102,7 +102,7 @@ def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
     assert module(controller=controller, supply={"pressure_kpa": 80.0}).warnings == ()
 
 
-def test_what_a_sensor_cannot_be_is_refused():
+def test_invalid_sensor_settings_raise():
     for words, sensor in (
         ("heights|within", {"kind": "hall", "distance_mm": 1.0}),
         ("segment is 0.075 m long", {"kind": "hall", "distance_mm": 50.0}),
@@ -110,12 +110,12 @@ def test_what_a_sensor_cannot_be_is_refused():
         changed = {"robot": {"base": "gen4_module"}, "sensor": sensor}
         if words.startswith("segment"):
             changed["robot"] = {"base": "gen4_module", "geometry": {"segment_length_m": 0.04}}
-            words = "segment is 0.04 m long"
+            words = "it must be at most the segment's length, 0.04 m"
         with pytest.raises(InputFileError, match=words):
             module(**changed)
 
 
-def test_pulses_too_fast_for_a_tick_are_refused_before_anything_runs():
+def test_pulses_shorter_than_a_tick_raise_before_the_run():
     with pytest.raises(
         InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz does not fit"
     ):
@@ -129,7 +129,7 @@ def test_pulses_too_fast_for_a_tick_are_refused_before_anything_runs():
 
 
 @plants
-def test_valves_that_a_controller_cannot_drive_are_refused(kind):
+def test_layout_unsupported_by_the_controller_raises(kind):
     with pytest.raises(InputError, match="drives valves of layout in_out; the .* plant has 3/2"):
         rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
     with pytest.raises(InputError, match="drives valves of layout 3/2; the .* plant has in_out"):
@@ -140,7 +140,7 @@ def test_valves_that_a_controller_cannot_drive_are_refused(kind):
 
 
 @plants
-def test_the_head_stays_and_nothing_touches_the_tail(kind):
+def test_clamped_head_stays_and_tail_has_no_contact(kind):
     run = rollout(bench(kind, "direct"), DirectSMC(STEP), 0.4, record_hz=1000)
     head = run.position[:, 0]
     assert np.abs(head - head[0]).max() < 1e-12
@@ -150,7 +150,7 @@ def test_the_head_stays_and_nothing_touches_the_tail(kind):
 
 
 @pytest.mark.parametrize(("kind", "allowed"), [("analytical", 1e-9), ("twin", 0.02)])
-def test_work_is_the_kinetic_energy(kind, allowed):
+def test_work_equals_the_kinetic_energy(kind, allowed):
     """Without a floor all that the segment does is in the motion: ∫T q̇ dt = E, from columns alone."""
     heavy = replace(MODULE, mass=replace(MODULE.mass, connectors=(0.02, 0.02)))
     plant = PLANTS[kind](
@@ -180,7 +180,7 @@ def _turning(kind, spec, run):
     return 0.0 if kind == "analytical" else float(1.1 * (spec.yaw_inertia()[1] * spin**2 / 2).max())
 
 
-def test_the_analytical_moment_is_that_of_lagrange():
+def test_analytical_torque_satisfies_lagranges_equation():
     """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
     from srs_twin.plants.analytical import kernels, simulate_clamped
     from srs_twin.plants.analytical.kinematics import BodyParameters
@@ -248,7 +248,7 @@ def test_the_analytical_moment_is_that_of_lagrange():
     ("reference", "duration"),
     [pytest.param(STEP, 0.8, id="step"), pytest.param(SINE, 1.0, id="sine", marks=pytest.mark.slow)],
 )
-def test_both_benches_agree_within_a_tenth(way, reference, duration):
+def test_both_benches_agree_within_ten_percent(way, reference, duration):
     runs = [rollout(bench(kind, way), WAYS[way][0](reference), duration, record_hz=1000) for kind in PLANTS]
     ours, theirs = (plant_metrics(run) for run in runs)
     told = 0
@@ -267,7 +267,7 @@ def test_both_benches_agree_within_a_tenth(way, reference, duration):
     assert metrics["bend_rms_rel"] < 0.02 and metrics["com_speed_rel"] is None
 
 
-def test_the_static_bend_is_the_gain_times_the_pressure():
+def test_static_bend_is_gain_times_pressure():
     for kind in PLANTS:
         run = rollout(bench(kind, "direct", supply_pa=30e3), HoldValves("vent", "fill"), 1.5)
         found = plant_metrics(run)
@@ -276,7 +276,7 @@ def test_the_static_bend_is_the_gain_times_the_pressure():
 
 
 @ways
-def test_direct_settles_soon_and_opens_few_valves(way):
+def test_direct_control_settles_fast_with_few_valve_openings(way):
     """Of a step of 25°: direct within 0.25 s and without overshoot; iterative overshoots."""
     found = plant_metrics(rollout(bench("twin", way), WAYS[way][0](STEP), 0.9, record_hz=1000))
     if way == "direct":
@@ -316,7 +316,7 @@ class Blindfolded(Plant):
 
 @plants
 @ways
-def test_controllers_read_the_sensor_and_nothing_else(kind, way):
+def test_controllers_read_only_the_sensor(kind, way):
     blind, controller = Blindfolded(bench(kind, way)), WAYS[way][0](STEP)
     state = blind.reset(seed=3)
     controller.reset(blind.spec, blind.tick, seed=3)
@@ -329,7 +329,7 @@ def test_controllers_read_the_sensor_and_nothing_else(kind, way):
     assert (last[:, 0, 1] == run["valve_minus_1"][1:]).all()
 
 
-def test_a_sensor_that_has_drifted_leads_a_module_astray():
+def test_sensor_drift_biases_the_bend():
     """What the controller cannot see it cannot correct: a bias of the sensor is an error of the bend."""
     errors = []
     for bias in (0.0, 0.2):
@@ -343,7 +343,7 @@ def test_a_sensor_that_has_drifted_leads_a_module_astray():
 # What comes out
 
 
-def test_a_run_shows_how_the_reference_is_followed(tmp_path):
+def test_report_shows_reference_tracking(tmp_path):
     from srs_twin.cli.table import rows
     from srs_twin.experiment import run_scenario
 
@@ -366,7 +366,7 @@ def test_a_run_shows_how_the_reference_is_followed(tmp_path):
         ({"kind": "step", "bend_rad": 0.3, "time_s": 0.1}, None),
     ],
 )
-def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
+def test_plot_shows_periods_of_a_periodic_reference(reference, period):
     from srs_twin.viewing.plots.signals import reference_period
 
     scenario = module(controller={"kind": "direct_smc", "reference": reference})
@@ -375,7 +375,7 @@ def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
     assert found == (None if period is None else pytest.approx(period, rel=1e-3))
 
 
-def test_a_sweep_counts_periods_of_the_reference():
+def test_sweep_measures_whole_reference_periods():
     from srs_twin.studies.sweep.loading import load_sweep
 
     experiment = load_sweep("fig44_direct").experiment
@@ -387,7 +387,7 @@ def test_a_sweep_counts_periods_of_the_reference():
 # As shipped
 
 
-def test_the_scenarios_of_the_chapter_have_one_set_of_gains():
+def test_chapter_4_scenarios_share_one_set_of_gains():
     from srs_twin.io.files import shipped_names
 
     found = {}

@@ -47,7 +47,7 @@ def both(specs, gaits, seconds, **settings):
     return found
 
 
-def test_the_laws_of_friction_are_the_same_in_warp():
+def test_friction_laws_agree_in_warp():
     from srs_twin.warp.translation import as_warp_functions
 
     laws = as_warp_functions([stick_slip_friction, rolling_friction])
@@ -116,7 +116,7 @@ def waves(gaits, slot, slots, steps):
     return np.concatenate(found, axis=1)
 
 
-def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
+def test_device_gait_switches_valves_at_the_schedule_slots():
     """No edge of these gaits is within single-precision rounding of the middle of a slot."""
     gaits = [
         Gait(1.37, 0.11), Gait(2.9, -0.43, phase=0.7), Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
@@ -133,7 +133,7 @@ def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
         assert (found == schedule.states[at]).all()
 
 
-def test_pressures_on_the_device_act_as_on_the_processor():
+def test_device_controls_equal_linear_pressures():
     """The bends of these segments saturate. Under equal pressures the law has its slope at rest."""
     from srs_twin.warp.kernels import (
         Accumulators,
@@ -171,7 +171,7 @@ def test_pressures_on_the_device_act_as_on_the_processor():
 
 
 @pytest.mark.slow
-def test_the_points_of_agreement_are_those_of_the_processor(contact):
+def test_runs_agree_with_the_cpu_engine(contact):
     points = list(product((1.0, 1.5, 2.0), (41e3, 48e3, 55e3), (0.0, 0.0085), (0.0, 0.2)))
     specs = [replace(GEN2, geometry=replace(GEN2.geometry, rigid_gap=gap)) for _, _, gap, _ in points]
     gaits = [(f, offset) for f, _, _, offset in points]
@@ -186,7 +186,7 @@ def test_the_points_of_agreement_are_those_of_the_processor(contact):
 
 
 @pytest.mark.slow
-def test_each_world_has_its_own_numbers(contact):
+def test_each_world_has_individual_parameters(contact):
     specs = [GEN2, SOFT, SLICK, STRONG, HEAVY]
     here, there = both(specs, [(2.0, 0.2)] * 5, 0.3, contact=contact)
     ends = np.array([[run["com_x"][-1], run["com_y"][-1]] for run in there])
@@ -196,7 +196,7 @@ def test_each_world_has_its_own_numbers(contact):
 
 
 @pytest.mark.slow
-def test_what_runs_into_an_obstacle_is_held_as_on_the_processor():
+def test_obstacle_contact_agrees_with_the_cpu_engine():
     world = World((Circle(0.24, 0.03, 0.04),))
     here, there = both([GEN2], [(2.0, 0.0)], 0.8, contact="loaded", world=world)
     force = [
@@ -205,7 +205,7 @@ def test_what_runs_into_an_obstacle_is_held_as_on_the_processor():
     assert force[0] > 0.5 and force[1] == pytest.approx(force[0], rel=0.01)
 
 
-def test_a_reset_empties_the_chambers_of_the_chosen_worlds():
+def test_partial_reset_empties_the_chambers_of_chosen_worlds():
     batch = TwinBatch([GEN2] * 2, **ON)
     batch.arrays()["pressure"].fill_(48e3)
     batch.reset(worlds=[1])
@@ -222,7 +222,7 @@ def displaced(place, steps=60):
     return [state.com - state.com[0] for state in batch.follow(steps * 1e-3 * 4, 4)], batch
 
 
-def test_a_start_far_from_the_origin_moves_as_one_at_the_origin():
+def test_distant_start_moves_like_one_at_the_origin():
     place = (2000.0, -700.0)
     (far, near), batch = displaced(place)
     # The device computes both near zero; adding the start rounds in double precision.
@@ -234,7 +234,7 @@ def test_a_start_far_from_the_origin_moves_as_one_at_the_origin():
     assert np.abs(batch.state.com).max() < 0.5
 
 
-def test_a_start_that_is_too_far_for_single_precision_is_refused_beside_obstacles():
+def test_distant_start_with_obstacles_raises():
     batch = TwinBatch([GEN2], world=World((Circle(1.0, 0.0, 0.1),)), contact="loaded", **ON)
     batch.reset(poses=[(15.9, 0.0, 0.0)])
     with pytest.raises(InputError, match=r"run 0 starts at \(2000, 0\) m.* within 16 m of the origin"):
@@ -242,7 +242,7 @@ def test_a_start_that_is_too_far_for_single_precision_is_refused_beside_obstacle
 
 
 @pytest.mark.slow
-def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contact):
+def test_repeated_batch_is_equal_and_exposes_its_arrays(contact):
     batch = TwinBatch([GEN2] * 3, contact=contact, deterministic=True, **ON)
     batch.set_gaits([Gait(2.0), Gait(2.0), Gait(2.0, 0.6)])
     first = batch.follow(0.1, 10)
@@ -263,7 +263,7 @@ def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contac
 
 
 @pytest.mark.slow
-def test_environments_on_a_device_are_those_of_the_processor():
+def test_environments_agree_with_the_cpu_engine():
     made = [
         gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=2, limit_s=0.3, **more)
         for more in ({}, ON)
@@ -281,7 +281,7 @@ def test_environments_on_a_device_are_those_of_the_processor():
 
 
 @pytest.mark.slow
-def test_time_and_forces_count_steps_that_nobody_saw_and_a_run_that_diverges_ends_alone():
+def test_unobserved_steps_count_and_diverged_run_ends_alone():
     batch, here = (TwinBatch([GEN2] * 2, contact="loaded", **more) for more in (ON, {}))
     batch.set_gaits([Gait(2.0)] * 2)
     batch.run(80, gait=True)
@@ -310,7 +310,7 @@ plants: [twin]
 
 
 @pytest.mark.slow
-def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
+def test_sweep_agrees_with_the_cpu_engine(tmp_path):
     (tmp_path / "s.yaml").write_text(SWEEP)
     found = load_sweep(tmp_path / "s.yaml")
     here = {row.number: row.result for row in local(1)(found.experiment, found.points)}
@@ -333,13 +333,13 @@ def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
         ),
     ],
 )
-def test_what_a_device_cannot_do_is_refused_by_its_name(settings, named):
+def test_unsupported_settings_raise_by_name(settings, named):
     with pytest.raises(InputError, match=named):
         TwinBatch([GEN2], **settings, **ON)
 
 
 @pytest.mark.parametrize("way", [pickle.dumps, copy.deepcopy, copy.copy])
-def test_copies_of_a_batch_on_a_device_are_refused(way):
+def test_copying_a_warp_batch_raises(way):
     from srs_twin.warp.batch import WarpBatch
 
     with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
@@ -347,7 +347,7 @@ def test_copies_of_a_batch_on_a_device_are_refused(way):
 
 
 @pytest.mark.parametrize("together", [2, 1024])
-def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch, together):
+def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, together):
     def refuse(twin: TwinSnake) -> None:
         raise InputError("it cannot")
 
@@ -365,7 +365,7 @@ def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch,
     assert [(row.number, row.result) for row in rows] == [(k, {"seed": k}) for k in range(5)]
 
 
-def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkeypatch):
+def test_sweep_without_gpu_warns_and_runs_on_the_cpu(monkeypatch):
     from srs_twin.warp.batch import WarpBatch
 
     monkeypatch.setattr(WarpBatch, "accelerated", staticmethod(lambda: False))
@@ -373,7 +373,7 @@ def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkey
         assert "on_device" not in on_device(None, 1).__qualname__
 
 
-def test_without_warp_the_extra_is_named(monkeypatch):
+def test_missing_warp_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "srs_twin.warp.batch", None)
     with pytest.raises(InputError, match=r"srs-twin\[gpu\]"):
         TwinBatch([GEN2], engine="warp")
@@ -381,7 +381,7 @@ def test_without_warp_the_extra_is_named(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.gpu
-def test_an_accelerator_crawls_as_fast_as_the_processor(contact):
+def test_gpu_speed_agrees_with_the_cpu_engine(contact):
     if not wp.get_preferred_device().is_cuda:
         pytest.skip("there is no accelerator here")
     found = [

@@ -42,7 +42,7 @@ TIMES = st.floats(0.005, 0.5)
 
 @settings(max_examples=25)
 @given(commands(4, 3, 1, (-1, 0, 1)), TIMES, TIMES, st.floats(0.001, 0.05), st.sampled_from([0.0, 0.7]))
-def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, vent, mode, leak):
+def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode, leak):
     pneumatics = LagPneumatics(
         actuated(1, fill=fill, vent=vent, mode=mode), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak
     )
@@ -74,7 +74,7 @@ def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, ven
 
 @settings(max_examples=40)
 @given(commands(3, 4, 2, (-1, 0, 1)))
-def test_result_does_not_depend_on_how_a_tick_is_cut(valves):
+def test_result_is_independent_of_the_division_of_a_tick(valves):
     spec = actuated(2, fill=0.08, vent=0.15)
     one, many = (LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1) for _ in range(2))
     at = np.linspace(0.02, 0.06, 3)
@@ -103,7 +103,7 @@ def test_pressures_stay_between_zero_and_the_supply(valves, fill, vent, leak):
 
 @settings(max_examples=30)
 @given(commands(8, 2, 2, (-1, 1)))
-def test_exchanged_chambers_bend_the_other_way(valves):
+def test_exchanged_chambers_mirror_the_bend(valves):
     left, right = (LagPneumatics(actuated(), supply_pa=SUPPLY) for _ in range(2))
     for slots in valves:
         a = left.advance(left.schedule(slots, 0.02), np.array([0.013, 0.02]))
@@ -114,7 +114,7 @@ def test_exchanged_chambers_bend_the_other_way(valves):
 
 @settings(max_examples=30)
 @given(commands(6, 3, 2, (-1, 0, 1)))
-def test_openings_count_every_change_to_fill(valves):
+def test_openings_count_changes_to_filling(valves):
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, layout="in_out")
     expected, last = np.zeros((2, 2), dtype=int), np.full((2, 2), -1)
     for state in valves.reshape(-1, 2, 2):
@@ -125,7 +125,7 @@ def test_openings_count_every_change_to_fill(valves):
     assert (pneumatics.openings == expected).all()
 
 
-def test_hold_keeps_the_pressure_and_a_leak_lets_it_go():
+def test_holding_keeps_the_pressure_and_a_leak_lowers_it():
     for leak in (0.0, 0.4):
         pneumatics = LagPneumatics(actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
         fill, hold = np.array([[1, -1]]), np.array([[0, 0]])
@@ -135,7 +135,7 @@ def test_hold_keeps_the_pressure_and_a_leak_lets_it_go():
         assert full > 0.8 * SUPPLY
 
 
-def test_fill_and_vent_have_their_own_time_constants():
+def test_fill_and_vent_have_separate_time_constants():
     pneumatics = LagPneumatics(actuated(1, fill=0.2, vent=0.05), supply_pa=SUPPLY)
     filled = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.2), np.array([0.2])).pressure[0, 0, 0]
     assert filled == pytest.approx(SUPPLY * (1 - np.exp(-1)))
@@ -144,7 +144,7 @@ def test_fill_and_vent_have_their_own_time_constants():
 
 
 @pytest.mark.parametrize("excess", [0.0, 1e-8, 1e-7, 3e-6, 1e-4])
-def test_equal_time_constants_are_no_exception(excess):
+def test_equal_time_constants_have_a_finite_limit(excess):
     """τ₁ → τ₂: the step response becomes 1 − (1 + t/τ) e^{−t/τ} without a jump."""
     tau, time = 0.05, np.linspace(0, 0.4, 9)
     pneumatics = LagPneumatics(actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY)
@@ -155,7 +155,7 @@ def test_equal_time_constants_are_no_exception(excess):
 
 @settings(max_examples=15, deadline=None)
 @given(commands(4, 2, 1, (-1, 0, 1)), st.sampled_from([0.0, 0.6]))
-def test_air_is_what_flows_in(valves, leak):
+def test_air_is_the_integrated_inflow(valves, leak):
     """Against ∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations themselves."""
     spec, tau = actuated(1), 0.11
     pneumatics = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
@@ -202,7 +202,7 @@ def test_air_of_one_fill_is_pressure_times_volume():
 
 @pytest.mark.parametrize("kind", ["lag", "orifice"])
 @pytest.mark.parametrize("delay", [0.003, 0.02, 0.0535])
-def test_a_valve_delay_shifts_everything_across_ticks(kind, delay):
+def test_valve_delay_shifts_the_response_across_ticks(kind, delay):
     prompt, late = (
         make_pneumatics(kind, actuated(), supply_pa=SUPPLY, layout="in_out", leak_per_s=0.2, valve_delay_s=d)
         for d in (0.0, delay)
@@ -224,7 +224,7 @@ def test_a_valve_delay_shifts_everything_across_ticks(kind, delay):
     assert (late.openings <= prompt.openings).all() and late.openings.sum() > 0
 
 
-def test_what_valves_do_is_known_beforehand():
+def test_effective_schedule_includes_delay():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, valve_delay_s=0.03)
     fill = np.ones((2, 2), dtype=np.int8)
     first = pneumatics.schedule(fill, 0.02)
@@ -237,7 +237,7 @@ def test_what_valves_do_is_known_beforehand():
     assert (pneumatics.openings == 1).all() and pneumatics.valves.min() == 1
 
 
-def test_reset_empties_everything():
+def test_reset_empties_all_chambers():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY)
     pneumatics.advance(pneumatics.schedule(np.ones((2, 2), dtype=np.int8), 0.1), np.array([0.1]))
     assert pneumatics.pressure.min() > 0 and (pneumatics.openings == 1).all()
@@ -246,7 +246,7 @@ def test_reset_empties_everything():
     assert (pneumatics.valves == -1).all()
 
 
-def test_a_schedule_joins_equal_slots_and_is_cut_and_joined_again():
+def test_schedule_merges_equal_slots_and_can_be_sliced_and_joined():
     slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones((1, 2, 2), dtype=np.int8)
     whole = Schedule.from_slots(slots, 0.6)
     assert whole.starts == pytest.approx([0.0, 0.2, 0.5]) and whole.events == pytest.approx([0.2, 0.5])
@@ -257,7 +257,7 @@ def test_a_schedule_joins_equal_slots_and_is_cut_and_joined_again():
     assert again.starts == pytest.approx(whole.starts) and (again.states == whole.states).all()
 
 
-def test_layouts_refuse_what_their_valves_cannot_do():
+def test_layouts_reject_impossible_states():
     holding = LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").schedule(np.zeros((2, 2)), 0.1)
     assert holding.states.shape == (1, 2, 2)
     with pytest.raises(InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"):

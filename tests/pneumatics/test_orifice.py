@@ -53,7 +53,7 @@ def amounts(spec: RobotSpec, pressure: np.ndarray, bend: np.ndarray) -> float:
 
 @settings(max_examples=200)
 @given(st.floats(5e4, 5e5), st.floats(5e4, 5e5), st.sampled_from([0.0, 0.3, 0.528]))
-def test_flow_is_the_standards_and_its_derivatives_are_right(first, second, b):
+def test_flow_follows_iso_6358_with_correct_derivatives(first, second, b):
     value, by_first, by_second = flow(first, second, b)
     assert value == pytest.approx(iso_6358(first, second, b), rel=1e-9, abs=1e-6)
     step = 1e-3
@@ -66,7 +66,7 @@ def test_flow_is_the_standards_and_its_derivatives_are_right(first, second, b):
         assert (by_first, by_second) == pytest.approx(slopes, rel=2e-4, abs=1e-6)
 
 
-def test_flow_is_continuous_where_it_becomes_sonic_and_where_it_becomes_linear():
+def test_flow_is_continuous_at_the_sonic_and_laminar_limits():
     for ratio in (0.3, 0.999):
         below, above = (flow(2e5, 2e5 * (ratio + d), 0.3)[0] for d in (-1e-9, 1e-9))
         assert below == pytest.approx(above, abs=1.0)
@@ -106,7 +106,7 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen4"])
-def test_large_steps_take_about_as_long_as_in_lag(name):
+def test_large_pressure_steps_take_as_long_as_with_lag(name):
     """63 % of a step: a square-root law cannot give the same time near its end and from its start."""
     spec = robot(name)
     chambers = OrificePneumatics(spec, supply_pa=spec.supply.nominal)
@@ -182,7 +182,7 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
 @pytest.mark.parametrize(
     "case", [name if "compressor" in name else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
-def test_integration_agrees_with_another_integrator_and_converges(case):
+def test_integration_converges_to_an_independent_integrator(case):
     spec, times = robot(), np.linspace(0.005, 0.3, 60)
     errors = []
     for substep in (5e-4, 1.25e-4):
@@ -199,7 +199,7 @@ def test_integration_agrees_with_another_integrator_and_converges(case):
     assert errors[0] < 1e-3 and errors[1] < 0.5 * errors[0]
 
 
-def test_integration_is_of_second_order():
+def test_integration_has_second_order():
     spec = robot("gen4")
     at = np.linspace(0.02, 0.3, 15)
     results = []
@@ -211,7 +211,7 @@ def test_integration_is_of_second_order():
     assert np.log2(middle / fine) == pytest.approx(2, abs=0.2)
 
 
-def test_rates_are_the_derivatives_of_what_they_belong_to():
+def test_trace_rates_match_finite_differences():
     chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, substep=5e-5)
     chambers.advance(chambers.schedule(FILL, 0.0502), np.zeros(0))
     step = 2e-5
@@ -242,7 +242,7 @@ def test_air_is_conserved(states, limit):
     assert chambers.air == pytest.approx(chambers.drawn * SUPPLY / (SUPPLY + AMBIENT))
 
 
-def test_result_does_not_depend_on_how_a_stretch_is_cut():
+def test_result_is_independent_of_the_division_of_a_schedule():
     spec = robot()
     one, many = (OrificePneumatics(spec, supply_pa=SUPPLY, substep=1e-4) for _ in range(2))
     states = np.random.default_rng(4).choice([-1, 1], size=(10, 4, 2))
@@ -257,7 +257,7 @@ def test_result_does_not_depend_on_how_a_stretch_is_cut():
 # Bends that the plant tells
 
 
-def test_a_closed_chamber_is_compressed_by_the_bend_that_it_is_told():
+def test_closed_chamber_is_compressed_by_the_actual_bend():
     """Boyle: P V stays, within a stretch as the rate says and from one stretch to the next."""
     spec = robot()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out")
@@ -275,7 +275,7 @@ def test_a_closed_chamber_is_compressed_by_the_bend_that_it_is_told():
     assert (after + AMBIENT) * volumes(spec, np.full(4, 0.7))[:, 0] == pytest.approx(kept[0], rel=1e-9)
 
 
-def test_bends_that_are_the_free_ones_change_nothing():
+def test_passing_the_free_bends_changes_nothing():
     free, told = (OrificePneumatics(robot(), supply_pa=SUPPLY) for _ in range(2))
     expected, got, rate = [], [], np.zeros(4)
     for valves in np.random.default_rng(5).choice([-1, 1], size=(6, 4, 2)):
@@ -300,7 +300,7 @@ def speed_and_amplitude(spec: RobotSpec, chambers: OrificePneumatics) -> tuple[f
     return float(np.hypot(*np.subtract(*ends)) / 4), float(np.abs(run["bend_2"][late]).max())
 
 
-def test_generation_3_starves_on_its_compressors_two_litres_a_minute():
+def test_generation_3_is_limited_by_two_litres_per_minute():
     """45 ml a chamber and fill ask for ten times the flow (docs/models.md); so none is assumed by default."""
     spec = robot("gen3")
     free = OrificePneumatics(spec, supply_pa=SUPPLY)
@@ -313,7 +313,7 @@ def test_generation_3_starves_on_its_compressors_two_litres_a_minute():
     assert starved.drawn / AMBIENT / 10 == pytest.approx(COMPRESSOR, rel=1e-3)
 
 
-def test_all_segments_starve_together():
+def test_flow_limit_slows_all_segments():
     chambers = OrificePneumatics(robot("gen3"), supply_pa=SUPPLY, flow_limit=COMPRESSOR)
     one = np.full((4, 2), -1)
     one[0, 0] = 1
@@ -332,7 +332,7 @@ def test_a_regulator_keeps_the_line_within_a_hundredth():
 
 
 @pytest.mark.parametrize("limit", [None, COMPRESSOR])
-def test_regulated_supply_is_a_supply_of_that_pressure(limit):
+def test_changed_supply_pressure_equals_construction_with_it(limit):
     lower = 0.6 * SUPPLY
     more = {"flow_limit": limit, "line_begins": lower, "leak_per_s": 0.2}
     regulated, made = (OrificePneumatics(robot(), supply_pa=each, **more) for each in (SUPPLY, lower))
@@ -343,7 +343,7 @@ def test_regulated_supply_is_a_supply_of_that_pressure(limit):
     assert (regulated.air, regulated.line_pressure) == pytest.approx((made.air, made.line_pressure))
 
 
-def test_placed_chambers_have_their_pressures_and_bends():
+def test_place_sets_pressures_and_bends():
     chambers, random = OrificePneumatics(robot(), supply_pa=SUPPLY), np.random.default_rng(2)
     pressure, bend = random.uniform(0, SUPPLY, (4, 2)), np.array([1.1, -0.8, 0.3, -0.1])
     chambers.place(pressure, bend)
@@ -374,12 +374,12 @@ def test_settings_are_recorded_in_their_units():
         ({"valve_delay_s": -0.1}, "valve_delay_s -0.1 is not allowed; it must be finite and 0 or more"),
     ],
 )
-def test_numbers_out_of_range(arguments, words):
+def test_numbers_out_of_range_raise(arguments, words):
     with pytest.raises(InputError, match=words):
         OrificePneumatics(robot(), supply_pa=SUPPLY, **arguments)
 
 
-def test_kinds_go_by_name():
+def test_pneumatics_are_selected_by_name():
     made = make_pneumatics("orifice", robot(), supply_pa=SUPPLY, layout="3/2", critical_ratio=0.4)
     assert isinstance(made, OrificePneumatics) and made.describe()["critical_ratio"] == 0.4
     assert make_pneumatics(made, robot(), supply_pa=1.0, layout="3/2") is made
@@ -394,14 +394,14 @@ def limited(l_per_min: float, **options: float) -> OrificePneumatics:
 
 @pytest.mark.parametrize("inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"])
 @pytest.mark.parametrize("l_per_min", [2.0, 20.0])
-def test_starved_chambers_and_yielding_bends_take_turns_often_enough(l_per_min, inertia, monkeypatch):
+def test_coupling_step_is_small_enough_with_a_flow_limit(l_per_min, inertia, monkeypatch):
     """At 1 ms the two swung against each other, up to 180 kPa from a supply of 48, and no one noticed."""
     options = {"model": "compliant", "friction": "wheel", "inertia": inertia, "supply_pa": SUPPLY}
 
     def run(finer: float) -> tuple[np.ndarray, np.ndarray]:
         chambers = limited(l_per_min)
         chambers.coupling_step_s /= finer
-        monkeypatch.setattr(analytical, "_MASSLESS_S", 1e-4 / finer)
+        monkeypatch.setattr(analytical, "_POINT_MASS_COUPLING_STEP", 1e-4 / finer)
         found = rollout(AnalyticalSnake(robot(), pneumatics=chambers, **options), Gait(2.0, 0.4), 0.4)
         pressure = np.concatenate([found.stack("pressure_plus"), found.stack("pressure_minus")])
         return pressure, found.stack("bend")
@@ -413,7 +413,7 @@ def test_starved_chambers_and_yielding_bends_take_turns_often_enough(l_per_min, 
     assert bend == pytest.approx(fine_bend, abs=0.005)
 
 
-def test_a_twin_too_coarse_for_its_chambers_is_refused():
+def test_twin_time_step_above_the_coupling_step_raises():
     with pytest.raises(
         InputError, match=r"time step 0.001 s is too long .*; it must be 0.00025 s or less \(timestep_s"
     ):
@@ -423,7 +423,7 @@ def test_a_twin_too_coarse_for_its_chambers_is_refused():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("flow_limit", [None, 2e-4])
-def test_closed_chambers_do_not_drive_a_twin_on_its_loads(flow_limit):
+def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
     """Stiff springs: at 1 ms a connector between two of them once threw the snake at metres a second."""
 
     def crawled(**options: Any) -> tuple[float, float]:

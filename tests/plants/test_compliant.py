@@ -117,7 +117,7 @@ def slope_at_zero(f, h: float) -> float:
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
-def test_momenta_are_those_of_the_masses(connectors):
+def test_momenta_equal_the_sum_over_the_masses(connectors):
     body, q, u, moment = draw(connectors, connectors)
     momentum, _ = body.balance(q, u, moment)
     expected = mass_matrix(body, q)
@@ -126,7 +126,7 @@ def test_momenta_are_those_of_the_masses(connectors):
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
-def test_forces_of_inertia_are_the_slopes_of_the_kinetic_energy(connectors):
+def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
     body, q, u, _ = draw(connectors, connectors, stiffness=0.0, damping=0.0, mu_t=0.0, mu_n=0.0)
     force = body.balance(q, u, np.zeros(connectors - 1))[1]
     assert np.abs(force[:3]).max() < 1e-14  # none on the body as a whole
@@ -139,7 +139,7 @@ def test_forces_of_inertia_are_the_slopes_of_the_kinetic_energy(connectors):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_power_balances(seed):
+def test_power_is_balanced(seed):
     """Energy grows by what the chambers give and shrinks by what dampers and a viscous floor take."""
     body, q, u, moment = draw(seed)
     momentum, force = body.balance(q, u, moment)
@@ -162,7 +162,7 @@ def test_power_balances(seed):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_newtons_matrix_is_the_slope_of_a_stage_but_for_terms_of_second_order(law):
+def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
     body, q, u, moment = draw(7, law=law, mu_t=0.05, mu_n=0.5)
 
     def missed(a: float) -> float:
@@ -179,7 +179,7 @@ def test_newtons_matrix_is_the_slope_of_a_stage_but_for_terms_of_second_order(la
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9, 65])
-def test_newtons_steps_are_those_of_the_dense_matrix(connectors, law):
+def test_linear_cost_solve_equals_dense_solve(connectors, law):
     body, q, u, residual = draw(connectors, connectors, law=law)
     residual = np.append(residual, [0.3, -0.2, 0.1])
     for a in (1e-2, 3e-4):
@@ -188,7 +188,7 @@ def test_newtons_steps_are_those_of_the_dense_matrix(connectors, law):
         assert step == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
 
 
-def test_a_long_chain_keeps_its_momenta_and_turns_work_into_energy():
+def test_long_chain_conserves_momentum_and_energy_balance():
     """Of 48 segments: nothing outside acts, so that only what damps takes energy from a swinging chain."""
     g, n = np.random.default_rng(3), 49
     body = Body(g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0)
@@ -226,7 +226,7 @@ MOMENTA = slice(compliant_kernels.BENDS + 4, None)
 
 
 @pytest.mark.slow
-def test_time_integration_is_of_second_order():
+def test_time_integration_has_second_order():
     body = Body(MASSES, np.zeros(5), damping=0.44 * 0.01, mu_t=0.2, mu_n=2.0)
     steps = np.array([2e-3, 1e-3, 5e-4])
     exact = body.advance(wave(0.3), 0.6, 5e-5)[-1]
@@ -237,7 +237,7 @@ def test_time_integration_is_of_second_order():
     assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx([2, 2], abs=0.2)
 
 
-def test_without_a_floor_momentum_stays_and_energy_to_second_order():
+def test_frictionless_momentum_is_exact_and_energy_of_second_order():
     """Momentum and its moment are kept to rounding, a swinging snake's energy as well as the scheme can."""
     g = np.random.default_rng(5)
     body = Body(MASSES, np.full(5, 1e-5), stiffness=0.05, damping=0.0, mu_t=0.0, mu_n=0.0)
@@ -269,7 +269,7 @@ def mean_speed(run: Trajectory) -> float:
     return float(np.hypot(*(run.com[-1] - run.com[100]))) / (run["time"][-1] - 1.0)
 
 
-def test_stiff_bends_are_the_complete_models():
+def test_stiff_compliant_bends_equal_prescribed_bends():
     """The difference falls as 1/k: what bends a spring beside its chambers are forces over k."""
     spec = robot(mu_t=1.0, mu_n=15.0)
     viscous = {"friction": "viscous", "supply_pa": 48300.0, "timestep": 0.001}
@@ -287,7 +287,7 @@ def test_stiff_bends_are_the_complete_models():
 
 
 @pytest.mark.parametrize("law", ["axis", "wheel"])
-def test_stiff_bends_run_as_fast_as_the_complete_model(law):
+def test_stiff_compliant_model_has_the_speed_of_complete(law):
     spec, options = robot(), {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **options), Gait(2.0), 4.0)
     stiff = rollout(compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0)
@@ -295,7 +295,7 @@ def test_stiff_bends_run_as_fast_as_the_complete_model(law):
     assert stiff.stack("bend") == pytest.approx(complete.stack("bend"), abs=2e-3)
 
 
-def test_only_ratios_of_mass_and_stiffness_count():
+def test_motion_depends_on_ratios_of_mass_and_stiffness_only():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
     heavy = replace(spec, mass=replace(spec.mass, connectors=tuple(7 * m for m in spec.mass.connectors)))
     heavy = with_bending(heavy, stiffness=7 * spec.bending.stiffness)
@@ -305,7 +305,7 @@ def test_only_ratios_of_mass_and_stiffness_count():
 
 
 @pytest.mark.parametrize(("offset", "bridge"), [(0.0, 0.06), (0.2, 0.06)])
-def test_compliance_explains_the_twins_bends(offset, bridge):
+def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
     """At the shipped stiffness the complete model misses the twin's bends by 7 to 10 %, this one by 2 %."""
     spec, gait = robot(), Gait(2.0, offset)
     twin = rollout(TwinSnake(spec, supply_pa=48300.0), gait, 4.0)
@@ -323,7 +323,7 @@ def test_compliance_explains_the_twins_bends(offset, bridge):
     assert mean_speed(soft) == pytest.approx(mean_speed(twin), rel=bridge)
 
 
-def test_free_module_follows_its_lag():
+def test_free_module_follows_the_free_bend():
     """Almost massless, a segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time for τ₂."""
     spec = robot(mu_t=0.0, mu_n=0.0)
     geometry = replace(spec.geometry, connectors=2)
@@ -338,7 +338,7 @@ def test_free_module_follows_its_lag():
     assert bends == pytest.approx(free, abs=2e-3 * np.ptp(free))
 
 
-def test_states_fit_together_and_describe_themselves():
+def test_state_fields_and_description_are_consistent():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
     plant, states = compliant(spec, friction="wheel", tick=0.001), []
     rollout(plant, Gait(2.0, 0.3), 0.8, record_hz=1000, observers=[states.append], pose=(0.3, -0.1, 1.0))

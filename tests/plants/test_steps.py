@@ -19,7 +19,7 @@ shares = st.lists(st.floats(0.001, 0.999), max_size=6, unique=True).map(sorted)
 
 
 @given(spans, shares, st.integers(1, 5), st.floats(0.05, 2.0))
-def test_steps_fill_the_stretch_and_end_on_samples_and_events(span, shares, samples, length):
+def test_steps_cover_the_span_and_end_on_samples_and_events(span, shares, samples, length):
     events, longest = span * np.array(shares), span * length
     steps = Steps.between(span, events, samples, longest=longest, same=SAME)
     assert (steps.lengths > 0).all()
@@ -32,7 +32,7 @@ def test_steps_fill_the_stretch_and_end_on_samples_and_events(span, shares, samp
 
 
 @given(spans, shares, st.integers(1, 5), st.floats(0.02, 0.7))
-def test_pieces_are_the_same_steps_and_samples(span, shares, samples, turn):
+def test_chunks_contain_the_same_steps_and_samples(span, shares, samples, turn):
     steps = Steps.between(span, span * np.array(shares), samples, longest=span / 20, same=SAME)
     pieces = list(steps.chunks(turn * span))
     assert [begin for begin, _, _ in pieces][1:] == [end for _, end, _ in pieces][:-1]
@@ -42,7 +42,7 @@ def test_pieces_are_the_same_steps_and_samples(span, shares, samples, turn):
     assert np.concatenate(marks).tolist() == steps.sample_steps.tolist()
 
 
-def test_equal_ticks_share_their_steps():
+def test_equal_ticks_share_one_object():
     none = np.empty(0)
     one, other = (Steps.between(0.001, none, 1, longest=0.002, same=SAME) for _ in range(2))
     assert one is other

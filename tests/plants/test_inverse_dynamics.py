@@ -57,7 +57,7 @@ def by_rows(
     heavy=st.booleans(),
     turning=st.booleans(),
 )
-def test_the_tail_knows_what_the_rows_of_the_whole_body_say(seed, connectors, law, frozen, heavy, turning):
+def test_recursive_inverse_dynamics_equals_the_dense_sum(seed, connectors, law, frozen, heavy, turning):
     random = np.random.default_rng(seed)
     mass = random.uniform(0.01, 0.1, connectors)
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)

@@ -59,7 +59,7 @@ def power(h: SnakeState) -> np.ndarray:
         pytest.param("wheel", {}, marks=pytest.mark.slow),
     ],
 )
-def test_work_is_the_torques_power_added_up(options, law, mu):
+def test_work_is_the_integral_of_the_torque_power(options, law, mu):
     """To second order in the step: the kernels add up what friction takes, not what segments give."""
     spec = robot(**mu)
 
@@ -84,7 +84,7 @@ def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
 
 @pytest.mark.parametrize("law", [pytest.param("axis", marks=pytest.mark.slow), "wheel", "ellipse"])
 @pytest.mark.parametrize("options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"])
-def test_friction_only_takes(options, law):
+def test_friction_only_dissipates(options, law):
     """Work less kinetic energy never falls."""
     spec, step = robot(), 2e-4
     plant = AnalyticalSnake(spec, friction=law, timestep=step, supply_pa=SUPPLY, **options)
@@ -103,7 +103,7 @@ def test_friction_only_takes(options, law):
     "name",
     ["complete", *(pytest.param(name, marks=pytest.mark.slow) for name in ("simplified", "compliant"))],
 )
-def test_mean_power_of_a_gait_is_what_friction_takes(name):
+def test_mean_gait_power_equals_friction_power(name):
     """Over whole periods: the metric against floor forces times velocities of places."""
     plant = AnalyticalSnake(robot(), supply_pa=SUPPLY, timestep=5e-4, **MODELS[name])
     metrics = plant_metrics(rollout(plant, Gait(2.0, 0.2), 4.0))
@@ -117,7 +117,7 @@ def test_mean_power_of_a_gait_is_what_friction_takes(name):
     assert metrics["cost_of_transport"] > plant.spec.friction.mu_t
 
 
-def test_power_of_the_turning_body_counts_without_friction_torque_as_well():
+def test_yaw_power_counts_without_friction_torque():
     """The moment that this model leaves out does no work in it: it neither turns nor takes."""
     spec, step = robot(), 2e-4
     plant = AnalyticalSnake(
@@ -159,7 +159,7 @@ def recorded_work(h: SnakeState) -> np.ndarray:
 
 @CONTACTS
 @pytest.mark.parametrize("offset", [0.0, 0.4])
-def test_twins_work_is_the_integral_of_torque_and_bend_rate(contact, offset):
+def test_twin_work_is_the_integral_of_torque_times_bend_rate(contact, offset):
     """The preloaded contact is integrated to first order in the step, the loaded one to second order."""
     step, duration = 2.5e-4, 1.5
     plant = TwinSnake(robot(), contact=contact, timestep=step, supply_pa=SUPPLY)
@@ -190,7 +190,7 @@ def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
     return recorded_work(h)[-1], float(qvel[-1] @ inertia @ qvel[-1] / 2 + stored[-1]), step * lost.sum()
 
 
-def test_energy_of_a_twin_in_the_air_is_conserved():
+def test_energy_of_a_clamped_twin_is_conserved():
     """To first order in the step, as the engine is: twice the finer step's balance less the coarser one's."""
     spec = robot()
 
@@ -218,13 +218,13 @@ def test_energy_of_a_twin_on_the_floor_is_conserved(contact):
 
 
 @CONTACTS
-def test_hinges_that_bend_alike_dissipate_nothing_inside(contact):
+def test_equal_hinge_angles_have_no_internal_loss(contact):
     plant = TwinSnake(robot(), contact=contact, supply_pa=SUPPLY, numerics=Numerics(constant_curvature=True))
     h = driven(plant, 0.5, 1000)
     assert abs(h.internal_loss[-1]) < 1e-3 * h.work[-1]
 
 
-def test_a_batch_gives_the_work_of_its_twins():
+def test_batch_work_equals_that_of_single_twins():
     spec, gait, samples = robot(), Gait(2.0, 0.2), 20
     twin = TwinSnake(spec, supply_pa=SUPPLY)
     gait.reset(spec, twin.tick)
@@ -271,7 +271,7 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(("stiffness", "timestep"), [(None, 0.001), (None, 0.0005), (20.0, 0.001)])
-def test_twins_work_is_what_the_constraints_take(stiffness, timestep):
+def test_twin_work_equals_the_power_of_constraint_forces(stiffness, timestep):
     """Feet's velocities times floor forces against qfrc_constraint · qvel, which share only the engine."""
     spec = robot(stiffness=stiffness)
     plant = TwinSnake(spec, contact="preloaded", timestep=timestep, supply_pa=SUPPLY)
@@ -289,7 +289,7 @@ def test_twins_work_is_what_the_constraints_take(stiffness, timestep):
     assert lost.max() < 0.002 * expected[-1]
 
 
-def test_twins_power_is_the_compliant_models():
+def test_twin_power_equals_that_of_the_compliant_model():
     """Stiff bends cost what `complete` says; shipped ones ring and cost a third more, as `compliant` says."""
 
     def cost(plant: AnalyticalSnake | TwinSnake) -> tuple[float, float]:
@@ -309,7 +309,7 @@ def test_twins_power_is_the_compliant_models():
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.08])
-def test_twins_torques_give_its_work(drag):
+def test_twin_torques_are_consistent_with_its_work(drag):
     """Where bends are smooth: with kinks or stiff bends recorded torques are of first order in the step."""
     spec = robot()
     spec = replace(spec, friction=replace(spec.friction, drag=drag))

@@ -168,7 +168,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_kernel_agrees_with_newtons_law(name):
+def test_kernel_satisfies_newtons_law(name):
     swim, duration = CASES[name], 1.0
     expected = by_newton(swim, duration)
     coarse, fine = by_kernel(swim, duration, 1e-3)[:3], by_kernel(swim, duration, 2.5e-4)[:3]
@@ -179,7 +179,7 @@ def test_kernel_agrees_with_newtons_law(name):
 
 
 @pytest.mark.parametrize(("law", "mu_t", "mu_n"), [("axis", 0.1, 1.0), ("viscous", 1.0, 10.0)])
-def test_time_integration_is_of_second_order(law, mu_t, mu_n):
+def test_time_integration_has_second_order(law, mu_t, mu_n):
     swim = Swim((0.03, 0.05, 0.02, 0.04), law, slip=0.1, mu_t=mu_t, mu_n=mu_n)
     steps = np.array([2e-3, 1e-3, 5e-4])
     exact = by_kernel(swim, 0.8, 2e-5)
@@ -188,7 +188,7 @@ def test_time_integration_is_of_second_order(law, mu_t, mu_n):
     assert order == pytest.approx([2, 2], abs=0.2)
 
 
-def test_regularisation_does_not_decide_the_result():
+def test_result_is_insensitive_to_the_slip_speed():
     """Smaller slip speeds converge: halving 1 mm/s moves the way of a second by under half a per cent."""
     far = [
         np.hypot(*by_kernel(Swim((0.03,) * 5, "axis", slip=slip), 1.0, 2.5e-4)[:2]) for slip in (1e-3, 5e-4)
@@ -213,7 +213,7 @@ def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarr
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
+def test_floor_force_slopes_match_finite_differences(law, track):
     solid, bend, rate = draw(2, 4)
     body, u = posed(solid, bend, rate), np.array([0.2, -0.1, 1.5])
     floor = floor_friction(law, track, 0.1, 0.6, 0.05)
@@ -241,7 +241,7 @@ def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_each_floor_takes_the_law_of_its_name(law, track):
+def test_floor_evaluates_the_named_law(law, track):
     """A law that the kernels do not know must not fall through to another."""
 
     @njit
@@ -258,7 +258,7 @@ def test_each_floor_takes_the_law_of_its_name(law, track):
     assert found[:3] == pytest.approx([*force, moment], rel=1e-12)
 
 
-def test_posed_body_moves_at_the_rates_it_says():
+def test_posed_rates_match_finite_differences():
     solid, bend, rate = draw(3, 5)
     now, before, after = (posed(solid, bend + h * rate, rate) for h in (0.0, -1e-6, 1e-6))
     difference = (after - before) / 2e-6
@@ -272,7 +272,7 @@ def test_posed_body_moves_at_the_rates_it_says():
     assert moment == pytest.approx((solid.mass * cross + own * now[SPIN]).sum())
 
 
-def test_headings_of_a_coil_of_several_turns_have_their_mean_at_zero():
+def test_mean_heading_is_zero_for_a_coil_of_several_turns():
     """One rad in each of 40 segments: the head stands 20 rad, three turns, ahead of the mean."""
     bend = np.ones(40)
     solid = BodyParameters(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
@@ -283,7 +283,7 @@ def test_headings_of_a_coil_of_several_turns_have_their_mean_at_zero():
     assert body[X : Y + 1].T == pytest.approx(place, abs=1e-12)
 
 
-def test_frozen_chords_keep_the_straight_length():
+def test_frozen_chords_have_the_straight_length():
     solid, bend, rate = draw(4, 5)
     now = posed(solid._replace(frozen=1.0), bend, rate)
     ahead, after = (posed(solid._replace(frozen=1.0), bend + h * rate, rate) for h in (-1e-6, 1e-6))
@@ -299,7 +299,7 @@ def test_frozen_chords_keep_the_straight_length():
 TOLERANCE = 0.0002  # m/s, the default
 
 
-def test_smooth_friction_needs_no_cuts_and_keeps_the_order():
+def test_smooth_friction_needs_no_substeps_and_keeps_the_order():
     swim = Swim((0.03, 0.05, 0.02, 0.04), "viscous", mu_t=1.0, mu_n=10.0)
     exact = by_kernel(swim, 0.8, 2e-5)
     errors = []
@@ -311,7 +311,7 @@ def test_smooth_friction_needs_no_cuts_and_keeps_the_order():
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.0633, 0.11, 0.173])
-def test_a_glide_that_ends_inside_a_step_ends_where_it_should(speed):
+def test_stop_within_a_step_has_the_exact_position(speed):
     """v̇ = −μ g v/√(v² + ε²) from v₀ to rest: μ g s = ½ [v₀ √(v₀² + ε²) + ε² asinh(v₀/ε)]."""
     swim = Swim((0.03,) * 4, "axis", amplitude=0.0, slip=0.00025)
     root = math.hypot(speed, swim.slip)
@@ -323,7 +323,7 @@ def test_a_glide_that_ends_inside_a_step_ends_where_it_should(speed):
     assert state[kernels.ENERGY_LOSS] == pytest.approx(0.06 * speed**2, rel=2e-3)
 
 
-def test_cut_steps_err_several_times_less_where_friction_turns():
+def test_substeps_reduce_the_error_where_friction_reverses():
     """Over many kinks, against steps of 10 µs: the same longest step with and without cuts."""
     whole, cut = [], []
     for amplitude in (0.7, 0.8, 0.9, 1.0, 1.1):
@@ -336,7 +336,7 @@ def test_cut_steps_err_several_times_less_where_friction_turns():
     assert np.linalg.norm(cut) < np.linalg.norm(whole) / 3
 
 
-def test_bends_between_the_stages_are_cubics():
+def test_bends_between_stages_are_cubic_polynomials():
     def cubic(t: float) -> np.ndarray:
         return np.array([1 + t - 3 * t**2 + 2 * t**3, t**3])
 

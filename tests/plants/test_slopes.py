@@ -42,14 +42,14 @@ def on_slope(plant: str, way: str, share: float):
 
 @pytest.mark.parametrize("way", MU)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_at_rest_on_a_slope_nothing_creeps(plant, way):
+def test_snake_at_rest_on_a_slope_does_not_creep(plant, way):
     assert abs(on_slope(plant, way, 0.5)[1]) < 1e-6
     assert abs(on_slope(plant, way, 0.995)[1]) < 2e-4  # just slower than what follows
 
 
 @pytest.mark.parametrize("way", MU)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_beyond_its_friction_angle_it_slides_as_coulomb_says(plant, way):
+def test_slide_beyond_the_friction_angle_follows_coulomb(plant, way):
     assert on_slope(plant, way, 1.005)[1] > 1e-3
     path, _, run = on_slope(plant, way, 1.2)
     tilt = math.atan(1.2 * MU[way])
@@ -62,7 +62,7 @@ def test_beyond_its_friction_angle_it_slides_as_coulomb_says(plant, way):
     assert abs(run["work"][-1]) < 0.01 * lost
 
 
-def test_both_climb_the_same_slope_about_as_fast():
+def test_both_plants_climb_a_slope_with_similar_speed():
     tilt = math.radians(4.0)
     speeds = []
     for uphill in (0.0, 2.0):
@@ -78,7 +78,7 @@ def test_both_climb_the_same_slope_about_as_fast():
     assert speeds[0] < 0.8 * (level["com_x"][-1] - level["com_x"][50])
 
 
-def test_a_load_shifts_with_the_force_across():
+def test_lateral_force_transfers_load():
     # Thrown sideways all wheels slide: h/(2a) of the friction of both goes from one to the other.
     plant = TwinSnake(SPEC, contact="loaded")
     plant.physics.data.qvel[1] = 0.5
@@ -88,7 +88,7 @@ def test_a_load_shifts_with_the_force_across():
     assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.02)
 
 
-def test_momentary_loads_of_the_analytical_model_are_those_of_the_twin():
+def test_momentary_loads_agree_between_plants():
     # On both plants what loads change is the same where the twin's connectors keep their own weights.
     changes = {}
     for kind in ("twin", "compliant"):
@@ -114,7 +114,7 @@ def test_momentary_loads_of_the_analytical_model_are_those_of_the_twin():
 
 
 @pytest.mark.parametrize(("height", "reached"), [(0.002, True), (-0.005, True), (0.02, False)])
-def test_wheels_climb_what_is_low_enough(height, reached):
+def test_wheels_climb_steps_up_to_the_limit(height, reached):
     front = SPEC.geometry.body_length / 2
     world = World(steps=(Step(front + 0.03, height),))
     twin = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3, world=world)
@@ -126,7 +126,7 @@ def test_wheels_climb_what_is_low_enough(height, reached):
         assert heights[0] == pytest.approx(height, abs=5e-4)
 
 
-def test_what_leans_on_a_wall_stands_as_statics_says():
+def test_snake_leaning_on_a_wall_is_in_static_equilibrium():
     tilt, side = math.radians(40), -SPEC.geometry.width
     wall = Polygon(((-1.0, side - 0.2), (1.0, side - 0.2), (1.0, side), (-1.0, side)))
     world = World(floor=Floor(tilt, math.pi / 2), polygons=(wall,))
@@ -155,7 +155,7 @@ def along_a_wall(uphill):
     return twin
 
 
-def test_what_slides_along_a_wall_is_slowed_by_coulombs_law():
+def test_wall_friction_follows_coulomb():
     twin, still = along_a_wall(math.pi / 2), np.full((SPEC.segments, 2), -1)
     twin.physics.data.qvel[0] = 0.3
     states = [twin.step(still) for _ in range(6)]
@@ -168,7 +168,7 @@ def test_what_slides_along_a_wall_is_slowed_by_coulombs_law():
 
 
 @pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
-def test_what_rests_against_a_wall_stays_up_to_the_angle_of_friction(share, moves):
+def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
     lean = math.atan(share * FRICTION)  # by which the wall slopes in the plane of the floor
     drift = along_a_wall(math.pi / 2 - lean).advance(np.full((SPEC.segments, 2), -1), 1)[-1].com_velocity[0]
     assert (abs(drift) > 1e-3) == moves
@@ -182,18 +182,18 @@ def test_what_rests_against_a_wall_stays_up_to_the_angle_of_friction(share, move
         (lambda world: AnalyticalSnake(SPEC, world=world), "plane"),
     ],
 )
-def test_a_floor_that_a_plant_cannot_stand_on_is_refused(build, words):
+def test_unsupported_floor_raises(build, words):
     with pytest.raises(InputError, match=words):
         build(World(steps=(Step(0.5, 0.002),)))
 
 
 @pytest.mark.parametrize("steps", [(Step(500.0, 0.002),), (Step(0.5, 0.002), Step(0.5, 0.001))])
-def test_steps_may_be_far_away_or_in_one_place(steps):
+def test_steps_may_be_far_away_or_coincide(steps):
     plant = TwinSnake(SPEC, contact="loaded", world=World(steps=steps))
     assert rollout(plant, AIRLESS, 0.1)["com_x"][-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_snake_begins_before_the_first_step():
+def test_snake_must_start_before_the_first_step():
     with pytest.raises(InputError, match="before the first step, at x = -0.05 m"):
         TwinSnake(SPEC, contact="loaded", world=World(steps=(Step(-0.05, 0.002),)))
 

@@ -86,7 +86,7 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
-def test_clearance_is_mujocos_least_distance(name, hinges, unequal):
+def test_clearance_equals_the_smallest_distance_in_mujoco(name, hinges, unequal):
     # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body pitches.
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
@@ -96,7 +96,7 @@ def test_clearance_is_mujocos_least_distance(name, hinges, unequal):
     assert distance.min() < 0 < distance.max()
 
 
-def test_inner_hinges_that_bend_unequally_are_bounded():
+def test_clearance_error_of_unequal_hinges_is_bounded():
     """From three hinges a segment on connectors do not place the inner ones."""
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
@@ -105,7 +105,7 @@ def test_inner_hinges_that_bend_unequally_are_bounded():
     assert ROUNDING_M < error < twin.spec.geometry.segment_length * 1.0 / 8
 
 
-def test_the_hull_is_within_its_bound_of_the_arc():
+def test_hull_deviates_from_the_arc_within_its_bound():
     twin = TwinSnake(robot("gen2"), world=WORLD)
     places = poses(twin, 100, unequal=False, seed=3)
     run, geometry = seen(twin, places), twin.spec.geometry
@@ -126,7 +126,7 @@ def test_the_hull_is_within_its_bound_of_the_arc():
         ("circle", 0.15, False), ("square", 0.0, True), ("square", 0.16, False),
     ],
 )  # fmt: skip
-def test_a_run_that_touches_has_no_clearance_and_another_has(shape, aside, touched):
+def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
     """The twin of generation 2 goes by a circle of 0.1 m, or a square, so far beside its path, m.
 
     Whether it touches where it is close (None), the follower decides.
