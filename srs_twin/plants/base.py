@@ -158,7 +158,7 @@ class Plant(Remembers, ABC):
         return PlantState(self.identity(), self.remembered())
 
     def restore(self, state: PlantState) -> SnakeState:
-        """Continue from a saved state, with the same bits as the plant from which it was taken.
+        """Continue from a saved state, with the same bits as the original plant.
 
         Returns:
             The state of the snake at that time.
@@ -280,9 +280,9 @@ class PneumaticPlant(Plant):
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`; stuck valves may differ."""
-        own = super().identity()
-        chambers = {key: value for key, value in own["pneumatics"].items() if key != "stuck_valves"}
-        return own | {"pneumatics": chambers, "supply_pa": self._supply}
+        settings = super().identity()
+        chambers = {key: value for key, value in settings["pneumatics"].items() if key != "stuck_valves"}
+        return settings | {"pneumatics": chambers, "supply_pa": self._supply}
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """See `Plant.advance`."""

@@ -201,8 +201,8 @@ class Pneumatics(Remembers, ABC):
             schedule = schedule._replace(states=schedule.states.astype(np.int8))
         effective = self.effective_schedule(schedule)
         if self._delay:
-            whole = self._pending.followed_by(schedule)
-            self._pending = whole.slice(schedule.span, whole.span)
+            joined = self._pending.followed_by(schedule)
+            self._pending = joined.slice(schedule.span, joined.span)
         trace = self._simulate(effective, times, bend, bend_rate)
         before = np.concatenate([self.valves[None], effective.states[:-1]])
         self.openings = self.openings + ((effective.states == 1) & (before != 1)).sum(axis=0)

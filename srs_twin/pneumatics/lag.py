@@ -296,11 +296,15 @@ def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag,
         decay, lag, mode: as in `Relaxation`.
     """
     first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
-    end, other = asymptotes[first, up], asymptotes[second, down]
-    high, low = pressure[0] - end, pressure[1] - other
-    lagged = gain[0] * (end * (1.0 - mode) + high * lag[first, up])
-    lagged -= gain[1] * (other * (1.0 - mode) + low * lag[second, down])
-    return end + high * decay[first, up], other + low * decay[second, down], linear * mode + lagged
+    target_plus, target_minus = asymptotes[first, up], asymptotes[second, down]
+    deviation_plus, deviation_minus = pressure[0] - target_plus, pressure[1] - target_minus
+    lagged = gain[0] * (target_plus * (1.0 - mode) + deviation_plus * lag[first, up])
+    lagged -= gain[1] * (target_minus * (1.0 - mode) + deviation_minus * lag[second, down])
+    return (
+        target_plus + deviation_plus * decay[first, up],
+        target_minus + deviation_minus * decay[second, down],
+        linear * mode + lagged,
+    )
 
 
 @compiled

@@ -182,7 +182,7 @@ class OrificePneumatics(Pneumatics):
         self._state[:, 2] = linear
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """See `Pneumatics.regulate`."""
+        """See `Pneumatics.set_supply_pressure`."""
         if not 0 <= supply_pa <= self._max_supply:
             raise InputError(
                 f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._max_supply:g} Pa, "
@@ -250,8 +250,8 @@ def _chamber_conductances(spec: RobotSpec, critical: float) -> tuple[np.ndarray,
     kinds, kind = np.unique(rows, axis=0, return_inverse=True)
     pairs = []
     for gain, fill, vent in kinds:
-        own = {"gain": gain * actuator.gain}
-        own |= {"tau_fill": fill * actuator.tau_fill, "tau_vent": vent * actuator.tau_vent}
-        pairs.append(conductances(replace(spec, actuator=replace(actuator, **own)), critical)[:2])
+        parameters = {"gain": gain * actuator.gain}
+        parameters |= {"tau_fill": fill * actuator.tau_fill, "tau_vent": vent * actuator.tau_vent}
+        pairs.append(conductances(replace(spec, actuator=replace(actuator, **parameters)), critical)[:2])
     fill, vent = np.array(pairs)[kind.ravel()].T.reshape(2, spec.segments, 2)
     return fill, vent

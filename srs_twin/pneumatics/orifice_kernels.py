@@ -156,12 +156,12 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
                 y[j, side], q, j, side, state[j, side], line, air
             )
             squeeze *= follows
-            here = weight * (inflow_by_p - outflow_by_p)
-            own = 1.0 - here * inverse
-            coupling = here * squeeze / own
+            rate_by_p = weight * (inflow_by_p - outflow_by_p)
+            pivot = 1.0 - rate_by_p * inverse
+            coupling = rate_by_p * squeeze / pivot
             signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
-            linear[j, side, 0] = (base[j, side] + weight * (inflow - outflow) - y[j, side]) / own
-            linear[j, side, 1] = weight * inflow_by_line / own
+            linear[j, side, 0] = (base[j, side] + weight * (inflow - outflow) - y[j, side]) / pivot
+            linear[j, side, 1] = weight * inflow_by_line / pivot
             missing -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
             matrix += signed * (squeeze + inverse * coupling)
             by_line += signed * inverse * linear[j, side, 1]

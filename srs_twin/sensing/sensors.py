@@ -220,7 +220,7 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors of which some fail.
+    """Sensors with single failures.
 
     Attributes:
         sensor: sensors without faults.

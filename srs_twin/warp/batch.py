@@ -46,7 +46,7 @@ _MAX_ITERATIONS = 50
 """Iterations of the engine's solver."""
 
 _INITIAL_LIFT = 1e-8
-"""Height by which snakes are lifted at the start, m: at rest they just touch, and rounding would decide."""
+"""Lift of the snakes at the start, m: at rest they just touch the floor, and rounding would decide."""
 
 _MAX_START_DISTANCE = 16.0
 """Largest distance of a start from the origin of the device coordinates, m.
@@ -285,7 +285,7 @@ class WarpBatch:
                     self._launch(gait)
                 return
             if steps and gait not in self._graphs:
-                self._launch(gait)  # compiles the kernels and counts as a step
+                self._launch(gait)  # compiles the kernels; it is one of the steps
                 steps -= 1
                 with wp.ScopedCapture() as capture:
                     self._launch(gait)
@@ -534,18 +534,18 @@ class WarpBatch:
 
     def _history_of_run(self, together: SnakeState, k: int) -> SnakeState | None:
         """Return the history of run k until it diverges, and set its error."""
-        own = SnakeState(
+        history = SnakeState(
             together.time - self._begun[k],
             *(getattr(together, f.name)[:, k] for f in fields(SnakeState)[1:]),
         )
-        fine = np.isfinite(own.qpos).all(axis=1) & np.isfinite(own.com).all(axis=1)
+        fine = np.isfinite(history.qpos).all(axis=1) & np.isfinite(history.com).all(axis=1)
         if fine.all():
-            return own
+            return history
         last = int(np.argmin(fine))
         self.errors[k] = DivergedError(
-            "twin", float(np.asarray(own.time)[last]), "the state is no longer finite"
+            "twin", float(np.asarray(history.time)[last]), "the state is no longer finite"
         )
-        return own.at(slice(0, last)) if last else None
+        return history.at(slice(0, last)) if last else None
 
     def _observe(self) -> Any:
         """Return an observation of all runs on the device, one row per run; reset the accumulators."""
@@ -593,8 +593,8 @@ class WarpBatch:
         torque, sensed, stored = np.empty_like(bend), bend.copy(), np.empty(shape)
         for number, twin in enumerate(self._robots):
             mine = self._robot_of_run == number
-            law, own = twin.spec.bending, chambers[:, mine, :, :2]
-            air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, own))
+            law, pressure = twin.spec.bending, chambers[:, mine, :, :2]
+            air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, pressure))
             torque[:, mine] = air - law.stiffness * bend[:, mine] - law.damping * rate[:, mine]
             stored[:, mine] = twin.physics.internal_joints.stored(cut["qpos"][:, mine])
         for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
@@ -641,10 +641,12 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
         "a floor that slopes or has steps": twin.uneven,
         "obstacles with contact 'preloaded'": twin.touches and not isinstance(twin.contact, LoadedContact),
     }
-    own, other = twin.identity(), first.identity()
-    same = own.keys() - {"robot", "robot_digest", "supply_pa"}
+    settings, first_settings = twin.identity(), first.identity()
+    same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
     same -= set() if twin.touches or first.touches else {"world"}  # goals and bounds do not affect the motion
-    unsupported |= {f"runs that differ in {name}": own[name] != other[name] for name in sorted(same)}
+    unsupported |= {
+        f"runs that differ in {name}": settings[name] != first_settings[name] for name in sorted(same)
+    }
     for name, present in unsupported.items():
         if present:
             raise InputError(f"engine 'warp' does not support {name}; use engine 'cpu'")
@@ -660,13 +662,13 @@ def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None
     Raises:
         InputError: they differ in a field that the engine has only once.
     """
-    distinct = {id(own): own for own in models}
+    distinct = {id(world_model): world_model for world_model in models}
     if len(distinct) == 1:
         return
     for name, array in vars(model).items():
         if not isinstance(array, wp.array) or not hasattr(models[0], name) or name in _UNUSED_FIELDS:
             continue
-        values = {key: np.asarray(getattr(own, name)) for key, own in distinct.items()}
+        values = {key: np.asarray(getattr(world_model, name)) for key, world_model in distinct.items()}
         first = next(iter(values.values()))
         if all(np.array_equal(first, value) for value in values.values()):
             continue
@@ -674,7 +676,7 @@ def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None
             raise InputError(
                 f"robots that differ in {name} cannot run together on engine 'warp'; use engine 'cpu'"
             )
-        rows = np.stack([values[id(own)] for own in models])
+        rows = np.stack([values[id(world_model)] for world_model in models])
         inner = array.shape[1:]
         size = wp.types.type_size(array.dtype)
         rows = rows.reshape(len(models), *inner, *((size,) if size > 1 else ()))

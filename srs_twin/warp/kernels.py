@@ -162,26 +162,26 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
     options = {"enable_backward": False, "module": "unique"}
 
     @wp.kernel(**options)
-    def set_commands(count: wp.array(dtype=int), given: wp.array4d(dtype=int), out: wp.array4d(dtype=int)):
+    def set_commands(count: wp.array(dtype=int), commands: wp.array4d(dtype=int), out: wp.array4d(dtype=int)):
         """Set the valve states of a step's slots from the commands of its tick."""
         i, j = wp.tid()
         begun = (count[0] % TICK) * SLOTS
         for s in range(SLOTS):
-            row = (begun + s) * given.shape[1] / (TICK * SLOTS)
-            out[i, s, j, 0] = given[i, row, j, 0]
-            out[i, s, j, 1] = given[i, row, j, 1]
+            row = (begun + s) * commands.shape[1] / (TICK * SLOTS)
+            out[i, s, j, 0] = commands[i, row, j, 0]
+            out[i, s, j, 1] = commands[i, row, j, 1]
 
     @wp.kernel(**options)
     def set_gait(count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)):
         """Set the valve states of a step's slots from a gait, evaluated in the middle of each slot."""
         i, j = wp.tid()
-        own = wave_of(waves, i)
+        gait = wave_of(waves, i)
         for s in range(SLOTS):
             time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(SLOT)
-            turns = wp.float64(own.frequency) * time
-            angle = wp.float64(6.283185307179586) * (turns - wp.floor(turns)) - wp.float64(own.lag[j])
-            value = wp.sin(angle) + wp.float64(own.offset)
-            edge = wp.float64(own.rest) - wp.float64(1e-9)
+            turns = wp.float64(gait.frequency) * time
+            angle = wp.float64(6.283185307179586) * (turns - wp.floor(turns)) - wp.float64(gait.lag[j])
+            value = wp.sin(angle) + wp.float64(gait.offset)
+            edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
 
@@ -219,14 +219,17 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
                     air.openings[j, side] = air.openings[j, side] + 1
                 air.valves[j, side] = state[side]
             before = after
-        mean, other = first + END_WEIGHT * (pressure[0] - first), second + END_WEIGHT * (pressure[1] - second)
-        linear = law.gain[j, 0] * mean - law.gain[j, 1] * other
+        mean_plus, mean_minus = (
+            first + END_WEIGHT * (pressure[0] - first),
+            second + END_WEIGHT * (pressure[1] - second),
+        )
+        linear = law.gain[j, 0] * mean_plus - law.gain[j, 1] * mean_minus
         _, ratio, _ = bend_law(0.0, law.law)
         if wp.abs(linear) > _MIN_LINEAR_RAD:
             bend, _, _ = bend_law(linear, law.law)
             ratio = bend / linear
-        ctrl[i, 2 * j] = mean * ratio
-        ctrl[i, 2 * j + 1] = other * ratio
+        ctrl[i, 2 * j] = mean_plus * ratio
+        ctrl[i, 2 * j + 1] = mean_minus * ratio
 
     AllAccumulators, accumulators_of = structs["accumulators"].batched, structs["accumulators"].select
     LOADED = "work" in structs
@@ -253,20 +256,20 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
             speed = qvel[i, at.out_of_plane[n]]
             internal_power += damping[i, at.out_of_plane[n]] * speed * speed
         internal_loss[i] = internal_loss[i] + wp.float64(H * internal_power)
-        own, power = accumulators_of(all_accumulators, i), float(0.0)
+        sums, power = accumulators_of(all_accumulators, i), float(0.0)
         for w in range(at.floor_force.shape[0]):
             if not LOADED:
                 # The force of the previous step acts with the velocity that the sensors report now.
                 for k in range(2):
-                    power -= own.step_force[w, k] * sensors[i, at.foot_velocity[w] + k]
+                    power -= sums.step_force[w, k] * sensors[i, at.foot_velocity[w] + k]
                 for k in range(3):
-                    own.step_force[w, k] = sensors[i, at.floor_force[w] + k]
-        for w in range(own.step_force.shape[0]):
+                    sums.step_force[w, k] = sensors[i, at.floor_force[w] + k]
+        for w in range(sums.step_force.shape[0]):
             for k in range(3):
-                own.force_sum[w, k] = own.force_sum[w, k] + own.step_force[w, k]
+                sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
         for w in range(at.obstacle_force.shape[0]):
             for k in range(3):
-                own.obstacle_sum[w, k] = own.obstacle_sum[w, k] + sensors[i, at.obstacle_force[w] + k]
+                sums.obstacle_sum[w, k] = sums.obstacle_sum[w, k] + sensors[i, at.obstacle_force[w] + k]
         for w in range(at.external_force.shape[0]):
             power -= sensors[i, at.external_force[w]] * sensors[i, at.external_velocity[w]]
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)
@@ -282,7 +285,7 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
         """Write the observation of each world into a row of `out`, and reset the accumulators."""
         i = wp.tid()
         body, air = bodies_of(bodies, i), chambers_of(all_chambers, i)
-        own, k = accumulators_of(all_accumulators, i), int(0)
+        sums, k = accumulators_of(all_accumulators, i), int(0)
         for n in range(body.qpos.shape[0]):
             out[i, k] = body.qpos[n]
             k += 1
@@ -304,15 +307,15 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
                 out[i, k + 2 + side] = float(air.valves[j, side])
             out[i, k + 4] = air.drawn[j]
             k += 5
-        for w in range(own.force_sum.shape[0]):
+        for w in range(sums.force_sum.shape[0]):
             for n in range(3):
-                out[i, k + n] = own.force_sum[w, n]
-                own.force_sum[w, n] = 0.0
+                out[i, k + n] = sums.force_sum[w, n]
+                sums.force_sum[w, n] = 0.0
             k += 3
-        for w in range(own.obstacle_sum.shape[0]):
+        for w in range(sums.obstacle_sum.shape[0]):
             for n in range(3):
-                out[i, k + n] = own.obstacle_sum[w, n]
-                own.obstacle_sum[w, n] = 0.0
+                out[i, k + n] = sums.obstacle_sum[w, n]
+                sums.obstacle_sum[w, n] = 0.0
             k += 3
         out[i, k] = float(energy_loss[i])
         out[i, k + 1] = body.sensordata[at.kinetic_energy]
@@ -333,10 +336,10 @@ def integrate_position(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float),
     """Advance qpos by qvel over the time h: the free joint, which is first, and the hinges."""
     for k in range(3):
         qpos[k] = qpos[k] + h * qvel[k]
-    turn = wp.vec3(qvel[3], qvel[4], qvel[5])
-    speed = wp.length(turn)
+    rotation = wp.vec3(qvel[3], qvel[4], qvel[5])
+    speed = wp.length(rotation)
     half = 0.5 * h * speed
-    axis = turn / wp.max(speed, 1e-20)
+    axis = rotation / wp.max(speed, 1e-20)
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     c, u = wp.cos(half), wp.sin(half) * axis
     a, b = c * w - x * u[0] - y * u[1] - z * u[2], c * x + w * u[0] + y * u[2] - z * u[1]
@@ -411,9 +414,9 @@ def _add_friction_kernels(
         """Solve for friction, move to the end of the step, and record the friction."""
         i = wp.tid()
         engine, contact, state = engine_of(engines, i), contacts_of(contacts, i), state_of(states, i)
-        work, own = work_of(works, i), accumulators_of(all_accumulators, i)
+        work, sums = work_of(works, i), accumulators_of(all_accumulators, i)
         solve_friction(engine, contact, sparsity_of(sparsities, i), state, work, H)
-        power = store_friction(contact, state, work, own.step_force)
+        power = store_friction(contact, state, work, sums.step_force)
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)
         integrate_position(engine.qpos, engine.qvel, 0.5 * H)
 

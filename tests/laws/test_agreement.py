@@ -1,4 +1,4 @@
-"""With the same wheels, track and stiff bends both plants crawl alike, at several points and not at one."""
+"""Plants with the same wheels, track and stiff bends agree in speed and yaw rate at several points."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def both(
     friction: str = "wheel",
     wheels: str = "rolling",
 ) -> list[Trajectory]:
-    """Run both plants under one gait: the analytical model, then the twin."""
+    """Run both plants with one gait; return the trajectories of the analytical model and the twin."""
     spec = replace(STIFF, geometry=replace(STIFF.geometry, rigid_gap=gap))
     plants = (
         AnalyticalSnake(spec, friction=friction, supply_pa=1e3 * kilopascals),

@@ -1,4 +1,4 @@
-"""Drag of tubes and belly brakes every connector along its heading, whatever it carries, on both plants."""
+"""Axial drag brakes all connectors along their headings independently of their loads, on both plants."""
 
 from __future__ import annotations
 

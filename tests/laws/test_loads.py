@@ -1,4 +1,4 @@
-"""The floor carries the snake's weight, and every connector its own share of it."""
+"""The loads of the wheels sum to the weight of the snake, and on each connector to its own weight."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_each_connector_of_a_crawling_snake_carries_its_own_weight(crawling_load
 
 
 def test_loads_of_a_crawling_snake_vary_less_than_their_mean(crawling_loads):
-    """A chain that is rigid out of plane swings by 0.73 to 1.24 of the mean."""
+    """With rigid pitch and roll, loads vary from 0.73 to 1.24 of their mean."""
     assert (crawling_loads.std(axis=0) / WEIGHT).max() < 0.4
 
 

@@ -1,4 +1,4 @@
-"""What no force acts on does not move: momentum and moment of momentum on a floor without friction."""
+"""Without friction, momentum and moment of momentum stay constant."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _largest_momentum(timestep: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("masses", [(0.03,) * 5, (0.03, 0.05, 0.02, 0.1)])
 def test_isotropic_viscous_friction_gives_no_thrust(masses):
-    """Σ f = −c Σ m v: the centre of mass of a snake that starts at rest stays, whatever it does."""
+    """Σ f = −c Σ m v: the centre of mass of a snake that starts at rest does not move."""
     spec = chain(masses, mu_t=0.4, mu_n=0.4)
     trajectory = rollout(AnalyticalSnake(spec, friction="viscous"), Gait(2.0, 0.2), 5.0)
     assert np.abs(trajectory.com).max() < 1e-9

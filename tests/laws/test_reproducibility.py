@@ -1,4 +1,4 @@
-"""The same seed gives the same bytes, in whatever process."""
+"""The same seed gives the same bytes in every process."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ print(arithmetic(), hashlib.sha256(run["com_x"].tobytes() + run["heading"].tobyt
 
 @pytest.mark.slow
 def test_bits_are_independent_of_the_blas_kernel():
-    """Kernels that the processor cannot execute are replaced by OpenBLAS, in the name as well."""
+    """OpenBLAS replaces kernels that the processor cannot execute, and reports the replacement's name."""
     digests: dict[str, set[str]] = {}
     for kernel in ("Haswell", "SkylakeX", "Sandybridge", "Nehalem"):
         environment = {**os.environ, "OPENBLAS_CORETYPE": kernel}

@@ -1,4 +1,4 @@
-"""The floor has no preferred place, direction or side: turned, shifted and mirrored runs correspond."""
+"""The floor is homogeneous and isotropic: shifted, rotated and mirrored runs correspond."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLANTS = {
     "loaded ellipse": lambda: TwinSnake(robot(), contact=LoadedContact("ellipse")),
 }
 OFFSET = 0.2
-# What sticks or slides multiplies rounding: by 3e7 in 2 s where friction across is ten times that along.
+# Stick-slip amplifies rounding: by 3e7 in 2 s if friction across is ten times that along.
 ROUNDING = {"loaded ellipse": 1e-8}
 
 
@@ -40,7 +40,7 @@ def plant(name: str) -> Plant:
 
 @cache
 def turning(name: str) -> Trajectory:
-    """A left turn from the origin, 2 s."""
+    """Left turn from the origin, 2 s."""
     return rollout(plant(name), Gait(2.0, OFFSET), 2.0)
 
 

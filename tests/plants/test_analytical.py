@@ -1,4 +1,4 @@
-"""The analytical plant: consistent states, momentum and energy, any length, and what it refuses."""
+"""Analytical plant: consistent states, momentum and energy, number of connectors, invalid settings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
 
 @pytest.fixture(scope="module")
 def turning():
-    """States of an uneven snake that turns left, every millisecond for a second, and its robot."""
+    """States of an uneven snake that turns left, every millisecond for one second, and its robot."""
     spec = chain(MASSES)
     plant, states = AnalyticalSnake(spec, friction="wheel", tick=0.001), []
     rollout(plant, Gait(2.0, 0.3), 1.0, record_hz=1000, observers=[states.append])
@@ -54,7 +54,7 @@ def test_state_fields_are_consistent(turning):
     assert centre == pytest.approx(column(states, "com"), abs=1e-12)
     assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
     assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
-    # Neighbours lie a chord apart along their mean heading: arc of l and half a gap at each end.
+    # Neighbours are one chord apart along their mean heading: an arc of l and half a gap at each end.
     g, half = spec.geometry, bend / 2
     chords = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
     mean = (theta[:, :-1] + theta[:, 1:]) / 2
@@ -110,7 +110,7 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
 @pytest.mark.parametrize("degrees", range(0, 91, 5))
 @LAWS
 def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
-    """Where a wheel stops rolling, Newton's method once went to and fro across the kink for ever."""
+    """Regression: Newton's method alternated between the sides of the kink where a wheel stops rolling."""
     plant, angle = AnalyticalSnake(SPEC, friction=law, slip_speed=0.001), np.radians(degrees)
     throw(plant, (0.5 * np.cos(angle), 0.5 * np.sin(angle)))
     for _ in range(65):
@@ -120,7 +120,7 @@ def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
 
 @LAWS
 def test_spinning_snake_decelerates_by_the_friction_moment(law):
-    """A straight snake that only spins slides across: I ω̇ = −μ_n g Σ m |r|, so Δθ = I ω²/(2 μ_n g Σ m|r|)."""
+    """A spinning straight snake slides sideways: I ω̇ = −μ_n g Σ m |r|, so Δθ = I ω²/(2 μ_n g Σ m|r|)."""
     plant = AnalyticalSnake(robot(mu_t=0.0), friction=law, slip_speed=1e-5)
     throw(plant, (0.0, 0.0), spin=10.0)
     for _ in range(100):
@@ -157,7 +157,7 @@ def test_finer_steps_change_the_speed_by_less_than_two_permille(law):
 
 
 def test_gait_is_independent_of_the_control_tick():
-    """Edges land inside long ticks where short ticks put them."""
+    """Valve edges have the same times in long and short ticks."""
     long, short = (
         rollout(AnalyticalSnake(SPEC, tick=t), Gait(1.7, 0.2), 1.0, record_hz=50) for t in (0.02, 0.005)
     )
@@ -166,7 +166,7 @@ def test_gait_is_independent_of_the_control_tick():
 
 
 def test_prescribed_bends_are_independent_of_mass_and_stiffness():
-    """Of the complete model: friction and inertia both scale with mass, bends follow the chambers alone."""
+    """In `complete`, friction and inertia scale with mass, and bends follow the chambers."""
     heavy = replace(
         SPEC,
         mass=replace(SPEC.mass, connectors=tuple(7 * m for m in SPEC.mass.connectors)),
@@ -205,7 +205,7 @@ def test_unknown_models_and_laws_raise_with_the_allowed_names():
     st.sampled_from([0.002, 0.001, 0.0007]),
 )
 def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
-    """Events a rounding error before or after the even grid must neither add a step nor lose a sample."""
+    """Events within rounding of the even grid neither add a step nor drop a sample."""
     plant = AnalyticalSnake(SPEC, timestep=timestep)
     starts = np.unique([0.0, *(0.001 * k * (1 + off) + (off if abs(off) > 1e-9 else 0) for k, off in places)])
     starts = starts[starts < 0.04 - 1e-6]

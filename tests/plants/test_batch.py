@@ -1,4 +1,4 @@
-"""Many runs at once: bit for bit what each alone gives, in order, over any number of threads."""
+"""Batches of runs: the same bits as single runs, in order, for any number of threads."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ POSES = ((0.0, 0.0, 0.0), (0.3, -0.2, 1.1), (-1.0, 2.0, -2.5), (0.1, 0.1, 3.0))
 
 
 def variants() -> list[RobotSpec]:
-    """Return a robot with other friction, other compliance and other masses, and as it is."""
+    """Return a robot, and copies with other friction, compliance and masses."""
     heavier = tuple(
         mass * factor for mass, factor in zip(SPEC.mass.connectors, (1, 1.3, 1, 1.1, 2), strict=True)
     )
@@ -60,7 +60,7 @@ def variants() -> list[RobotSpec]:
 
 
 def written(run: Trajectory | DivergedError) -> bytes:
-    """Return a trajectory, or that of an error with its words, as the bytes of a file."""
+    """Return a trajectory, or the history and message of an error, as the bytes of a file."""
     said = b""
     if isinstance(run, DivergedError):
         run, said = run.trajectory, str(run).encode()
@@ -71,7 +71,7 @@ def written(run: Trajectory | DivergedError) -> bytes:
 
 
 def alone(job: Job) -> bytes:
-    """Return what `rollout` gives for a job."""
+    """Return the result of `rollout` for a job."""
     assert isinstance(job.controller, Controller)
     plant = job.plant if isinstance(job.plant, Plant) else job.plant()
     try:
@@ -85,7 +85,7 @@ def alone(job: Job) -> bytes:
 
 
 class Reflex(Controller):
-    """Switches a segment's chambers when its sensor says that it has bent far enough."""
+    """Controller that switches the chambers of a segment when the sensed bend exceeds a threshold."""
 
     kind = "reflex"
 
@@ -102,7 +102,7 @@ class Reflex(Controller):
 
 
 class Fuse(Plant):
-    """A plant that stands still, and diverges, refuses or waits as it is told."""
+    """Plant that does not move, and diverges, raises or waits on request."""
 
     name = "fuse"
     tick = 0.02
@@ -122,7 +122,7 @@ class Fuse(Plant):
 
 
 def fused(plant: Fuse, duration: float) -> Job:
-    """Return a job for a plant that knows only whole ticks."""
+    """Return a job for a plant that advances tick by tick only."""
     return Job(plant, Gait(2.0), duration, record_hz=50)
 
 
@@ -217,7 +217,7 @@ def test_diverged_run_returns_its_error_and_others_continue(threads):
 
 
 def wild() -> TwinSnake:
-    """Return a twin that no engine can follow: it is thrown into the floor as soon as it is laid down."""
+    """Return a twin that diverges: it gets a large velocity into the floor on reset."""
 
     class Thrown(TwinSnake):
         def reset(self, **about: Any) -> SnakeState:
@@ -230,7 +230,7 @@ def wild() -> TwinSnake:
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_diverged_twin_has_the_same_error_as_alone(threads):
-    """Its words hold the engine's warnings, which come from all threads."""
+    """The message contains the engine's warnings, which come from all threads."""
     expected = alone(Job(wild, Gait(2.0), 0.1))
     assert b"twin diverged at t = 0.001 s" in expected
     jobs = [Job(partial(TwinSnake, SPEC) if k % 2 else wild, Gait(2.0), 0.1) for k in range(6)]
@@ -373,7 +373,7 @@ def test_lowest_error_is_raised_and_later_jobs_do_not_start():
 
 
 def scripts(batch: TwinBatch, duration: float) -> list[Any]:
-    """Return the script of another gait for each run."""
+    """Return the script of a different gait for each run."""
     gaits = [Gait(1.0 + 0.5 * k, 0.1 * k) for k in range(len(batch))]
     for gait, twin in zip(gaits, batch.twins, strict=True):
         gait.reset(twin.spec, twin.tick)

@@ -1,4 +1,4 @@
-"""Clearance of obstacles, held against MuJoCo's own distances between the bodies that it collides."""
+"""Clearance from obstacles, compared with MuJoCo's distances between the colliding bodies."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ WORLD = World(
 
 ROUNDING_M = 1e-12
 TILT_M = 1e-6
-"""What pitch and roll of a crawling snake, fractions of a degree, make of a distance in the plane."""
+"""Effect of pitch and roll of a crawling snake, fractions of a degree, on a horizontal distance, m."""
 
 
 def recorded(world: World) -> dict:
-    """Return a world as a follower's metadata hold it."""
+    """Return a world as in the metadata of a follower."""
     return {
         "obstacles": [vars(each) for each in world.obstacles],
         "polygons": [{"corners": each.corners} for each in world.polygons],
@@ -36,7 +36,7 @@ def recorded(world: World) -> dict:
 
 
 def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
-    """Return the least distance between the snake's and the obstacles' geoms for each qpos, m."""
+    """Return the smallest distance between the geoms of snake and obstacles for each qpos, m."""
     model = twin.physics.model.ptr
     data = mujoco.MjData(model)
     names = [model.geom(k).name for k in range(model.ngeom)]
@@ -51,7 +51,7 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
 
 
 def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarray:
-    """Draw poses anywhere among the obstacles, segments bent by up to 1.5 rad, shape (count, nq)."""
+    """Draw poses among the obstacles, with bends of up to 1.5 rad, shape (count, nq)."""
     draw, model = np.random.default_rng(seed), twin.physics.model.ptr
     found = np.tile(twin.physics.data.qpos, (count, 1))
     heading = draw.uniform(-np.pi, np.pi, count)
@@ -66,7 +66,7 @@ def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarra
 
 
 def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
-    """Return what a trajectory holds of these places, a sample each."""
+    """Return a trajectory with one sample per pose."""
     states = np.concatenate(
         [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
     )
@@ -97,7 +97,7 @@ def test_clearance_equals_the_smallest_distance_in_mujoco(name, hinges, unequal)
 
 
 def test_clearance_error_of_unequal_hinges_is_bounded():
-    """From three hinges a segment on connectors do not place the inner ones."""
+    """With three or more hinges per segment, the bends do not determine the inner hinges."""
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
     apart = clearances(seen(twin, places), recorded(WORLD))
@@ -127,9 +127,9 @@ def test_hull_deviates_from_the_arc_within_its_bound():
     ],
 )  # fmt: skip
 def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
-    """The twin of generation 2 goes by a circle of 0.1 m, or a square, so far beside its path, m.
+    """The twin of generation 2 passes a circle of 0.1 m, or a square, at a lateral distance, m.
 
-    Whether it touches where it is close (None), the follower decides.
+    For a small distance (None) the result of the follower decides whether they touch.
     """
     corners = [[0.35, aside - 0.1], [0.55, aside - 0.1], [0.55, aside + 0.1], [0.35, aside + 0.1]]
     world = {
@@ -149,6 +149,6 @@ def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
     metrics = following_metrics(run)
     assert (metrics["contacts"] > 0) == (metrics["clearance_m"] <= 0)
     assert touched in (None, metrics["contacts"] > 0)
-    assert metrics["clearance_m"] > -0.001  # how far the engine lets bodies into each other
+    assert metrics["clearance_m"] > -0.001  # penetration of soft contacts in the engine
     apart = clearances(run, run.metadata["control"]["following"]["world"])
     assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)

@@ -1,4 +1,4 @@
-"""The compliant model: Lagrange's equations against point masses, its limits, its order, and the twin."""
+"""Compliant model: Lagrange's equations of point masses, limits, order of convergence, and the twin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ compliant = partial(AnalyticalSnake, model="compliant")
 
 @dataclass(frozen=True)
 class Body:
-    """Masses on springs, on a floor; the state is (mean heading's frame) bends q and velocities u."""
+    """Masses on springs on a floor; the state has bends q and velocities u in the mean-heading frame."""
 
     mass: np.ndarray
     inertia: np.ndarray
@@ -57,7 +57,7 @@ class Body:
         return momentum, force
 
     def newton(self, q, u, a, residual) -> np.ndarray:
-        """Return the kernel's step of Newton's method."""
+        """Return the kernel's Newton step."""
         momentum, force, step = np.empty((3, len(u)))
         room = compliant_kernels.work_arrays(len(self.mass))
         compliant_kernels.balance(q, u, np.zeros_like(q), a, self.model, momentum, force, room)
@@ -85,14 +85,14 @@ class Body:
 
 
 def draw(seed: int, connectors: int = 5, **options: float) -> tuple[Body, np.ndarray, np.ndarray, np.ndarray]:
-    """Return a random body, its bends, velocities and chambers' moments."""
+    """Return a random body, bends, velocities and moments of the air."""
     g = np.random.default_rng(seed)
     body = Body(g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors), **options)
     return body, g.normal(size=connectors - 1), g.normal(size=connectors + 2), g.normal(size=connectors - 1)
 
 
 def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return how connectors move with u, shape (N, 3, 3 + segments): x, y and turn, by complex steps."""
+    """Return the derivatives of the connectors' motion by u, shape (N, 3, 3 + segments), by complex steps."""
     n, tiny = len(mass), 1e-30
     place = body_shape(q, mass, LENGTH, GAP)
     result = np.zeros((n, 3, n + 2))
@@ -106,7 +106,7 @@ def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def mass_matrix(body: Body, q: np.ndarray) -> np.ndarray:
-    """Return the kinetic energy's second derivatives by u."""
+    """Return the second derivatives of the kinetic energy by u."""
     j, weights = jacobian(body.mass, q), np.stack([body.mass, body.mass, body.inertia], axis=1)
     return np.einsum("ia,iaj,iak->jk", weights, j, j)
 
@@ -140,12 +140,12 @@ def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_power_is_balanced(seed):
-    """Energy grows by what the chambers give and shrinks by what dampers and a viscous floor take."""
+    """The energy changes by the power of the air less that of dampers and a viscous floor."""
     body, q, u, moment = draw(seed)
     momentum, force = body.balance(q, u, moment)
 
     def energy(h: float) -> float:
-        # Momenta as they stand in the turning frame: turning it changes no energy.
+        # Momenta in the rotating frame: its rotation does not change the energy.
         p, bends = momentum + h * force, q + h * u[3:]
         return p @ np.linalg.solve(mass_matrix(body, bends), p) / 2 + body.stiffness * bends @ bends / 2
 
@@ -189,7 +189,7 @@ def test_linear_cost_solve_equals_dense_solve(connectors, law):
 
 
 def test_long_chain_conserves_momentum_and_energy_balance():
-    """Of 48 segments: nothing outside acts, so that only what damps takes energy from a swinging chain."""
+    """48 segments without external forces: only dampers take energy from a swinging chain."""
     g, n = np.random.default_rng(3), 49
     body = Body(g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0)
     start = 0.3 * g.normal(size=n - 1), np.concatenate([[0.3, -0.2, 0.5], g.normal(size=n - 1)])
@@ -211,7 +211,7 @@ def test_long_chain_conserves_momentum_and_energy_balance():
 
 
 def wave(amplitude: float, omega: float = 2 * np.pi * 2):
-    """Return smooth moments of a travelling wave that starts gently."""
+    """Return smooth moments of a travelling wave with a gradual start."""
 
     def moments(t: np.ndarray) -> np.ndarray:
         t = t[..., None]
@@ -238,7 +238,7 @@ def test_time_integration_has_second_order():
 
 
 def test_frictionless_momentum_is_exact_and_energy_of_second_order():
-    """Momentum and its moment are kept to rounding, a swinging snake's energy as well as the scheme can."""
+    """Momentum and moment of momentum are exact to rounding; the energy error is of second order."""
     g = np.random.default_rng(5)
     body = Body(MASSES, np.full(5, 1e-5), stiffness=0.05, damping=0.0, mu_t=0.0, mu_n=0.0)
     start = 0.5 * g.normal(size=4), np.concatenate([[0.3, -0.2, 2.0], g.normal(size=4)])
@@ -265,12 +265,12 @@ def with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
 
 
 def mean_speed(run: Trajectory) -> float:
-    """Return the speed over whole gait periods of 2 Hz after the first second, at 100 Hz, m/s."""
+    """Return the mean speed over whole periods of a 2 Hz gait after the first second, m/s."""
     return float(np.hypot(*(run.com[-1] - run.com[100]))) / (run["time"][-1] - 1.0)
 
 
 def test_stiff_compliant_bends_equal_prescribed_bends():
-    """The difference falls as 1/k: what bends a spring beside its chambers are forces over k."""
+    """The difference is of order 1/k: external forces deflect a spring by their moment over k."""
     spec = robot(mu_t=1.0, mu_n=15.0)
     viscous = {"friction": "viscous", "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **viscous), Gait(2.0), 3.0)
@@ -306,7 +306,7 @@ def test_motion_depends_on_ratios_of_mass_and_stiffness_only():
 
 @pytest.mark.parametrize(("offset", "bridge"), [(0.0, 0.06), (0.2, 0.06)])
 def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
-    """At the shipped stiffness the complete model misses the twin's bends by 7 to 10 %, this one by 2 %."""
+    """`complete` deviates from the twin's bends by 7 to 10 % at the shipped stiffness, `compliant` by 2 %."""
     spec, gait = robot(), Gait(2.0, offset)
     twin = rollout(TwinSnake(spec, supply_pa=48300.0), gait, 4.0)
     options = {"friction": "wheel", "supply_pa": 48300.0}
@@ -324,7 +324,7 @@ def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
 
 
 def test_free_module_follows_the_free_bend():
-    """Almost massless, a segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time for τ₂."""
+    """A nearly massless segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time as τ₂."""
     spec = robot(mu_t=0.0, mu_n=0.0)
     geometry = replace(spec.geometry, connectors=2)
     spec = replace(spec, geometry=geometry, mass=Mass(connectors=(1e-4, 1e-4), wheel=1e-5))

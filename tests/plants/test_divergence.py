@@ -1,4 +1,4 @@
-"""NaN, infinity and 1e15 put into running snakes: found within a tick, and what came before is kept."""
+"""NaN, infinity and 1e15 in running snakes are detected within a tick, and earlier samples are kept."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ Spoil = Callable[[Any, float], None]
 
 
 def put(path: str, index: Any = None) -> Spoil:
-    """Return what writes a value into an attribute of a plant, or into an element of it."""
+    """Return a function that writes a value into an attribute of a plant, or into an element of it."""
 
     def spoil(plant: Any, value: float) -> None:
         *way, name = path.split(".")
@@ -109,14 +109,14 @@ CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
 
 @pytest.fixture(autouse=True)
 def _no_numpy_warning() -> Iterator[None]:
-    """A person gets one message, none of numpy's."""
+    """Turn NumPy warnings into errors: the user gets one message only."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
 
 
 def at(time: float, act: Callable[[], None]) -> Callable[[SnakeState], None]:
-    """Return an observer that acts once, when that time has come."""
+    """Return an observer that acts once, at a given time."""
     done: list[float] = []
 
     def observe(state: SnakeState) -> None:
@@ -128,7 +128,7 @@ def at(time: float, act: Callable[[], None]) -> Callable[[SnakeState], None]:
 
 
 def assert_kept(error: DivergedError, until: float) -> None:
-    """What was good, and nothing else, is in the error's trajectory."""
+    """Check that the error's trajectory has exactly the samples before the divergence."""
     kept = error.trajectory
     assert isinstance(kept, Trajectory)
     assert kept.time[-1] >= until - 1e-9
@@ -177,7 +177,7 @@ def test_script_is_checked_between_chunks(case):
 
 
 class SimpleMoment:
-    """What `at` asks of a state."""
+    """Fields of a state that `at` needs."""
 
     def __init__(self, time: float) -> None:
         self.time = time
@@ -193,7 +193,7 @@ def test_samples_before_divergence_are_kept_at_any_rate(record_hz):
 
 
 class Runaway(Controller):
-    """A controller whose commands run away after some ticks."""
+    """Controller whose commands diverge after several ticks."""
 
     kind = "runaway"
 

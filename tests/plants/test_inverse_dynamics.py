@@ -1,4 +1,4 @@
-"""Inverse dynamics from the tail against d'Alembert's sum over the rows of the whole body."""
+"""Recursive inverse dynamics, compared with the sum over the dense Jacobian of the whole body."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def by_rows(
     floor: FloorFriction,
     turning: bool,
 ) -> np.ndarray:
-    """Return the segments' moments as the sums of loads over what each bend moves.
+    """Return the moments of the segments from d'Alembert's principle with a dense Jacobian.
 
-    With r the connectors' velocities along, across and about themselves by the velocities u, and W their
-    masses and inertias, the whole body accelerates by w so that rᵀ (W (ṙ u + r u̇) − f) vanishes for its three
-    velocities; what is left for the bends are their moments.
+    The rows r give the velocities of the connectors along, across and about themselves for the velocities
+    u, W are their masses and inertias. The acceleration w of the whole body makes rᵀ (W (ṙ u + r u̇) − f)
+    vanish for its three velocities; the components of the bends are their moments.
     """
     n = len(solid.mass)
     body, pushed = np.empty((ROWS, n)), np.empty((n, 3))

@@ -1,4 +1,4 @@
-"""The kernel of the complete model against Newton's law written down anew, and its order of convergence."""
+"""Kernel of the complete model, compared with an independent form of Newton's law; order of convergence."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def by_kernel(swim: Swim, duration: float, step: float, tolerance: float = math.
 def run(
     swim: Swim, duration: float, step: float, tolerance: float, across: float = 0.0
 ) -> tuple[np.ndarray, int]:
-    """Return the final state of a body that starts with a velocity across, and in how many parts."""
+    """Return the final state of a body with an initial lateral velocity, and the number of substeps."""
     count = round(duration / step)
     starts = step * np.arange(count)
     stages = np.stack([starts + kernels.GAMMA * step, starts + step], axis=1).ravel()
@@ -110,10 +110,10 @@ def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
 
 
 def by_newton(swim: Swim, duration: float) -> np.ndarray:
-    """Integrate Newton's law for the head's place and heading; return centre of mass and mean heading.
+    """Integrate Newton's law for position and heading of the head; return centre of mass and mean heading.
 
-    m_i r̈_i summed, and their moments about the head, equal the floor's. The shape's velocities and
-    accelerations are differences in time.
+    The sums of m_i r̈_i and of their moments about the head equal those of the floor. Velocities and
+    accelerations of the shape are time differences.
     """
     mass, h = np.array(swim.mass), 1e-4
     contacts = (0.0,) if swim.track == 0 else (swim.track, -swim.track)
@@ -189,7 +189,7 @@ def test_time_integration_has_second_order(law, mu_t, mu_n):
 
 
 def test_result_is_insensitive_to_the_slip_speed():
-    """Smaller slip speeds converge: halving 1 mm/s moves the way of a second by under half a per cent."""
+    """Convergence: half of a slip speed of 1 mm/s changes the distance in one second by less than 0.5 %."""
     far = [
         np.hypot(*by_kernel(Swim((0.03,) * 5, "axis", slip=slip), 1.0, 2.5e-4)[:2]) for slip in (1e-3, 5e-4)
     ]
@@ -205,7 +205,7 @@ def draw(seed: int, connectors: int) -> tuple[BodyParameters, np.ndarray, np.nda
 
 
 def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the body as the kernels pose it."""
+    """Return the posed body."""
     body = np.empty((kinematics.ROWS, len(solid.mass)))
     pose_body(bend, rate, solid, body)
     return body
@@ -242,7 +242,7 @@ def test_floor_force_slopes_match_finite_differences(law, track):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
 def test_floor_evaluates_the_named_law(law, track):
-    """A law that the kernels do not know must not fall through to another."""
+    """A law without a kernel must not select another law."""
 
     @njit
     def compiled(along, across, spin, floor):
@@ -273,7 +273,7 @@ def test_posed_rates_match_finite_differences():
 
 
 def test_mean_heading_is_zero_for_a_coil_of_several_turns():
-    """One rad in each of 40 segments: the head stands 20 rad, three turns, ahead of the mean."""
+    """With 1 rad in each of 40 segments, the head is 20 rad, three turns, ahead of the mean heading."""
     bend = np.ones(40)
     solid = BodyParameters(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
     body, phi = posed(solid, bend, 0 * bend), relative_headings(bend)
@@ -324,7 +324,7 @@ def test_stop_within_a_step_has_the_exact_position(speed):
 
 
 def test_substeps_reduce_the_error_where_friction_reverses():
-    """Over many kinks, against steps of 10 µs: the same longest step with and without cuts."""
+    """The same longest step with and without substeps, compared with steps of 10 µs over many kinks."""
     whole, cut = [], []
     for amplitude in (0.7, 0.8, 0.9, 1.0, 1.1):
         swim = Swim((0.03,) * 5, "axis", slip=0.00025, amplitude=amplitude)

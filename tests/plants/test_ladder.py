@@ -1,4 +1,4 @@
-"""The analytical models against each other and against their own limits; the dissertation's gap factor."""
+"""Analytical models compared with each other and with their limits; gap factor of the dissertation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SUPPLY = 48.3e3
 
 
 def bent(plant: AnalyticalSnake, duration: float = 1.0, hz: float = 500) -> SnakeState:
-    """Return how a plant on smooth chambers moves."""
+    """Return the motion of a plant with smooth chambers."""
     plant.reset()
     schedule = plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration)
     return plant.play(schedule, round(duration * hz))
@@ -36,7 +36,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, float]:
-    """Return by how much `simplified` misses `complete`: path and torques, each over its size."""
+    """Return the relative differences of path and torques between `simplified` and `complete`."""
     spec = robot(**mu)
     complete, simplified = (
         bent(
@@ -52,7 +52,7 @@ def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, flo
 
 
 def test_simplified_equals_complete_to_second_order_in_the_bends():
-    """Chords shorten by q²: halve the bends, and relative differences fall to a quarter."""
+    """Chords shorten by q²: half the bends have a quarter of the relative difference."""
     found = np.array([ladder(a, "viscous", SMOOTH) for a in (0.2, 0.1, 0.05)])
     order = np.log2(found[:-1] / found[1:])
     assert order == pytest.approx(np.full((2, 2), 2.0), abs=0.1)
@@ -68,9 +68,10 @@ def test_simplified_torques_equal_complete_for_small_bends(law):
 
 
 def phase(spec: RobotSpec, wave: Wave, times: np.ndarray, *, frozen: bool, inertia: np.ndarray) -> np.ndarray:
-    """Return the mean heading of a body that bends without any moment on it: θ̇ = −h/I, by scipy.
+    """Return the mean heading of a body that bends without external moment, θ̇ = −h/I, by SciPy.
 
-    Places come of adding chords from the tail, their rates of complex steps in time; nothing of the package.
+    Positions are sums of chords from the tail, their rates come from complex steps in time; nothing is from
+    the package.
     """
     mass = spec.mass.array()
 
@@ -98,7 +99,7 @@ def phase(spec: RobotSpec, wave: Wave, times: np.ndarray, *, frozen: bool, inert
 
 @pytest.mark.parametrize("law", LAWS)
 def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
-    """Whatever the floor does: it moves the centre of mass, and nothing turns the body but its bends."""
+    """The floor moves the centre of mass only; the bends alone rotate the body."""
     spec = chain(MASSES)
     wave = Wave(spec, bias=0.3)
     plant = AnalyticalSnake(
@@ -119,7 +120,7 @@ def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
 @pytest.mark.slow
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
 def test_lumped_inertia_is_that_of_the_dissertation(inertia):
-    """J_i = Σ m_i L²/3 over the segments at connector i (E19), felt by how far a frictionless snake turns."""
+    """J_i = Σ m_i L²/3 over the segments at connector i (E19), observed in the rotation without friction."""
     spec = chain(MASSES, mu_t=0.0, mu_n=0.0)
     own = {
         "point": np.zeros(5),
@@ -143,7 +144,7 @@ def test_lumped_inertia_is_that_of_the_dissertation(inertia):
     ids=["complete", "lumped", "simplified", "no torque"],
 )  # fmt: skip
 def test_mass_cancels_with_prescribed_bends(options, law):
-    """Seven times the mass: the same way, seven times the moments and the work. No gait tells them apart."""
+    """Seven times the mass: the same path, seven times the torques and the work."""
     spec = chain(MASSES)
     heavy = replace(spec, mass=replace(spec.mass, connectors=tuple(7 * m for m in MASSES)))
     light, loaded = (
@@ -157,7 +158,7 @@ def test_mass_cancels_with_prescribed_bends(options, law):
 
 
 def test_simplified_differs_from_complete_in_a_gait():
-    """At the bends of a gait the three models differ, and only that without friction torque cannot steer."""
+    """At the bends of a gait the three models differ; only the one without friction torque cannot steer."""
     spec, gait = robot(), Gait(2.0, 0.2)
 
     def turned(**options) -> float:
@@ -173,7 +174,7 @@ def test_simplified_differs_from_complete_in_a_gait():
     assert abs(unturned) < 0.2 * complete
 
 
-# What is refused
+# Invalid settings
 
 
 @pytest.mark.parametrize("model", ["complete", "compliant"])

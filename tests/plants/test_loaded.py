@@ -1,4 +1,4 @@
-"""The twin on momentary loads: against an explicit simulation with its own MJCF and law, and by laws."""
+"""Loaded contact: compared with an explicit simulation that has its own MJCF and law, and with laws."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_every_point_agrees_with_the_explicit_simulation(name):
 
 @pytest.mark.slow
 def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
-    """Speeds converge to it to first order in the step: 1 ms is 1.2 % too fast, half a millisecond 0.6 %."""
+    """Speeds converge to first order in the step: 1 ms is 1.2 % too fast, 0.5 ms is 0.6 %."""
     runs = stored()["gen3_tail"]
     speed = runs.speed[0]
     twin, fine = (crawled("gen3_tail", None, step, contact="loaded") for step in (0.001, 0.0005))
@@ -211,7 +211,7 @@ def test_energy_balance_of_air_motion_floor_and_segments():
     plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
     run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
     bend, torque = run.stack("bend"), run.stack("torque")
-    # Springs and dampers of the bends are off `torque` already; those of pitch and roll take a little.
+    # `torque` excludes springs and dampers of the bends; those of pitch and roll take a little.
     done = ((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
     supplied = np.abs((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
     assert run["work"][-1] == pytest.approx(done, abs=0.01 * supplied)

@@ -1,4 +1,4 @@
-"""The structure of the MuJoCo model: where hinges stand, masses, springs, signs and names."""
+"""Structure of the MuJoCo model: positions of hinges, masses, springs, signs and names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HINGES = range(1, ModelSettings.hinges_per_segment + 1)
 
 
 def hinged_chord(bend: float, hinges: int) -> float:
-    """Return the end distance of a unit segment whose hinges share a bend equally."""
+    """Return the chord of a unit segment whose hinges share a bend equally."""
     edges = np.concatenate([[0.0], hinge_stations(hinges, 1.0, 0.0), [1.0]])
     angles = bend * np.arange(hinges + 1) / hinges
     return float(abs((np.diff(edges) * np.exp(1j * angles)).sum()))
@@ -34,7 +34,7 @@ def test_hinge_stations_preserve_the_chord_of_the_arc(hinges, error):
 
 @pytest.mark.parametrize("hinges", [2, 3, 4, 7])
 def test_chord_agrees_to_second_order(hinges):
-    """Half the bend, a sixteenth of the error."""
+    """Half the bend has a sixteenth of the error."""
     errors = [hinged_chord(q, hinges) - np.sinc(q / (2 * np.pi)) for q in (0.8, 0.4)]
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.05)
 
@@ -50,7 +50,7 @@ def test_known_hinge_stations():
 
 @pytest.fixture(scope="module", params=NAMES)
 def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
-    """Each robot's compiled scene, straight, forward kinematics done."""
+    """Compiled scene of each robot, straight, after forward kinematics."""
     spec = load_robot(request.param)
     model = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     data = mujoco.MjData(model)
@@ -94,7 +94,7 @@ def test_connectors_are_one_pitch_apart_on_their_wheels(scene):
 
 
 def test_static_load_of_a_connector_is_its_weight(scene):
-    """Bodies between two hinges take their mass off the connectors beside them."""
+    """The mass of links between hinges is subtracted from the adjacent connectors."""
     model, data, name = scene
     spec = load_robot(name)
     own = np.zeros(5)
@@ -114,7 +114,7 @@ def test_series_hinges_have_the_stiffness_and_damping_of_the_segment(scene):
         hinges = [model.joint(f"hinge_{j}_{k}").id for k in HINGES]
         assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(bending.stiffness)
         damping = model.dof_damping[model.jnt_dofadr[hinges]]
-        # The integrator's springs stand at the end of a step and damp by stiffness × step besides.
+        # The integrator evaluates springs at the end of a step, which adds the damping stiffness × step.
         whole = damping + ModelSettings.timestep * model.jnt_stiffness[hinges]
         assert 1 / (1 / whole).sum() == pytest.approx(bending.stiffness * bending.damping_time)
         assert model.joint(f"pitch_{j}").stiffness == pytest.approx(bending.pitch_stiffness)
@@ -122,7 +122,7 @@ def test_series_hinges_have_the_stiffness_and_damping_of_the_segment(scene):
 
 
 def test_plus_pressure_bends_to_the_left(scene):
-    """Moment k G p on the tendon, which is the bend; a bend to the left puts the head left of the rest."""
+    """The moment k G p acts on the tendon, whose length is the bend; a left bend moves the head left."""
     model, data, name = scene
     spec = load_robot(name)
     for sign, chamber in ((1, "plus"), (-1, "minus")):
@@ -146,7 +146,7 @@ def test_tendon_length_is_the_difference_of_headings(scene):
     headings = np.unwrap(np.arctan2(frames[:, 3], frames[:, 0]))
     assert headings[:-1] - headings[1:] == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
     assert data.ten_length == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
-    # Segment 1 bends to the left: seen along segment 2, connector 1 lies left of its chord.
+    # Segment 1 bends to the left: seen along segment 2, connector 1 is to the left of its chord.
     ahead = np.array([np.cos(headings[1]), np.sin(headings[1])])
     to_head = (data.body("connector_1").xpos - data.body("connector_2").xpos)[:2]
     assert ahead[0] * to_head[1] - ahead[1] * to_head[0] > 0
@@ -161,7 +161,7 @@ def test_axle_and_tread_friction_are_proportional_to_the_load(scene):
         for side in ("left", "right"):
             drag = model.dof_frictionloss[model.joint(f"axle_{side}_{i}").dofadr]
             assert drag / spec.geometry.wheel_radius == pytest.approx([spec.friction.mu_t * load])
-        # What a pressed wheel can hold sideways is μ_n times the load it would have alone.
+        # The lateral friction limit of a preloaded wheel is μ_n times its static load.
         mu = pair_attributes(spec, numerics)["friction"][0]
         assert mu * (load + pressed[i - 1, 0]) == pytest.approx(spec.friction.mu_n * load)
     assert model.npair == len(treads(spec)) == 10
@@ -186,7 +186,7 @@ def test_any_number_of_connectors_builds(connectors):
     model = scene_mjcf(spec, ModelSettings(hinges_per_segment=2, contact=PreloadedContact())).compile()
     assert model.ntendon == connectors - 1
     assert model.npair == 2 * connectors
-    # Root, 2 hinges + pitch + roll a segment, 2 wheels a connector.
+    # Free joint; two hinges, pitch and roll per segment; two wheels per connector.
     assert model.nv == 6 + 4 * (connectors - 1) + 2 * connectors
     assert model.body_mass.sum() == pytest.approx(spec.mass.total)
 

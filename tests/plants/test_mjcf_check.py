@@ -1,4 +1,4 @@
-"""Models from anybody: what is unfit is refused with its reason, and nothing runs away."""
+"""Check of untrusted models: faults are reported with reasons, and resources are limited."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def link(name, inside=""):
 
 
 def urdf(file=None, compiler="", *, base=True, use="collision"):
-    """Return a base and one link on a hinge, with a mesh where a file is named."""
+    """Return a base and one link on a hinge, with a mesh for each file name."""
     mesh = f'<{use}><geometry><mesh filename="{file}"/></geometry></{use}>' if file else ""
     hinge = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
     joint = f'<joint name="j" type="revolute"><parent link="base"/><child link="next"/>{hinge}'
@@ -120,7 +120,7 @@ def urdf(file=None, compiler="", *, base=True, use="collision"):
 
 
 def laid_out(folder, files):
-    """Write files of a package; return the first, the model. A path as content makes a link to it."""
+    """Write the files of a package and return the first, the model; a path as content creates a link."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The exported MJCF: current, laid out as promised, the twin's own model, and at home in plain MuJoCo."""
+"""Exported MJCF: current, in the layout of Menagerie, equal to the twin's model, usable in MuJoCo alone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from srs_twin.plants.twin.mjcf.wheels import preload_force, treads
 ROBOTS = ("gen1", "gen2", "gen3", "gen4")
 SECOND = round(1 / ModelSettings.timestep)
 
-# What a program without the package sees: a file, MuJoCo, and a random second.
+# A program without the package: a file, MuJoCo, and one second of random control.
 PLAIN = """
 import sys, numpy as np, mujoco
 model = mujoco.MjModel.from_xml_path(sys.argv[1])

@@ -1,4 +1,4 @@
-"""The module of Chapter 4: both benches under the same controllers, and what these may know."""
+"""Return the scenario of a step with some keys changed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ plants = pytest.mark.parametrize("kind", PLANTS)
 
 
 def bench(kind: str, way: str, **options) -> Plant:
-    """Return a bench with a noisy sensor and the valves that a controller needs."""
+    """Return a bench with a noisy sensor and the valve layout that a controller needs."""
     sensor = make_sensor("hall", MODULE, span=0.8)
     layout = WAYS[way][1]
     timestep = {"twin": {"timestep": 0.00025}}.get(kind, {})
@@ -38,7 +38,7 @@ def bench(kind: str, way: str, **options) -> Plant:
     )
 
 
-# What the scenarios say
+# Scenario settings
 
 
 def module(**changes):
@@ -151,7 +151,7 @@ def test_clamped_head_stays_and_tail_has_no_contact(kind):
 
 @pytest.mark.parametrize(("kind", "allowed"), [("analytical", 1e-9), ("twin", 0.02)])
 def test_work_equals_the_kinetic_energy(kind, allowed):
-    """Without a floor all that the segment does is in the motion: ∫T q̇ dt = E, from columns alone."""
+    """Without a floor, ∫ T q̇ dt = E, from recorded columns."""
     heavy = replace(MODULE, mass=replace(MODULE.mass, connectors=(0.02, 0.02)))
     plant = PLANTS[kind](
         heavy,
@@ -175,13 +175,13 @@ def test_work_equals_the_kinetic_energy(kind, allowed):
 
 
 def _turning(kind, spec, run):
-    """Return the largest energy of the end's own turning, which the twin has and point masses have not, J."""
+    """Return the largest rotational energy of the end connector, which point masses lack, J."""
     spin = np.gradient(run["theta_2"], run.time)
     return 0.0 if kind == "analytical" else float(1.1 * (spec.yaw_inertia()[1] * spin**2 / 2).max())
 
 
 def test_analytical_torque_satisfies_lagranges_equation():
-    """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
+    """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy."""
     from srs_twin.plants.analytical import kernels, simulate_clamped
     from srs_twin.plants.analytical.kinematics import BodyParameters
     from srs_twin.pneumatics import Trace
@@ -190,7 +190,7 @@ def test_analytical_torque_satisfies_lagranges_equation():
     solid = BodyParameters(mass, inertia, 0.07, 0.004, 0.0)
 
     def places(q):
-        """Return the connectors' places and headings by integrating the arcs piece by piece."""
+        """Return positions and headings of the connectors by integration along the arcs."""
         x, angle, found = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
         for bend in q:
             ahead = np.array([np.cos(angle), np.sin(angle)])
@@ -277,7 +277,7 @@ def test_static_bend_is_gain_times_pressure():
 
 @ways
 def test_direct_control_settles_fast_with_few_valve_openings(way):
-    """Of a step of 25°: direct within 0.25 s and without overshoot; iterative overshoots."""
+    """A step of 25°: direct control settles within 0.25 s without overshoot; iterative control overshoots."""
     found = plant_metrics(rollout(bench("twin", way), WAYS[way][0](STEP), 0.9, record_hz=1000))
     if way == "direct":
         assert found["settling_5_s"] <= 0.25
@@ -288,11 +288,11 @@ def test_direct_control_settles_fast_with_few_valve_openings(way):
         assert found["inlet_openings"] > 40
 
 
-# What a controller may know
+# Information of the controllers
 
 
 class Blindfolded(Plant):
-    """A bench whose states are not numbers, but for the time and what the sensor says."""
+    """Bench whose states are NaN except for time and sensor readings."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -330,7 +330,7 @@ def test_controllers_read_only_the_sensor(kind, way):
 
 
 def test_sensor_drift_biases_the_bend():
-    """What the controller cannot see it cannot correct: a bias of the sensor is an error of the bend."""
+    """The controller cannot correct a sensor bias, which becomes an error of the bend."""
     errors = []
     for bias in (0.0, 0.2):
         sensor = make_sensor("hall", MODULE, span=0.8, bias=bias)
@@ -340,7 +340,7 @@ def test_sensor_drift_biases_the_bend():
     assert abs(errors[1] - errors[0]) == pytest.approx(shift, rel=0.3)
 
 
-# What comes out
+# Reports and metrics
 
 
 def test_report_shows_reference_tracking(tmp_path):

@@ -1,4 +1,4 @@
-"""Modules that are not alike: the chambers' law, both plants, drawing, files, drifted and dead sensors."""
+"""Unequal modules: law of the chambers, both plants, random modules, files, drifted and dead sensors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ both = pytest.mark.parametrize("kind", PLANTS)
 def unlike(
     seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: float = 0.0, **onset: float
 ) -> RobotSpec:
-    """Return a generation 4 whose modules all differ, with a largest bend (rad)."""
+    """Return a generation 4 with unequal modules and a bend limit (rad)."""
     rng, spec = np.random.default_rng(seed), load_robot("gen4")
     modules = Modules.of(
         gain=rng.uniform(0.7, 1.3, (4, 2)), tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
@@ -53,7 +53,7 @@ def unlike(
 
 
 def mirrored(spec: RobotSpec) -> RobotSpec:
-    """Return the robot seen in a mirror: its + chambers are the other's − chambers."""
+    """Return the mirror image of a robot, with exchanged + and − chambers."""
     modules = spec.modules
     turned = {name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")}
     other = {"bias": -modules.array("bias"), "sensor_bias": -modules.array("sensor_bias")}
@@ -114,7 +114,7 @@ def test_equivalent_linear_pressure_gives_the_same_bend():
 
 
 def law(spec: RobotSpec, kind: str, leak: float):
-    """Return y' of (p⁺, p⁻, x) of segment 2 as the text has it, and its bend, for one valve state."""
+    """Return y' of (p⁺, p⁻, x) of segment 2 from the dissertation, and its bend, for one valve state."""
     modules, actuator = spec.modules, spec.actuator
     g = actuator.gain * modules.array("gain")[1]
     fill = actuator.tau_fill * modules.array("tau_fill")[1]
@@ -239,7 +239,7 @@ def test_snake_at_rest_has_the_rest_bends(kind):
     ],
 )  # fmt: skip
 def test_static_bend_follows_the_module_gains(kind, way, share, supply, chambers):
-    """On a bench, where nothing but the air bends it; the formula is written out once more."""
+    """On a bench, where only the air bends the segment; the formula is repeated here."""
     spec = replace(load_robot("gen4_module"), variation=Modules.of(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
         bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
@@ -270,7 +270,7 @@ def test_mirrored_modules_and_gait_give_the_mirrored_path(kind):
 
 
 def test_stiff_light_twin_has_the_free_bends():
-    """The twin gets moments, the analytical model bends: only the law of `bending` makes them agree."""
+    """The twin gets moments, the analytical model bends: both must use the same bend law."""
     spec = unlike()
     stiff = replace(
         spec,

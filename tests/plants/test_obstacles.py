@@ -1,4 +1,4 @@
-"""Obstacles in the twin: contacts that hold, forces that obey Newton, and nothing changed in the open."""
+"""Obstacles of the twin: no penetration, forces consistent with Newton's law, no effect at a distance."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def driven(
 
 
 def forces(run: Trajectory) -> np.ndarray:
-    """Return the obstacles' force on each connector, shape (samples, N, 2), N."""
+    """Return the force of the obstacles on each connector, shape (samples, N, 2), N."""
     return np.stack([[run[f"obstacle_force_{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]).transpose(
         2, 0, 1
     )
 
 
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
-    """Return how deep the body ever was in an obstacle, from the recorded places alone, m."""
+    """Return the largest depth of the body in an obstacle, from the recorded positions, m."""
     model = twin.physics.model.ptr
     data, found = mujoco.MjData(model), 0.0
     for k in range(0, len(run["time"]), 5):
@@ -58,7 +58,7 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
 @met
 @pytest.mark.parametrize("wheels", ["rolling", "skid"])
 def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, wheels):
-    """Newton for the whole snake: forces as recorded against the centre of mass as recorded."""
+    """Newton's law of the whole snake with recorded forces and positions."""
     twin = TwinSnake(robot(), supply_pa=48e3, world=WORLDS[name], wheels=wheels)
     gait, mass = Gait(2.0), twin.spec.mass.total
     gait.reset(twin.spec, twin.tick)

@@ -1,4 +1,4 @@
-"""Presets of the twin: what they set, what wins over them, who says that one ran, and what they err by."""
+"""Presets of the twin: settings, precedence, provenance and errors."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_law_needs_the_loaded_contact():
 
 
 def test_another_preset_replaces_only_settings_of_the_first():
-    """Sweeps, studies and `--set` change documents in which all settings are written out."""
+    """Sweeps, studies and `--set` modify documents that contain all settings."""
     resolved = scenario({"hinges_per_segment": 3}).document
     assert settings(parse_scenario(resolved, set={KEY: "fast"})) == ("loaded", 0.002, 3, "fast")
     fast = scenario({"preset": "fast"}).document

@@ -1,4 +1,4 @@
-"""The twin on skids: where and how they touch the floor, that they turn with it, and that they stay on it."""
+"""Twin on skids: contact points, contact frames, and permanent contact with the floor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def twin() -> TwinSnake:
 
 @pytest.fixture(scope="module", params=["gen1", "gen2", "gen3", "gen4"])
 def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
-    """Each robot on skids, straight, pressed a little into the floor so that all contacts are found."""
+    """Each robot on skids, straight, slightly below the floor so that all contacts are detected."""
     model = scene_mjcf(load_robot(request.param), SKIDS).compile()
     data = mujoco.MjData(model)
     data.qpos[2] -= 1e-5
@@ -109,7 +109,7 @@ def test_sideways_slide_does_not_roll_the_snake_over(name):
 
 
 def test_snake_at_rest_does_not_move():
-    """No stiction in MuJoCo's contact, and least along the heading: what creeps, creeps by micrometres."""
+    """MuJoCo's contact has no stiction, least along the heading: it creeps by micrometres."""
     plant = twin()
     start = plant.reset(pose=(0.0, 0.0, 1.0))
     for _ in range(100):

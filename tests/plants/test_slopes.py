@@ -1,4 +1,4 @@
-"""Floors that slope or have steps, and loads that follow the force across, on both plants."""
+"""Floors with slope or steps, and load transfer by lateral forces, on both plants."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ AIRLESS = HoldValves("vent", "vent")
 
 
 def on_slope(plant: str, way: str, share: float):
-    """Lie on a slope of a share of the friction angle's tangent; return way and speed downhill of 1 s."""
+    """Return distance and downhill speed after 1 s on a slope relative to the friction angle."""
     tilt = math.atan(share * MU[way])
     world = World(floor=Floor(tilt, DOWNHILL[way] + math.pi))
     run = rollout(PLANTS[plant](world=world), AIRLESS, 1.0, record_hz=50)
@@ -74,12 +74,12 @@ def test_both_plants_climb_a_slope_with_similar_speed():
             )
     level = rollout(PLANTS["twin"](supply_pa=48.3e3), Gait(2.0), 2.0)
     assert speeds[0] == pytest.approx(speeds[1], rel=0.1)
-    assert speeds[2:] == pytest.approx(speeds[:2], rel=1e-3)  # whichever way it lies
+    assert speeds[2:] == pytest.approx(speeds[:2], rel=1e-3)  # independent of the initial heading
     assert speeds[0] < 0.8 * (level["com_x"][-1] - level["com_x"][50])
 
 
 def test_lateral_force_transfers_load():
-    # Thrown sideways all wheels slide: h/(2a) of the friction of both goes from one to the other.
+    # All wheels slide sideways: h/(2a) times the friction of both is transferred between them.
     plant = TwinSnake(SPEC, contact="loaded")
     plant.physics.data.qvel[1] = 0.5
     plant.step(np.full((SPEC.segments, 2), -1))
@@ -139,13 +139,13 @@ def test_snake_leaning_on_a_wall_is_in_static_equilibrium():
     assert pushed + across == pytest.approx(weight * math.sin(tilt), rel=1e-3)
     assert loads.sum() + held == pytest.approx(weight * math.cos(tilt), rel=1e-3)
     assert abs(held) < FRICTION * pushed
-    # Tipped by the floor's force below the centres of mass, and by what the wall holds beside them.
+    # Tipping moments of the floor force, below the centres of mass, and of the wall force, beside them.
     tipped = (g.com_height * across - g.width / 2 * held) / g.half_track
     assert loads[1] - loads[0] == pytest.approx(tipped, rel=0.01)
 
 
 def along_a_wall(uphill):
-    """A snake on wheels without friction, lying on a wall below it on a slope of 10 degrees."""
+    """Snake on frictionless wheels, resting on a wall below it on a slope of 10 degrees."""
     side = -SPEC.geometry.width / 2 - WALL_M - 1e-4
     wall = Polygon(((-3.0, side - 0.2), (3.0, side - 0.2), (3.0, side), (-3.0, side)))
     world = World(floor=Floor(math.radians(10), uphill), polygons=(wall,))
@@ -169,7 +169,7 @@ def test_wall_friction_follows_coulomb():
 
 @pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
 def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
-    lean = math.atan(share * FRICTION)  # by which the wall slopes in the plane of the floor
+    lean = math.atan(share * FRICTION)  # slope of the wall in the plane of the floor
     drift = along_a_wall(math.pi / 2 - lean).advance(np.full((SPEC.segments, 2), -1), 1)[-1].com_velocity[0]
     assert (abs(drift) > 1e-3) == moves
     assert moves or abs(drift) < 1e-6

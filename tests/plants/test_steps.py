@@ -1,4 +1,4 @@
-"""Where an integrator's steps end: laws that any events, samples and lengths keep."""
+"""Time steps of the integrators: laws for arbitrary events, samples and lengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the segments exert: `complete`'s inverse dynamics against Newton's laws and against stiff springs."""
+"""Torques of the segments: inverse dynamics of `complete` compared with Newton's law and stiff springs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SMOOTH = {"mu_t": 1.0, "mu_n": 15.0}  # for the viscous law
 
 
 def bent(plant: AnalyticalSnake, duration: float, step: float) -> SnakeState:
-    """Return how a plant on smooth chambers moves, every `step` (s)."""
+    """Return the motion of a plant with smooth chambers, every `step` (s)."""
     plant.reset()
     return plant.play(plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration),
                       round(duration / step))  # fmt: skip
@@ -68,7 +68,7 @@ def first(values: np.ndarray) -> np.ndarray:
 
 
 def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray:
-    """Return what the drags of both wheels exert on each connector, shape (samples, N), N·m."""
+    """Return the moment of both wheels' drag on each connector, shape (samples, N), N·m."""
     along = (first(h.position) * np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1)).sum(axis=-1)
     across = cross(np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1), first(h.position))
     track, load = spec.geometry.half_track, spec.mass.array() * 9.81 / 2
@@ -106,10 +106,10 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
 def apart(
     law: str, mu: dict[str, float], inertia: str, stiffness: tuple[float, ...], cut_hz: float = 20.0
 ) -> list[float]:
-    """Return how far springs' torques are from `complete`'s, both low-passed, RMS over RMS.
+    """Return the relative RMS difference of spring torques and `complete` torques after a low-pass filter.
 
-    Valves switch with a jump of the bends' acceleration that fades with τ₂ = 2 ms. Torques at 10 kHz resolve
-    that; at 1 kHz they would sample it by chance, and the low-pass spread it over 50 ms.
+    Valve events cause jumps of the bend acceleration that decay with τ₂ = 2 ms. Torques at 10 kHz resolve
+    them; at 1 kHz they would be sampled at random, and the filter would spread them over 50 ms.
     """
     spec, options = robot(**mu), {"friction": law, "inertia": inertia, "supply_pa": 48.3e3, "timestep": STEP}
     gait, length = Gait(2.0, 0.2), 1.0
@@ -146,10 +146,10 @@ def test_spring_torques_converge_with_stiffness():
 
 
 def test_torque_of_one_segment_between_two_masses():
-    """By hand: without a floor two equal masses m, pitch L apart, in the frame of their mean heading.
+    """By hand: two equal masses m at the distance L without a floor, in the frame of their mean heading.
 
-    They lie on the line of that heading at ± L(q)/2, so their kinetic energy is m L'² q̇²/4, the mean heading
-    stays, and T = (d/dt)(m L'² q̇/2) − m L' L'' q̇²/2 with the inertia J/2 of both ends turning on top.
+    They are on the line of that heading at ± L(q)/2, so that the kinetic energy is m L'² q̇²/4 and the mean
+    heading is constant. T = (d/dt)(m L'² q̇/2) − m L' L'' q̇²/2, plus the inertia J/2 of both ends.
     """
     spec = chain((0.05, 0.05), mu_t=0.0, mu_n=0.0)
     wave = Wave(spec, amplitude=0.9, bias=0.3)

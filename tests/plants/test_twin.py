@@ -1,4 +1,4 @@
-"""The twin: named accessors, consistent states, rolling wheels, unwrapped headings, and what it refuses."""
+"""Twin: named accessors, consistent states, rolling wheels, unwrapped headings, invalid settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PLUS = np.tile(np.array([1, -1], dtype=np.int8), (4, 1))
 
 
 def turn_left(timestep: float):
-    """Return the plant and the states every 2 ms of 0.6 s of an uneven snake that turns left."""
+    """Return the plant and its states every 2 ms for 0.6 s, of an uneven snake that turns left."""
     plant, states = TwinSnake(chain(MASSES), tick=0.002, timestep=timestep), []
     rollout(plant, Gait(2.0, 0.3), 0.6, record_hz=500, observers=[states.append])
     return plant, states
@@ -47,7 +47,7 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
 def test_state_fields_are_consistent(turning):
     plant, states = turning
     mass, position = plant.spec.mass.array(), column(states, "position")
-    # Links between hinges and wheels beside the axle's middle carry 2 % of the mass elsewhere.
+    # Links between hinges, and wheels away from the centre of the axle, carry 2 % of the mass.
     centre = np.einsum("i,tij->tj", mass, position) / mass.sum()
     assert centre == pytest.approx(column(states, "com"), abs=1e-3)
     theta = column(states, "theta")
@@ -71,7 +71,7 @@ def test_velocities_are_time_derivatives_of_positions(turning):
 
 
 def test_momentum_changes_by_the_impulse_of_the_floor(turning):
-    """To second order in the time step; a step of the preloaded twin is of first."""
+    """To second order in the time step; first order for the preloaded twin."""
     coarse, fine = _momentum_error(*turning), _momentum_error(*turn_left(0.00025))
     assert fine < 0.002
     assert fine == pytest.approx(coarse / 16, rel=0.3)
@@ -168,7 +168,7 @@ def test_headings_are_unwrapped_beyond_a_full_turn():
 
 
 def test_snake_at_rest_does_not_move():
-    """No stiction in MuJoCo's contact: what creeps, creeps by micrometres."""
+    """MuJoCo's contact has no stiction: it creeps by micrometres."""
     plant = TwinSnake(SPEC)
     start = plant.reset(pose=(0.0, 0.0, 1.0))
     for _ in range(100):

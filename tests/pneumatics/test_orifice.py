@@ -1,4 +1,4 @@
-"""Orifice chambers against the standard's formulas, an independent integrator, and laws of conservation."""
+"""Orifice chambers compared with the standard's formulas, another integrator, and conservation laws."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FILL, VENT, HOLD = (np.tile([state, -1], (4, 1)) for state in (1, -1, 0))
 
 
 def iso_6358(upstream: float, downstream: float, b: float) -> float:
-    """Return P₁ ψ as the standard prints it, linear above a ratio of 0.999; below 0 backward."""
+    """Return P₁ ψ from the standard, linear above a ratio of 0.999; negative for backward flow."""
     if downstream > upstream:
         return -iso_6358(downstream, upstream, b)
     ratio = downstream / upstream
@@ -38,7 +38,7 @@ def iso_6358(upstream: float, downstream: float, b: float) -> float:
 
 
 def volumes(spec: RobotSpec, bend: np.ndarray) -> np.ndarray:
-    """Return the chambers' volumes, shape (..., segments, 2), m³."""
+    """Return the volumes of the chambers, shape (..., segments, 2), m³."""
     grown = np.maximum(0.0, np.stack([bend, -bend], axis=-1))
     return spec.chamber.dead_volume + spec.chamber.displacement * grown
 
@@ -79,7 +79,7 @@ def test_flow_is_continuous_at_the_sonic_and_laminar_limits():
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize("critical", [0.2, 0.5])
 def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critical):
-    """Two modules, one a little ahead of the other, through the working points e⁻² before the end."""
+    """Two modules with slightly different pressures pass the working point, e⁻² before the end."""
     spec = robot(name)
     spec = replace(spec, actuator=replace(spec.actuator, tau_vent=1.4 * spec.actuator.tau_fill))
     supply = spec.supply.nominal
@@ -107,7 +107,7 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen4"])
 def test_large_pressure_steps_take_as_long_as_with_lag(name):
-    """63 % of a step: a square-root law cannot give the same time near its end and from its start."""
+    """Time to 63 % of a step: a square-root law cannot match both the start and the end."""
     spec = robot(name)
     chambers = OrificePneumatics(spec, supply_pa=spec.supply.nominal)
     times = np.linspace(0, 12 * spec.actuator.tau_fill, 4001)
@@ -254,11 +254,11 @@ def test_result_is_independent_of_the_division_of_a_schedule():
         assert part.air[0] == pytest.approx(whole.air[k], rel=1e-4)
 
 
-# Bends that the plant tells
+# Coupling with actual bends
 
 
 def test_closed_chamber_is_compressed_by_the_actual_bend():
-    """Boyle: P V stays, within a stretch as the rate says and from one stretch to the next."""
+    """Boyle's law: P V is constant within a schedule and from one schedule to the next."""
     spec = robot()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out")
     assert chambers.depends_on_bend and not LagPneumatics.depends_on_bend
@@ -301,7 +301,7 @@ def speed_and_amplitude(spec: RobotSpec, chambers: OrificePneumatics) -> tuple[f
 
 
 def test_generation_3_is_limited_by_two_litres_per_minute():
-    """45 ml a chamber and fill ask for ten times the flow (docs/models.md); so none is assumed by default."""
+    """Fills of 45 ml per chamber need ten times the flow (docs/models.md); no limit is the default."""
     spec = robot("gen3")
     free = OrificePneumatics(spec, supply_pa=SUPPLY)
     starved = OrificePneumatics(spec, supply_pa=SUPPLY, flow_limit=COMPRESSOR)
@@ -360,7 +360,7 @@ def test_settings_are_recorded_in_their_units():
     assert settings["leak_per_s"] == 0.3
 
 
-# What is refused
+# Invalid settings
 
 
 @pytest.mark.parametrize(
@@ -395,7 +395,7 @@ def limited(l_per_min: float, **options: float) -> OrificePneumatics:
 @pytest.mark.parametrize("inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"])
 @pytest.mark.parametrize("l_per_min", [2.0, 20.0])
 def test_coupling_step_is_small_enough_with_a_flow_limit(l_per_min, inertia, monkeypatch):
-    """At 1 ms the two swung against each other, up to 180 kPa from a supply of 48, and no one noticed."""
+    """Regression: at 1 ms chambers and bodies oscillated, up to 180 kPa from a supply of 48 kPa."""
     options = {"model": "compliant", "friction": "wheel", "inertia": inertia, "supply_pa": SUPPLY}
 
     def run(finer: float) -> tuple[np.ndarray, np.ndarray]:
@@ -424,7 +424,7 @@ def test_twin_time_step_above_the_coupling_step_raises():
 @pytest.mark.slow
 @pytest.mark.parametrize("flow_limit", [None, 2e-4])
 def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
-    """Stiff springs: at 1 ms a connector between two of them once threw the snake at metres a second."""
+    """Regression: at 1 ms a connector between two closed chambers reached several m/s."""
 
     def crawled(**options: Any) -> tuple[float, float]:
         chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow_limit)

@@ -1,4 +1,4 @@
-"""Valves and chambers against their differential equations, and the rules of their layouts."""
+"""Valves and chambers compared with their differential equations, and the rules of their layouts."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_result_is_independent_of_the_division_of_a_tick(valves):
     at = np.linspace(0.02, 0.06, 3)
     whole = one.advance(one.schedule(valves.reshape(-1, 2, 2), 0.06), at)
     for k, slots in enumerate(valves):
-        # Each of the three ticks as slots, and each slot again as 5 ticks of its own.
+        # The three ticks divided into slots, and each slot again into 5 ticks.
         for slot in slots:
             for _ in range(5):
                 part = many.advance(many.schedule(slot, 0.001), np.array([0.001]))
@@ -145,7 +145,7 @@ def test_fill_and_vent_have_separate_time_constants():
 
 @pytest.mark.parametrize("excess", [0.0, 1e-8, 1e-7, 3e-6, 1e-4])
 def test_equal_time_constants_have_a_finite_limit(excess):
-    """τ₁ → τ₂: the step response becomes 1 − (1 + t/τ) e^{−t/τ} without a jump."""
+    """For τ₁ → τ₂ the step response tends to 1 − (1 + t/τ) e^{−t/τ}."""
     tau, time = 0.05, np.linspace(0, 0.4, 9)
     pneumatics = LagPneumatics(actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY)
     bend = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.4), time).bend[:, 0]
@@ -156,7 +156,7 @@ def test_equal_time_constants_have_a_finite_limit(excess):
 @settings(max_examples=15, deadline=None)
 @given(commands(4, 2, 1, (-1, 0, 1)), st.sampled_from([0.0, 0.6]))
 def test_air_is_the_integrated_inflow(valves, leak):
-    """Against ∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations themselves."""
+    """∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations."""
     spec, tau = actuated(1), 0.11
     pneumatics = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     values, space, worth = np.zeros(4), spec.chamber, SUPPLY / (SUPPLY + AMBIENT_PA)

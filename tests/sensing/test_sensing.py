@@ -45,7 +45,7 @@ def flat(orientation: str, height: float = 0.0) -> Strip:
 
 
 def potential(r: np.ndarray, moment: np.ndarray) -> float:
-    """Return the dipole's scalar potential times μ₀, of which the field is −∇."""
+    """Return the scalar potential of a dipole times μ₀; the field is its negative gradient."""
     return float(MU0_4PI * moment @ r / np.linalg.norm(r) ** 3)
 
 
@@ -69,7 +69,7 @@ def test_dipole_is_the_gradient_of_its_potential(angle, distance, tilt):
 
 
 def test_dipole_is_the_limit_of_a_small_current_loop():
-    """Biot–Savart around circles in the x-z plane: the difference falls with the square of the radius."""
+    """Biot–Savart for circles in the x-z plane: the difference decreases with the squared radius."""
     place = np.array([0.004, 0.0015, 0.0])
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     b_dipole = np.array(dipole(place[0], place[1], 0.0, MOMENT))
@@ -120,7 +120,7 @@ def test_straight_strip_has_the_equatorial_field_of_a_dipole(strip):
 
 @given(strip=STRIPS, bend=BEND)
 def test_mirrored_strip_and_bend_give_the_mirrored_field(strip, bend):
-    """Components moved to the other side: `up` reads the same of −q, `side` the opposite."""
+    """With mirrored heights, `up` reads the same for −q, and `side` the opposite."""
     mirrored = replace(strip, magnet_height=-strip.magnet_height, element_height=-strip.element_height)
     sign = 1 if strip.orientation == "up" else -1
     scale = MU0_4PI * strip.moment / strip.distance**3
@@ -137,7 +137,7 @@ def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
 
 @pytest.mark.parametrize("height", [0.0002, 0.00045, 0.0007])
 def test_slope_at_small_bends(height):
-    """First order in θ = κL: −3 k h/L⁴ with north up, −k/(2 L³) to the side, k = μ₀ m/4π."""
+    """First order in θ = κL: −3 k h/L⁴ for `up`, −k/(2 L³) for `side`, k = μ₀ m/4π."""
     h, k = 1e-4, MU0_4PI * MOMENT
     for orientation, slope in (("up", -3 * k * height / 0.0031**4), ("side", -k / (2 * 0.0031**3))):
         b = field(np.array([-h, h]), flat(orientation, height))
@@ -266,7 +266,7 @@ def test_fit_agrees_with_scipy():
 
 @given(share=st.floats(-1, 1), span=st.floats(0.2, 1.6), bits=st.sampled_from([None, 8, 10, 12]))
 def test_reading_error_is_within_the_worst_error(share, span, bits):
-    """A monotonic reading between two held angles lies between theirs: their spacing is all that can add."""
+    """A monotonic reading between two angles is between their readings, so that spacing limits the error."""
     sensor = make_sensor("hall", GEN4, span=span, bits=bits, noise=0.0)
     error = sensor.read(np.array([share * span]), 0.0, 0) - share * span
     assert sensor.calibration.monotonic
@@ -274,7 +274,7 @@ def test_reading_error_is_within_the_worst_error(share, span, bits):
 
 
 def test_sign_only_sensor_has_r_squared_of_three_quarters():
-    """One bit: sgn q against q, whose squared correlation over an even span is 3/4."""
+    """sgn q against q: the squared correlation over a symmetric span is 3/4."""
     sign = make_sensor("hall", GEN4, gain=1e9, bits=1)
     assert sign.calibration.r_squared == pytest.approx(0.75, abs=0.01)
 
@@ -286,7 +286,7 @@ def test_shorter_span_has_a_smaller_error():
 
 
 def test_sensor_study_results():
-    """Beside Section 2.2.2: L as the text has it, and side-facing the straighter one (docs/sensor.md)."""
+    """Section 2.2.2: L as in the dissertation; the sideways magnet is more linear (docs/sensor.md)."""
     near, far = 3.1, 4.6
     for heights in ((0.45, 0.45), (0.45, 0.7), (0.7, 0.7)):
         up = [study.strip(d, heights, "up") for d in (near, far)]
@@ -308,7 +308,7 @@ def test_distant_cylinder_is_a_dipole():
     for distance in (3.1, 12.4):
         strip = study.strip(distance, (0.45, 0.7), "up")
         ratios.append(study.of_cylinder(strip).mean() / field(BENDS, strip).mean())
-    # What is left out falls with the square of the distance.
+    # The neglected terms decrease with the squared distance.
     assert abs(ratios[0] - 1) < 0.06
     assert (ratios[1] - 1) / (ratios[0] - 1) == pytest.approx(1 / 16, rel=0.2)
 
@@ -379,7 +379,7 @@ def test_noise_is_independent_of_the_order_of_reads(seed, cuts, order):
 
 @given(seed=SEED, first=st.integers(-3000, 10**9), segments=st.integers(1, 4))
 def test_single_readings_equal_those_of_a_whole_run(seed, first, segments):
-    """They are looked up in blocks; a run of many moments is not."""
+    """Single readings come from cached blocks, those of a whole run do not."""
     slots = first + np.arange(0, 2600, 37)
     whole = standard_normal(seed, slots * SLOT, segments)
     for time, numbers in zip(slots * SLOT, whole, strict=True):
@@ -391,7 +391,7 @@ def test_single_readings_equal_those_of_a_whole_run(seed, first, segments):
 
 def test_noise_is_constant_within_a_slot():
     ticks = np.arange(1, 5000)
-    summed = np.cumsum(np.full(4999, 1e-3))  # off by rounding, as a plant's clock is
+    summed = np.cumsum(np.full(4999, 1e-3))  # with rounding errors like the clock of a plant
     assert (standard_normal(1, summed, 1) == standard_normal(1, ticks * 1e-3, 1)).all()
     assert standard_normal(1, 0.0001, 1) != standard_normal(1, 0.0002, 1)
     assert (standard_normal(2**64 + 7, ticks, 2) == standard_normal(7, ticks, 2)).all()
@@ -413,7 +413,7 @@ def test_noise_propagates_to_the_angle():
 
 @pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
 def test_noise_differs_between_seeds_and_segments(plant):
-    """A gait does not sense: what two runs of different seeds read apart is their noise, and nothing else."""
+    """A gait ignores the sensors: readings of two runs with different seeds differ by noise only."""
     sensor = make_sensor("hall", GEN4, bits=None)
 
     def read(seed):
@@ -423,14 +423,14 @@ def test_noise_differs_between_seeds_and_segments(plant):
     first, again, *others = map(read, (1, 1, 2, 2**40 + 1))
     assert (first == again).all()
     apart = np.concatenate([first - other for other in others], axis=1)
-    # The calibration is a line: noise does not depend on the bend.
+    # The calibration is linear, so that noise does not depend on the bend.
     wanted = math.sqrt(2) * abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
     assert apart.std(axis=0) == pytest.approx(wanted, rel=0.3)
     for half in np.split(apart, 2, axis=1):
         assert np.abs(np.corrcoef(half.T) - np.eye(GEN4.segments)).max() < 5 / math.sqrt(len(first))
 
 
-# What a person asks for
+# Sensors by name and invalid options
 
 
 def test_sensors_are_selected_by_name():

@@ -1,4 +1,4 @@
-"""Twins on a device against those of the processor, world by world; here Warp steps on the processor, too."""
+"""Runs on a Warp device compared with the CPU engine; here Warp runs on the CPU, too."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def contact(request):
 
 
 def both(specs, gaits, seconds, **settings):
-    """Return the trajectories of the processor and of the device."""
+    """Return the trajectories of the CPU engine and of the device."""
     found = []
     for more in ({}, ON):
         batch = TwinBatch(specs, **settings, **more)
@@ -83,7 +83,7 @@ def test_friction_laws_agree_in_warp():
 
 
 def waves(gaits, slot, slots, steps):
-    """Return the valves that the device computes for gaits, shape (gaits, slots, segments, 2)."""
+    """Return the valve states that the device computes for gaits, shape (gaits, slots, segments, 2)."""
     from srs_twin.warp.kernels import (
         Accumulators,
         BodyViews,
@@ -117,7 +117,7 @@ def waves(gaits, slot, slots, steps):
 
 
 def test_device_gait_switches_valves_at_the_schedule_slots():
-    """No edge of these gaits is within single-precision rounding of the middle of a slot."""
+    """No valve edge of these gaits is within single-precision rounding of the middle of a slot."""
     gaits = [
         Gait(1.37, 0.11), Gait(2.9, -0.43, phase=0.7), Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
         Gait(1.7, 0.09, rest_share=0.3), Gait(2.3, -0.31, phase_step=0.6, rest_share=0.1),
@@ -134,7 +134,7 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
 
 
 def test_device_controls_equal_linear_pressures():
-    """The bends of these segments saturate. Under equal pressures the law has its slope at rest."""
+    """The bends of these segments saturate; at equal pressures the bend law has its slope at rest."""
     from srs_twin.warp.kernels import (
         Accumulators,
         BodyViews,
@@ -215,7 +215,7 @@ def test_partial_reset_empties_the_chambers_of_chosen_worlds():
 
 
 def displaced(place, steps=60):
-    """Return the motion of a turning snake relative to where it starts, and its states' mean position."""
+    """Return the motion of a turning snake relative to its start, and the mean position of its states."""
     batch = TwinBatch([GEN2] * 2, deterministic=True, **ON)
     batch.set_gaits([Gait(2.0, 0.4)] * 2)
     batch.reset(poses=[(*place, 0.3), (0.0, 0.0, 0.3)])

@@ -167,12 +167,12 @@ class PrescribedBends(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now = self.state, self._state_rate, self.velocity
-        seen = self._allocate(len(sample_steps))
-        done, _ = advance(now, steps, trace, sample_steps, self._model, self._tolerance, seen)
-        return done, *seen
+        samples = self._allocate(len(sample_steps))
+        done, _ = advance(now, steps, trace, sample_steps, self._model, self._tolerance, samples)
+        return done, *samples
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
-        """See `Body.look`."""
+        """See `Body.motion`."""
         torque = np.empty_like(trace.bend)
         inverse_dynamics(velocities, trace, self._model, torque)
         return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
@@ -324,17 +324,17 @@ class CompliantBends(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now, model = (self.state, self.velocity), (self.solid, self._spring, self.floor)
-        seen = self._allocate(len(sample_steps))
+        samples = self._allocate(len(sample_steps))
         moments = self._air_moments(trace)[1:].reshape(len(steps), 2, -1)
-        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, model, seen)
-        return done, *seen
+        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, model, samples)
+        return done, *samples
 
     def bends(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Body.bends`."""
         return self.state[compliant_kernels.BENDS :][: self._segments], self.velocity[3:]
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
-        """See `Body.look`."""
+        """See `Body.motion`."""
         bend, rate = states[:, compliant_kernels.BENDS :][:, : self._segments], velocities[:, 3:]
         stiffness, damping = self._spring
         torque = self._air_moments(trace) - stiffness * bend - damping * rate
@@ -490,8 +490,10 @@ class AnalyticalSnake(PneumaticPlant):
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
         body, trace = self._body, self.pneumatics.current_trace()
-        own = (snake.bend, snake.bend_rate) if body.compliant else (trace.bend[0], trace.bend_rate[0])
-        body.place(np.array([*snake.com_velocity, yaw_rate]), *(np.array(each, dtype=float) for each in own))
+        bends = (snake.bend, snake.bend_rate) if body.compliant else (trace.bend[0], trace.bend_rate[0])
+        body.place(
+            np.array([*snake.com_velocity, yaw_rate]), *(np.array(values, dtype=float) for values in bends)
+        )
         now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state

@@ -18,7 +18,7 @@ friction and M with q, which are of order γ² h². The antisymmetric part is ne
 alternating rotations of connectors move no point mass, so that M is singular and only damping resists that
 motion. Friction has a convex potential, whose slope along a Newton step shows whether the step was too long.
 
-**Linear cost.** Let z be the velocity of a connector, its spin, and the rate of its velocity at constant u,
+**Linear cost.** z denotes the velocity of a connector, its spin, and the rate of its velocity at constant u,
 all relative to the mean-heading frame. A segment propagates
 
 $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
@@ -33,6 +33,7 @@ multipliers of this constraint are propagated with z and turn out to be v_c.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -257,10 +258,29 @@ def _eliminate(matrix):  # type: ignore[no-untyped-def]
     return matrix[0, 7], matrix[1, 7], matrix[2, 7], matrix[3, 7], matrix[4, 7], matrix[5, 7], matrix[6, 7]
 
 
+class WorkArrays(NamedTuple):
+    """Work arrays of `balance` and `solve`.
+
+    Attributes:
+        body: posed body, shape (ROWS, N).
+        links: coefficients of the propagation (`_fill_propagation`), shape (segments, 8).
+        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`), shape (N, 12).
+        pivots: eliminated rows of the bends, with the right side last, shape (segments, 8).
+        matrix: Newton's matrix of everything behind a connector for velocity (2), spin, rate of the velocity
+            (2) and the multipliers (2), with the right side last, shape (7, 8).
+    """
+
+    body: np.ndarray
+    links: np.ndarray
+    loads: np.ndarray
+    pivots: np.ndarray
+    matrix: np.ndarray
+
+
 @allocating
 def work_arrays(n):  # type: ignore[no-untyped-def]
     """Return the work arrays of `balance` and `solve` for n connectors."""
-    return (
+    return WorkArrays(
         np.empty((ROWS, n)),
         np.empty((n - 1, 8)),
         np.empty((n, 12)),
@@ -314,7 +334,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
         for j in range(size):
             slope_after += residual[j] * step[j]
         if slope_after < -_OVERSHOOT * slope_before:
-            # The step went past the minimum, across a kink of the friction law: go part of it back.
+            # The step overshot the minimum, across a kink of the friction law: shorten it.
             back = step_share * min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
             for j in range(size):
                 u[j] += (step_share - back) * step[j]
@@ -353,7 +373,7 @@ def _extrapolate(u, rate, time, last):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped-def]
+def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-untyped-def]  # noqa: D417
     """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
@@ -365,7 +385,7 @@ def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped
         model: as in `balance`.
         seen: out, states and velocities at the samples, shapes (samples, …).
     """
-    (state, u), (states, velocities) = now, seen
+    (state, u), (states, velocities) = now, samples
     solid, spring, floor = model
     reach = (solid.length + solid.gap) / 2
     n, size = solid.mass.shape[0], u.shape[0]

@@ -258,7 +258,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
         residual_z = inertia * z + moment - known_moment - a * acts * force[2]
         slope_after = residual_x * step_x + residual_y * step_y + residual_z * step_z
         if slope_after < -_OVERSHOOT * slope_before:
-            # The step went past the minimum, across a kink of the friction law: go part of it back.
+            # The step overshot the minimum, across a kink of the friction law: shorten it.
             back = step_share * min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
             x, y, z = (
                 x + (step_share - back) * step_x,

@@ -124,7 +124,7 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     Returns:
         I and h, see `pose_body`.
     """
-    mass, own = solid.mass, solid.inertia
+    mass, connector_inertia = solid.mass, solid.inertia
     cosine, sine, spinning = out[COS], out[SIN], out[SPIN]
     place_x, place_y, rate_x, rate_y = out[X], out[Y], out[VX], out[VY]
     cx, cy, cvx, cvy = centre
@@ -137,6 +137,6 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
         cosine[i], sine[i], spinning[i] = a * c - b * s, b * c + a * s, spin
         place_x[i], place_y[i] = a * x - b * y, b * x + a * y
         rate_x[i], rate_y[i] = a * vx - b * vy, b * vx + a * vy
-        inertia += mass[i] * (x * x + y * y) + own[i]
-        moment += mass[i] * (x * vy - y * vx) + own[i] * spin
+        inertia += mass[i] * (x * x + y * y) + connector_inertia[i]
+        moment += mass[i] * (x * vy - y * vx) + connector_inertia[i] * spin
     return inertia, moment

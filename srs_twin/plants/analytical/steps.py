@@ -168,7 +168,7 @@ def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def advance(now, steps, trace, marks, model, tolerance, seen):  # type: ignore[no-untyped-def]
+def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignore[no-untyped-def]  # noqa: D417
     """Advance a body in place over given steps.
 
     Args:
@@ -185,7 +185,7 @@ def advance(now, steps, trace, marks, model, tolerance, seen):  # type: ignore[n
         The number of completed steps, which is smaller than requested after a failure, and the number of
         substeps including repeated ones.
     """
-    (state, slope, u), (states, velocities) = now, seen
+    (state, slope, u), (states, velocities) = now, samples
     (solid, floor, friction_moment), bends, rates = model, trace.bend, trace.bend_rate
     reach = (solid.length + solid.gap) / 2
     n = solid.mass.shape[0]

@@ -156,10 +156,10 @@ class TwinBatch(CopiedWhole):
         """
         if len(valves) != len(self):
             raise InputError(f"valves: {len(valves)} were given for {len(self)} runs; give one array per run")
-        errors = [self.errors[k] or self._command_error(k, own) for k, own in enumerate(valves)]
+        errors = [self.errors[k] or self._command_error(k, commands) for k, commands in enumerate(valves)]
         schedules = [
-            None if error else twin.pneumatics.schedule(own, self.tick)
-            for twin, own, error in zip(self.twins, valves, errors, strict=True)
+            None if error else twin.pneumatics.schedule(commands, self.tick)
+            for twin, commands, error in zip(self.twins, valves, errors, strict=True)
         ]
         self.errors = errors
         return self.play(schedules, samples)

@@ -453,7 +453,7 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
 
 @inside
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
-    """Return the fraction θ of a step at which friction that lets slip decay by e^(−x) must be evaluated.
+    """Return the fraction θ of a step at which friction is evaluated, for slip that decays by e^(−x).
 
     With it the implicit step reproduces the exponential decay. θ is 1/2 for slow decay, 1 for fast decay.
     """
@@ -507,7 +507,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
     first = float(0.0)
     # The first pass uses the loads of v̂ and need not converge; the second uses the loads that it leaves.
     for iteration in range(2):
-        most = 1 if iteration == 0 else _MAX_ITERATIONS
+        max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
         for w in range(contacts.body.shape[0]):
             state.load[w] = _friction_load(contacts, work, w)
@@ -519,7 +519,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
             + _ROUNDING_TOLERANCE * first
             + _ABSOLUTE_TOLERANCE
         )
-        for _ in range(most):
+        for _ in range(max_iterations):
             if not best > tolerance:
                 break
             _assemble(engine, contacts, sparsity, state, work, h)
@@ -626,25 +626,25 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
         up = 1.0 / contacts.regularisation[w] if work.normal_force[w] > 0.0 else 0.0
         # The force along on a wheel that turns acts at its hub: the rest of it only spins the wheel.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
-        aside, above, own = jacobian[w, _ACROSS], jacobian[w, _UP], slope[contacts.last_dof[w]]
+        aside, above, composite = jacobian[w, _ACROSS], jacobian[w, _UP], slope[contacts.last_dof[w]]
         for a in range(6):
             t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
             for b in range(6):
-                own[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
+                composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
     for k in range(matrix.shape[0]):
         matrix[k] = work.inertia[k]
     # Sum the slopes toward the root; project those beyond each degree of freedom on its ancestors.
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        d, own, p, row = engine.cdof[i], slope[i], sparsity.parent[i], sparsity.row_start[i]
+        d, composite, p, row = engine.cdof[i], slope[i], sparsity.parent[i], sparsity.row_start[i]
         reaction = work.impulse[i]
         for a in range(6):
-            reaction[a] = dot(own[a], d)
+            reaction[a] = dot(composite[a], d)
         for k in range(row, row + sparsity.row_length[i]):
             matrix[k] += dot(reaction, engine.cdof[sparsity.column[k]])
         if p >= 0:
             for a in range(6):
                 for b in range(6):
-                    slope[p, a, b] += own[a, b]
+                    slope[p, a, b] += composite[a, b]
 
 
 @inside

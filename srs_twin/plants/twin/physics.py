@@ -357,8 +357,8 @@ class SnakePhysics(dm.Physics, Remembers):
         """Rotate and translate the snake to the centre of mass x, y (m) and mean heading (rad) of a pose."""
         raw = self.data.ptr
         self._update_kinematics(raw)
-        turn = pose[2] - float(np.unwrap(self.connector_headings()).mean())
-        yaw = np.array([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
+        angle = pose[2] - float(np.unwrap(self.connector_headings()).mean())
+        yaw = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
         mujoco.mju_mulQuat(raw.qpos[3:7], yaw, raw.qpos[3:7].copy())
         self._update_kinematics(raw)
         self.data.qpos[:2] += pose[:2] - raw.subtree_com[0][:2]
@@ -409,10 +409,10 @@ class SnakePhysics(dm.Physics, Remembers):
         friction_power: np.ndarray | None = None,
         obstacle_friction: np.ndarray | float = 0.0,
     ) -> StepBatch:
-        """Evaluate the latest engine steps, the last of which led to the present state.
+        """Evaluate the latest engine steps.
 
         Args:
-            states: as in `StepBatch`.
+            states: as in `StepBatch`; the last one is the present state.
             sensors: all sensors, shape (steps, nsensordata).
             floor_force: as in `StepBatch`; None to read it from the sensors.
             friction_power: power that friction with the floor dissipates, shape (steps,), W; None to compute

@@ -204,12 +204,12 @@ class TwinSnake(PneumaticPlant):
     def describe(self) -> dict[str, Any]:
         """Return the settings for the provenance of a run."""
         settings = self._settings
-        own = {_CONTACT_KEYS.get(name, name): value for name, value in vars(self.contact).items()}
+        options = {_CONTACT_KEYS.get(name, name): value for name, value in vars(self.contact).items()}
         if isinstance(self.contact, PreloadedContact):
-            own["preload"] = self.contact.preload_ratio
+            options["preload"] = self.contact.preload_ratio
         rest = {name: getattr(settings, name) for name in ("hinges_per_segment", "base")}
         rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
-        return super().describe() | {"contact": self.contact.name} | own | rest | vars(settings.numerics)
+        return super().describe() | {"contact": self.contact.name} | options | rest | vars(settings.numerics)
 
     def _simulate_chunk(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
         """Follow a schedule in one call of the engine.
@@ -230,12 +230,12 @@ class TwinSnake(PneumaticPlant):
         interval = schedule.span / samples
         times = begun + interval * np.arange(1, samples + 1)
         plausible = self._count_plausible_steps(batch.states)
-        whole = plausible // steps
-        history = self._chunk_history(times[:whole], trace, batch, steps)
+        complete_samples = plausible // steps
+        history = self._chunk_history(times[:complete_samples], trace, batch, steps)
         if plausible < len(batch.states):
             last = batch.states[plausible - 1] if plausible else before
             time = begun + (plausible + 1) * self.timestep
-            raise self._divergence_error(time, last, history if whole else None)
+            raise self._divergence_error(time, last, history if complete_samples else None)
         return history
 
     def _advance(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
@@ -284,11 +284,11 @@ class TwinSnake(PneumaticPlant):
                 inside segments, shape (samples,), J.
         """
         force, obstacles, work, loss = loads
-        seen = self.physics.kinematics(states)
+        kinematics = self.physics.kinematics(states)
         if self.uneven:
-            work = work + self._potential_energy(seen.com) - self._start_height_energy
+            work = work + self._potential_energy(kinematics.com) - self._start_height_energy
         # Unwrap from the previous sample: a connector turns by far less than π between two samples.
-        theta = np.concatenate([self._theta[None], seen.headings])
+        theta = np.concatenate([self._theta[None], kinematics.headings])
         if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
             theta = np.unwrap(theta, axis=0)
         theta = theta[1:]
@@ -298,25 +298,25 @@ class TwinSnake(PneumaticPlant):
         air = bending.stiffness * (self._bias + air_bend(self.spec, trace.pressure))
         return SnakeState(
             time=times,
-            com=seen.com[:, :2],
-            com_velocity=seen.com_velocity[:, :2],
+            com=kinematics.com[:, :2],
+            com_velocity=kinematics.com_velocity[:, :2],
             heading=theta.mean(axis=1),
-            position=seen.positions[..., :2],
+            position=kinematics.positions[..., :2],
             theta=theta,
-            bend=seen.bends,
-            bend_rate=seen.bend_rates,
+            bend=kinematics.bends,
+            bend_rate=kinematics.bend_rates,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(seen.bends, times, self.seed),
+            sensed=self.sensor.read(kinematics.bends, times, self.seed),
             # The second axle of a tail comes last and belongs to the last connector.
             contact_force=np.add.reduceat(force.sum(axis=2), np.arange(theta.shape[1]), axis=1),
             obstacle_force=obstacles,
-            torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
+            torque=air - bending.stiffness * kinematics.bends - bending.damping * kinematics.bend_rates,
             # ∫ Σ T q̇ dt, with the energy of the relative motion of hinges (`internal_joints`).
-            work=work + loss + self.physics.internal_joints.stored(seen.qpos),
+            work=work + loss + self.physics.internal_joints.stored(kinematics.qpos),
             internal_loss=loss,
             air=trace.air,
-            qpos=seen.qpos,
+            qpos=kinematics.qpos,
         )
 
     def _potential_energy(self, com: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 
 from srs_twin.compute.compiled import compiled
 
-# Smallest friction limit by which a force is divided, N; smaller limits cannot carry a force.
+# Smallest friction limit as a divisor of a force, N; smaller limits cannot carry a force.
 _MIN_LIMIT = 1e-12
 
 # Smallest ratio of the two coefficients in the stiffness 1/(ε μ), 1: it keeps the stiffness of a contact

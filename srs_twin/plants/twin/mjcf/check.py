@@ -54,7 +54,7 @@ _OTHER_SIZE_LIMIT = 1_000
 _FOLDER_ATTRIBUTES = ("assetdir", "meshdir", "texturedir")
 _BYTE_UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40, "P": 1 << 50, "E": 1 << 60}
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_HUGE = 1e18  # stands for infinite numbers and bounds products
+_HUGE = 1e18  # replaces infinite numbers and limits products
 
 
 class _ScanError(Exception):
@@ -246,9 +246,9 @@ class _Reader:
         if target not in models:
             models[target] = None
             count: Counter[str] = Counter()
-            own = replace(scan, root=target, folders={"."}, strips=False, assets=[], included=set())
-            _Reader(own, target, count, self._depth + 1).read()
-            _check_assets(own)
+            model_scan = replace(scan, root=target, folders={"."}, strips=False, assets=[], included=set())
+            _Reader(model_scan, target, count, self._depth + 1).read()
+            _check_assets(model_scan)
             models[target] = count
         counted = models[target]
         if counted is None:

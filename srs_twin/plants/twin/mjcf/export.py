@@ -48,7 +48,7 @@ def stale_files(spec: RobotSpec, folder: Path) -> list[str]:
 
 def robot_files(spec: RobotSpec) -> dict[str, str]:
     """Return a robot's MJCF files, file name → text."""
-    # A single segment cannot crawl: it is a module on a test bench.
+    # A single segment cannot crawl: simulate it on a test bench.
     bench = spec.segments == 1
     settings = ModelSettings(contact=PreloadedContact(), base="clamped" if bench else "free")
     robot, scene = robot_mjcf(spec, settings), scene_mjcf(spec, settings)

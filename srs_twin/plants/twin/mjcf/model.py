@@ -248,10 +248,10 @@ def _add_actuators(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings)
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, settings.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
-    for name, sign, own in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
+    for name, sign, gain in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
         actuator = mj.add_actuator(mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name)
         actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
-        actuator.gainprm[0] *= sign * own
+        actuator.gainprm[0] *= sign * gain
 
 
 def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
