@@ -66,7 +66,7 @@ NO_LIMIT_RAD = 1e3
 
 
 BendLaw = tuple[float, float, float, float]
-"""Parameters q_m (rad), s (1), d (rad) and w (rad) of φ; a plain tuple, because Warp makes it an array."""
+"""Parameters q_m (rad), s (1), d (rad), w (rad) of φ; a plain tuple, because Warp makes it an array."""
 
 
 def bend_law(spec: RobotSpec) -> BendLaw:

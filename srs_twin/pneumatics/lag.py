@@ -212,6 +212,7 @@ def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, sp
     for run in range(starts.shape[0]):
         state, start = states[run], starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
+        # Filling chambers draw what their content gains and leaks; other chambers draw nothing.
         content_before, leaked, last = 0.0, 0.0, 0.0
         for j in range(bend.shape[0]):
             free = bias[j] + apply_bend_law(linear[j], law)[0]
@@ -223,6 +224,7 @@ def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, sp
             requested = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
             t = (times[row] if requested else stop) - start
             if leak > 0.0:
+                # Simpson's rule for λ ∫ p V dt since the previous row.
                 for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
                     mode = _decay_factors(at, rates, tau, decay, lag)
                     for j in range(bend.shape[0]):

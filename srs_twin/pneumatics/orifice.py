@@ -46,7 +46,7 @@ CRITICAL_RATIO = 0.3
 """Critical pressure ratio b of a small solenoid valve, 1. Estimate; such valves have 0.2 to 0.5."""
 
 MAX_CRITICAL_RATIO = 0.8
-"""Largest critical pressure ratio, 1. Above it the flow at a working point may not depend on C (choking)."""
+"""Largest critical pressure ratio, 1. A choked flow at a working point would not determine C."""
 
 LINE_VOLUME = 50e-6
 """Volume between a limited supply and the inlets, m³. Estimate: compressor outlet, tubes and manifold."""

@@ -124,7 +124,7 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 
 @compiled
 def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, linear, terms):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Improve y and the line by one Newton iteration of y = base + weight · ẏ; return the size of the step.
+    """Make one Newton iteration of y = base + weight · ẏ for y and the line; return its size.
 
     Chambers depend on each other only through the bend of their segment and through the line. Each segment is
     therefore eliminated separately, as a linear function of the change of the line's pressure.
@@ -143,39 +143,44 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
         terms: work array, shape (segments, 2, 5), quantities of the chambers for the back substitution.
     """
     line = amounts[0] / air.line_volume if air.limited else air.supply
-    delivered, closing = supply_flow(line, air)
-    rest = amounts[0] - line_base - weight * delivered
-    steep = air.line_volume - weight * closing
+    supply, closing = supply_flow(line, air)
+    line_residual = amounts[0] - line_base - weight * supply
+    line_slope = air.line_volume - weight * closing
     for j in range(y.shape[0]):
-        q, follows, _ = apply_bend_law(y[j, 2], air.law)
-        q, follows = (bend[j], 0.0) if coupled else (air.bias[j] + q, follows)
-        matrix, by_line = 1.0 + weight / air.tau, 0.0
-        missing = y[j, 2] * matrix - base[j, 2]
+        # Derivative of the bend by x: 0 if the plant prescribes the bend.
+        q, bend_rate, _ = apply_bend_law(y[j, 2], air.law)
+        q, bend_rate = (bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
+        bend_slope, bend_by_line = 1.0 + weight / air.tau, 0.0
+        bend_residual = y[j, 2] * bend_slope - base[j, 2]
         for side in range(2):
             p, inverse, squeeze, inflow, inflow_by_p, inflow_by_line, outflow, outflow_by_p = chamber(
                 y[j, side], q, j, side, state[j, side], line, air
             )
-            squeeze *= follows
+            # Eliminate the amount of air n of the chamber: Newton's row is linear in x and the line.
+            squeeze *= bend_rate
             rate_by_p = weight * (inflow_by_p - outflow_by_p)
             pivot = 1.0 - rate_by_p * inverse
             coupling = rate_by_p * squeeze / pivot
             signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
             linear[j, side, 0] = (base[j, side] + weight * (inflow - outflow) - y[j, side]) / pivot
             linear[j, side, 1] = weight * inflow_by_line / pivot
-            missing -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
-            matrix += signed * (squeeze + inverse * coupling)
-            by_line += signed * inverse * linear[j, side, 1]
+            bend_residual -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
+            bend_slope += signed * (squeeze + inverse * coupling)
+            bend_by_line += signed * inverse * linear[j, side, 1]
             terms[j, side, 0], terms[j, side, 1], terms[j, side, 2] = coupling, inflow, inflow_by_line
             terms[j, side, 3], terms[j, side, 4] = inflow_by_p * inverse, inflow_by_p * squeeze
-        linear[j, 2, 0], linear[j, 2, 1] = -missing / matrix, by_line / matrix
+        # With both chambers eliminated, the row of x depends on the line only.
+        linear[j, 2, 0], linear[j, 2, 1] = -bend_residual / bend_slope, bend_by_line / bend_slope
         for side in range(2):
             coupling, inflow, inflow_by_line = terms[j, side, 0], terms[j, side, 1], terms[j, side, 2]
             by_amount, by_bend = terms[j, side, 3], terms[j, side, 4]
             for k in range(2):
                 linear[j, side, k] -= coupling * linear[j, 2, k]
-            rest += weight * (inflow + by_amount * linear[j, side, 0] - by_bend * linear[j, 2, 0])
-            steep += weight * (inflow_by_line + by_amount * linear[j, side, 1] - by_bend * linear[j, 2, 1])
-    return _apply_correction(y, amounts, linear, -rest / steep if air.limited else 0.0, air)
+            line_residual += weight * (inflow + by_amount * linear[j, side, 0] - by_bend * linear[j, 2, 0])
+            line_slope += weight * (
+                inflow_by_line + by_amount * linear[j, side, 1] - by_bend * linear[j, 2, 1]
+            )
+    return _apply_correction(y, amounts, linear, -line_residual / line_slope if air.limited else 0.0, air)
 
 
 @compiled

@@ -24,7 +24,7 @@ ANGLES = 181
 """Number of angles in a calibration: one per degree over ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""Smallest share of the variance that a line must explain, 1; with less, the bend cannot be controlled."""
+"""Smallest share of the variance that a line must explain, 1; less is useless for control."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-r"""Hall sensor: a magnet and a Hall element on the strip in the neutral axis of a segment, read as a voltage.
+r"""Hall sensor: a magnet and a Hall element on the strip in the neutral axis of a segment.
 
 **Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate frame is at the magnet: x
 points along the strip towards the element and the head, y is normal to it, to the left. At the arc length L
@@ -49,7 +49,7 @@ import numpy as np
 from srs_twin.errors import InputError, UnknownNameError
 
 STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
-"""b by cross-section, 1. Estimate: with 2 the reading at q = 0 has the opposite sign of the correct slope."""
+"""b by cross-section, 1. Estimate: 2 reverses the slope of the reading at q = 0."""
 
 ROUNDING_BEND_RAD = 0.15
 """q_c, the bend at which a rectangular chamber has become nearly round, rad. Estimate (8.6°)."""
@@ -70,7 +70,7 @@ def strip_bend(bend: np.ndarray, chamber: str) -> np.ndarray:
 
 
 ORIENTATIONS = ("up", "side")
-"""Direction of the magnet's north pole: normal to the strip (the choice of the dissertation), or along it."""
+"""Direction of the magnet's north pole: normal to the strip (as in the dissertation), or along it."""
 
 _MU0_4PI = 1e-7  # μ₀/4π, T·m/A
 
@@ -84,7 +84,7 @@ MAGNET_DIAMETER = INCH / 16
 """Diameter of the magnet, m. Estimate: a stock size with that height; the dissertation gives none."""
 
 REMANENCE = 1.32
-"""Remanence of the magnet, T. Estimate: NdFeB of grade N42, 1.29 to 1.33 T; the dissertation gives none."""
+"""Remanence of the magnet, T. Estimate for NdFeB of grade N42, 1.29 to 1.33 T."""
 
 MOMENT = REMANENCE * math.pi / 4 * MAGNET_DIAMETER**2 * MAGNET_HEIGHT / (4 * math.pi * _MU0_4PI)
 """Magnetic moment, A·m²: remanence times volume over μ₀, 1.65e-3."""
@@ -198,10 +198,9 @@ class HallSensor:
     """Strip with its electronics (module docstring).
 
     Sensitivity and noise are estimates from data sheets of the 49E class, to which the AH49E of the
-    dissertation belongs: 1.6 to 2.0 mV/G at 5 V, and 90 µV in 10 kHz, of which 25 µV pass an amplifier of 500
-    Hz. Rails
-        and
-    converter are those of an Arduino Pro Mini (Section 2.3.2 for generation 3): 5 V, 10 bits.
+    dissertation belongs: 1.6 to 2.0 mV/G at 5 V, and 90 µV in 10 kHz, which is 25 µV in the 500 Hz of the
+    amplifier. Rails and converter are those of an Arduino Pro Mini (Section 2.3.2 for generation 3): 5 V,
+    10 bits.
 
     Attributes:
         strip: geometry and magnet.

@@ -355,6 +355,39 @@ INERTIAS = ("point", "connector", "lumped")
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
+def _check_options(
+    spec: RobotSpec,
+    world: World,
+    model: str,
+    friction: str,
+    load: str,
+    friction_torque: bool,
+    inertia: str,
+    base: str,
+) -> None:
+    """Check names and combinations of the options of `AnalyticalSnake`."""
+    one_of("model", model, MODELS)
+    one_of("friction law", friction, LAWS)
+    one_of("load", load, LOADS)
+    one_of("inertia", inertia, INERTIAS)
+    if load == "momentary" and friction not in AT_TRACK:
+        raise InputError(
+            f"friction '{friction}' has one contact per connector; momentary loads need two: use 'wheel' "
+            "or 'ellipse'"
+        )
+    if world.steps:
+        raise InputError("the floor of the analytical model is a plane; use the twin for steps")
+    if spec.tail is not None:
+        raise InputError(
+            "the analytical model has one axle per connector; use the twin for a tail on two axles"
+        )
+    one_of("base", base, BASES)
+    if not friction_torque and model != "simplified":
+        raise InputError(f"model '{model}' has a friction torque; use 'simplified' to leave it out")
+    if base == "clamped" and model == "compliant":
+        raise InputError("model 'compliant' needs base 'free'; use 'complete' or the twin when clamped")
+
+
 class AnalyticalSnake(PneumaticPlant):
     """Planar model of the dissertation (Section 3.1), whose bends follow Eq. 14, and its variants.
 
@@ -426,27 +459,8 @@ class AnalyticalSnake(PneumaticPlant):
                 not positive; no friction torque with another model; momentary loads with a law that does not
                 act at the wheels; a floor with steps; or a tail on two axles.
         """
-        one_of("model", model, MODELS)
-        one_of("friction law", friction, LAWS)
-        one_of("load", load, LOADS)
-        one_of("inertia", inertia, INERTIAS)
-        if load == "momentary" and friction not in AT_TRACK:
-            raise InputError(
-                f"friction '{friction}' has one contact per connector; momentary loads need two: use 'wheel' "
-                "or 'ellipse'"
-            )
         world = world or World()
-        if world.steps:
-            raise InputError("the floor of the analytical model is a plane; use the twin for steps")
-        if spec.tail is not None:
-            raise InputError(
-                "the analytical model has one axle per connector; use the twin for a tail on two axles"
-            )
-        one_of("base", base, BASES)
-        if not friction_torque and model != "simplified":
-            raise InputError(f"model '{model}' has a friction torque; use 'simplified' to leave it out")
-        if base == "clamped" and model == "compliant":
-            raise InputError("model 'compliant' needs base 'free'; use 'complete' or the twin when clamped")
+        _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
@@ -459,12 +473,14 @@ class AnalyticalSnake(PneumaticPlant):
         mu = spec.friction
         self._tolerance = tolerance
         self.load = load
-        lean = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
+        load_transfer = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
         x, y, z = world.floor.down
         gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
         drag = mu.drag / spec.geometry.connectors
         self._floor_plane = world.floor
-        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed, lean, gravity, drag)
+        self._floor = floor_friction(
+            friction, track, mu.mu_t, mu.mu_n, slip_speed, load_transfer, gravity, drag
+        )
         self._body = self._make_body()
         self.reset()
 

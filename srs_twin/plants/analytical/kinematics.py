@@ -1,4 +1,4 @@
-"""Compiled kinematics of the analytical models: positions and velocities of the connectors of a bent body.
+"""Compiled kinematics of the analytical models: positions and velocities of connectors.
 
 Both are in the frame of the mean heading, relative to the centre of mass. All analytical models share this
 module.

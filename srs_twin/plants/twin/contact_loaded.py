@@ -1,4 +1,4 @@
-r"""Loaded contact: friction as a law on the normal forces that MuJoCo finds, implicit in the velocities.
+r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in the velocities.
 
 MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). Friction is a law of
 `robot.friction` on the normal forces of the same step. This module runs the time steps in a compiled loop
@@ -114,50 +114,13 @@ class LoadedStepper(Remembers):
         """
         # The kernels call C functions of the engine by name: make their symbols known to LLVM.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-        nv, self._h = model.nv, settings.timestep
-        contact = settings.contact
-        assert isinstance(contact, LoadedContact)
-        wheels, hulls = treads(spec), surroundings.hulls(model)
-        geoms = [model.geom(name) for name in wheels + hulls]
-        body = np.array([geom.bodyid[0] for geom in geoms])
-        mass, jacobian = _reference_dynamics(model, wheels, hulls)
-        with one_blas_thread():
-            no_air = np.zeros((nv, nv))
-            damping, excess = _damping_matrices(model, mass, self._h, no_air if air is None else air)
-            admittance = np.einsum("wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian)
-        triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-        # A solid disc rolling adds half of its mass to the motion along.
-        spin_mass = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
-        zeros = np.zeros(len(hulls))
-        sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
-        sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
-        self._contacts = Contacts(
-            wheels=len(wheels),
-            body=body,
-            centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
-            last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
-            regularisation=np.append(contact_regularisation(model, spec), zeros + math.inf),
-            admittance=admittance,
-            static_load=np.append(static_loads(spec, -model.opt.gravity[2]), zeros),
-            load_kind=LOADS.index(contact.load),
-            sensor=np.array(sensors),
-            wheel_radius=spec.geometry.wheel_radius,
-            law=LAWS_ON_LOADS.index(contact.law),
-            coefficients=(spec.friction.mu_t, spec.friction.mu_n, contact.slip_speed, spin_mass),
-        )
-        self._sparsity = Sparsity(
-            row_length=model.M_rownnz.astype(int),
-            row_start=model.M_rowadr.astype(int),
-            column=model.M_colind.astype(int),
-            parent=model.dof_parentid.astype(int),
-            damping=damping[triangle],
-            damping_excess=excess[triangle],
-        )
+        self._contacts, self._sparsity = _constants(model, spec, settings, air)
         views = (getattr(data, name) for name in EngineData._fields[2:])
         self._engine = EngineData(model._address, data._address, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
         self._model, self._data = model, data  # the kernels hold addresses, which keep nothing alive
-        count, entries = len(geoms), len(data.M)
+        self._h, nv = settings.timestep, model.nv
+        count, entries = len(self._contacts.body), len(data.M)
         # In the order of the fields of `Workspace`.
         shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
         shapes += [(entries,)] * 2 + [(nv,)] * 7
@@ -249,6 +212,51 @@ class LoadedStepper(Remembers):
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         return states, sensors, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
+
+
+def _constants(
+    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings, air: np.ndarray | None
+) -> tuple[Contacts, Sparsity]:
+    """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
+    contact, nv, h = settings.contact, model.nv, settings.timestep
+    assert isinstance(contact, LoadedContact)
+    wheels, hulls = treads(spec), surroundings.hulls(model)
+    geoms = [model.geom(name) for name in wheels + hulls]
+    body = np.array([geom.bodyid[0] for geom in geoms])
+    mass, jacobian = _reference_dynamics(model, wheels, hulls)
+    with one_blas_thread():
+        no_air = np.zeros((nv, nv))
+        damping, excess = _damping_matrices(model, mass, h, no_air if air is None else air)
+        admittance = np.einsum("wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian)
+    triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
+    # A solid disc rolling adds half of its mass to the motion along.
+    spin_mass = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
+    zeros = np.zeros(len(hulls))
+    sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
+    sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
+    contacts = Contacts(
+        wheels=len(wheels),
+        body=body,
+        centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
+        last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
+        regularisation=np.append(contact_regularisation(model, spec), zeros + math.inf),
+        admittance=admittance,
+        static_load=np.append(static_loads(spec, -model.opt.gravity[2]), zeros),
+        load_kind=LOADS.index(contact.load),
+        sensor=np.array(sensors),
+        wheel_radius=spec.geometry.wheel_radius,
+        law=LAWS_ON_LOADS.index(contact.law),
+        coefficients=(spec.friction.mu_t, spec.friction.mu_n, contact.slip_speed, spin_mass),
+    )
+    sparsity = Sparsity(
+        row_length=model.M_rownnz.astype(int),
+        row_start=model.M_rowadr.astype(int),
+        column=model.M_colind.astype(int),
+        parent=model.dof_parentid.astype(int),
+        damping=damping[triangle],
+        damping_excess=excess[triangle],
+    )
+    return contacts, sparsity
 
 
 def _reference_dynamics(

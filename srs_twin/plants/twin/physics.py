@@ -1,4 +1,4 @@
-"""Physics of the twin: its bodies in MuJoCo, driven by its chambers, and the quantities read from them."""
+"""Physics of the twin: bodies in MuJoCo, driven by the chambers, and the quantities read from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Check of untrusted MJCF and URDF files: a scan of the XML, then a compilation in a limited child process.
+"""Check of untrusted MJCF and URDF files: a scan of the XML, then a limited child process.
 
 A hundred bytes of ``<replicate>`` occupy MuJoCo's compiler for minutes, and its parser opens every path in a
 file. The XML is therefore scanned first, element by element. It must not have document types (entities);

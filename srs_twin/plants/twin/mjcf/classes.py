@@ -1,4 +1,4 @@
-"""Default classes of the MJCF: properties that all hinges, wheels or actuators of a robot have in common.
+"""Default classes of the MJCF: common properties of a robot's hinges, wheels and actuators.
 
 Elements name their class and state only their own properties: name, position, and values that depend on the
 mass of their connector (axle friction, preload).

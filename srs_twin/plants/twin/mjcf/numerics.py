@@ -12,7 +12,7 @@ import numpy as np
 from srs_twin.errors import InputError, one_of
 
 WALL_M = 0.001
-"""Radius of the capsules along the sides of a polygon, m; a polygon is larger than drawn by this radius."""
+"""Radius of the capsules along the sides of a polygon, by which it is larger than drawn, m."""
 
 Law = Literal["wheel", "ellipse", "axis"]
 LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)

@@ -77,7 +77,7 @@ def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
 
 
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.ndarray]:
-    """Return the mass (kg) and the moments of inertia (3,) (kg·m²) of skids or wheels fixed to a connector.
+    """Return mass (kg) and moments of inertia (kg·m²) of skids or wheels fixed to a connector.
 
     Skids have the mass of the wheels that they replace. Under a preloaded contact, wheels on axles are
     separate bodies and add 0. Without a floor the wheels do not turn and are fixed. Under loaded contact
