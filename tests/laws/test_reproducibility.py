@@ -63,7 +63,7 @@ def test_bits_are_independent_of_the_blas_kernel():
         name, digest = done.stdout.split()
         digests.setdefault(name, set()).add(digest)
     assert len(digests) > 1, "OPENBLAS_CORETYPE selects no other kernel here"
-    assert all(len(found) == 1 for found in digests.values())
+    assert all(len(result) == 1 for result in digests.values())
 
 
 def test_long_twin_is_independent_of_blas_threads():
@@ -77,7 +77,7 @@ def test_long_twin_is_independent_of_blas_threads():
 
 def test_concurrent_construction_keeps_the_number_of_blas_threads():
     def blas_threads():
-        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+        return {item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"}
 
     def hold(entered, leave):
         with one_blas_thread():

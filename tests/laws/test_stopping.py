@@ -69,14 +69,14 @@ def test_analytical_stops_along_and_across(law, heading):
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_along(speed):
     expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
-    way = stopped(twin(), (speed, 0.0))
-    assert way == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
+    displacement = stopped(twin(), (speed, 0.0))
+    assert displacement == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_across(speed):
-    way = stopped(twin(), (0.0, speed))
-    assert way == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
+    displacement = stopped(twin(), (0.0, speed))
+    assert displacement == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
@@ -108,16 +108,16 @@ def test_loaded_wheels_stop_at_an_angle(degrees):
 @pytest.mark.parametrize("degrees", [30, 60, 87])
 def test_analytical_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    way = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
-    assert way == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
+    displacement = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
+    assert displacement == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
 
 
 @pytest.mark.parametrize("degrees", [30, 60])
 def test_twin_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    way, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
-    assert way[0] == pytest.approx(expected[0], rel=0.02)
-    assert way[1] == pytest.approx(expected[1], rel=0.03)
+    displacement, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
+    assert displacement[0] == pytest.approx(expected[0], rel=0.02)
+    assert displacement[1] == pytest.approx(expected[1], rel=0.03)
 
 
 def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
@@ -152,6 +152,6 @@ def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
 
 
 def test_axis_law_stops_each_direction_independently():
-    way = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
+    displacement = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
     expected = [0.6**2 / (2 * MU_T * GRAVITY), 0.8**2 / (2 * MU_N * GRAVITY)]
-    assert way == pytest.approx(expected, rel=0.01)
+    assert displacement == pytest.approx(expected, rel=0.01)

@@ -48,13 +48,13 @@ def turning(name: str) -> Trajectory:
 @pytest.mark.parametrize("name", PLANTS)
 def test_trajectory_transforms_with_the_initial_pose(name, pose):
     x, y, angle = pose
-    here, there = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
+    on_cpu, on_device = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
     c, s = np.cos(angle), np.sin(angle)
-    turned = here.position @ np.array([[c, s], [-s, c]]) + [x, y]
+    turned = on_cpu.position @ np.array([[c, s], [-s, c]]) + [x, y]
     rounding = ROUNDING.get(name, 1e-9)
-    assert np.abs(there.position - turned).max() < rounding
-    assert np.abs(there["heading"] - here["heading"] - angle).max() < rounding
-    assert np.abs(there.stack("bend") - here.stack("bend")).max() < rounding
+    assert np.abs(on_device.position - turned).max() < rounding
+    assert np.abs(on_device["heading"] - on_cpu["heading"] - angle).max() < rounding
+    assert np.abs(on_device.stack("bend") - on_cpu.stack("bend")).max() < rounding
 
 
 @pytest.mark.parametrize("name", PLANTS)

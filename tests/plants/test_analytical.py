@@ -147,13 +147,13 @@ def test_any_number_of_connectors_runs(law, connectors):
 def test_finer_steps_change_the_speed_by_less_than_two_permille(law):
     def speed(**options: float) -> float:
         plant = AnalyticalSnake(SPEC, friction=law, **options)
-        way = rollout(plant, Gait(2.0), 5.0, record_hz=50).com
-        return float(np.hypot(*(way[-1] - way[50])) / 4)
+        path = rollout(plant, Gait(2.0), 5.0, record_hz=50).com
+        return float(np.hypot(*(path[-1] - path[50])) / 4)
 
     default = speed()
     for finer in ({"timestep": 0.0005}, {"slip_speed": 0.00005}):
-        found = speed(**finer)
-        assert found != default and found == pytest.approx(default, rel=2e-3), finer
+        result = speed(**finer)
+        assert result != default and result == pytest.approx(default, rel=2e-3), finer
 
 
 def test_gait_is_independent_of_the_control_tick():
@@ -207,7 +207,15 @@ def test_unknown_models_and_laws_raise_with_the_allowed_names():
 def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
     """Events within rounding of the even grid neither add a step nor drop a sample."""
     plant = AnalyticalSnake(SPEC, timestep=timestep)
-    starts = np.unique([0.0, *(0.001 * k * (1 + off) + (off if abs(off) > 1e-9 else 0) for k, off in places)])
+    starts = np.unique(
+        [
+            0.0,
+            *(
+                0.001 * k * (1 + deviation) + (deviation if abs(deviation) > 1e-9 else 0)
+                for k, deviation in places
+            ),
+        ]
+    )
     starts = starts[starts < 0.04 - 1e-6]
     states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(np.int8)
     steps = plant._steps(Schedule(0.04, starts, states), samples)

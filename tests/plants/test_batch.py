@@ -61,13 +61,13 @@ def variants() -> list[RobotSpec]:
 
 def written(run: Trajectory | DivergedError) -> bytes:
     """Return a trajectory, or the history and message of an error, as the bytes of a file."""
-    said = b""
+    output = b""
     if isinstance(run, DivergedError):
-        run, said = run.trajectory, str(run).encode()
+        run, output = run.trajectory, str(run).encode()
     assert run is not None
     file = io.BytesIO()
     run.to_parquet(file)
-    return said + file.getvalue()
+    return output + file.getvalue()
 
 
 def alone(job: Job) -> bytes:
@@ -312,10 +312,10 @@ def test_rollout_errors_name_the_job(job, words):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_progress_is_reported_on_the_calling_thread(threads):
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     jobs = [Job(_snake, Gait(2.0), 0.1) for _ in range(5)]
-    run_many(jobs, threads=threads, progress=lambda done: told.append((done, threading.get_ident())))
-    assert told == [(k, threading.get_ident()) for k in range(1, 6)]
+    run_many(jobs, threads=threads, progress=lambda done: reported.append((done, threading.get_ident())))
+    assert reported == [(k, threading.get_ident()) for k in range(1, 6)]
 
 
 @pytest.mark.usefixtures("interruptible")
@@ -470,16 +470,16 @@ def test_diverged_twin_stops_and_its_batch_continues():
 
 def test_batch_ends_when_all_runs_have_diverged():
     batch = TwinBatch([SPEC], threads=1)
-    asked: list[float] = []
+    requested: list[float] = []
 
     def policy(state: SnakeState) -> np.ndarray:
-        asked.extend(state.time)
+        requested.extend(state.time)
         batch.twins[0].physics.data.qvel[2] = -1e9
         return vented(SPEC)[None]
 
     (error,) = run_batch(batch, policy, 10.0)
     assert isinstance(error, DivergedError)
-    assert asked == [0.0]
+    assert requested == [0.0]
 
 
 def test_batch_rejects_invalid_robots_and_settings():

@@ -30,8 +30,8 @@ TILT_M = 1e-6
 def recorded(world: World) -> dict:
     """Return a world as in the metadata of a follower."""
     return {
-        "obstacles": [vars(each) for each in world.obstacles],
-        "polygons": [{"corners": each.corners} for each in world.polygons],
+        "obstacles": [vars(item) for item in world.obstacles],
+        "polygons": [{"corners": item.corners} for item in world.polygons],
     }
 
 
@@ -42,27 +42,29 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
     names = [model.geom(k).name for k in range(model.ngeom)]
     hulls = [k for k, name in enumerate(names) if name.startswith("hull_")]
     solid = [k for k, name in enumerate(names) if name.startswith(("obstacle_", "polygon_"))]
-    found = []
+    result = []
     for qpos in places:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        found.append(min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a in hulls for b in solid))
-    return np.array(found)
+        result.append(
+            min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a in hulls for b in solid)
+        )
+    return np.array(result)
 
 
 def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarray:
     """Draw poses among the obstacles, with bends of up to 1.5 rad, shape (count, nq)."""
     draw, model = np.random.default_rng(seed), twin.physics.model.ptr
-    found = np.tile(twin.physics.data.qpos, (count, 1))
+    actual = np.tile(twin.physics.data.qpos, (count, 1))
     heading = draw.uniform(-np.pi, np.pi, count)
-    found[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
-    found[:, 3], found[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
+    actual[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
+    actual[:, 3], actual[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
     segments, hinges = twin.spec.segments, twin.describe()["hinges_per_segment"]
     angles = draw.uniform(-1.5, 1.5, (count, segments, hinges if unequal else 1)) / hinges
     for j in range(segments):
         for k in range(hinges):
-            found[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[:, j, k if unequal else 0]
-    return found
+            actual[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[:, j, k if unequal else 0]
+    return actual
 
 
 def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
@@ -91,8 +93,8 @@ def test_clearance_equals_the_smallest_distance_in_mujoco(name, hinges, unequal)
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
     run, distance = seen(twin, places), mujoco_distances(twin, places)
-    apart = clearances(run, recorded(WORLD))
-    assert apart == pytest.approx(distance, abs=ROUNDING_M)
+    clearance = clearances(run, recorded(WORLD))
+    assert clearance == pytest.approx(distance, abs=ROUNDING_M)
     assert distance.min() < 0 < distance.max()
 
 
@@ -100,8 +102,8 @@ def test_clearance_error_of_unequal_hinges_is_bounded():
     """With three or more hinges per segment, the bends do not determine the inner hinges."""
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
-    apart = clearances(seen(twin, places), recorded(WORLD))
-    error = np.abs(apart - mujoco_distances(twin, places)).max()
+    clearance = clearances(seen(twin, places), recorded(WORLD))
+    error = np.abs(clearance - mujoco_distances(twin, places)).max()
     assert ROUNDING_M < error < twin.spec.geometry.segment_length * 1.0 / 8
 
 
@@ -136,11 +138,11 @@ def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
         "circle": {"obstacles": [{"x_m": 0.45, "y_m": aside, "radius_m": 0.1}]},
         "square": {"polygons": [{"corners_m": corners}]},
     }[shape]
-    given = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5}
+    planner = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5}
     gait = {"kind": "gait", "frequency_hz": 2.0}
     scenario = parse_scenario(
         {
-            "robot": "gen2", "duration_s": 4, "record_hz": 50, "world": world, "planner": given,
+            "robot": "gen2", "duration_s": 4, "record_hz": 50, "world": world, "planner": planner,
             "controller": {"kind": "follow", "gait": gait}, "plants": {"twin": {}},
         }
     )  # fmt: skip
@@ -150,5 +152,5 @@ def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
     assert (metrics["contacts"] > 0) == (metrics["clearance_m"] <= 0)
     assert touched in (None, metrics["contacts"] > 0)
     assert metrics["clearance_m"] > -0.001  # penetration of soft contacts in the engine
-    apart = clearances(run, run.metadata["control"]["following"]["world"])
-    assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
+    clearance = clearances(run, run.metadata["control"]["following"]["world"])
+    assert clearance == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)

@@ -52,8 +52,8 @@ class Body:
     def balance(self, q, u, moment) -> tuple[np.ndarray, np.ndarray]:
         """Return the kernel's momenta and their rates."""
         momentum, force = np.empty((2, len(u)))
-        room = compliant_kernels.work_arrays(len(self.mass))
-        compliant_kernels.balance(q, u, moment, 0.0, self.model, momentum, force, room)
+        work = compliant_kernels.work_arrays(len(self.mass))
+        compliant_kernels.balance(q, u, moment, 0.0, self.model, momentum, force, work)
         return momentum, force
 
     def newton(self, q, u, a, residual) -> np.ndarray:
@@ -68,7 +68,7 @@ class Body:
         """Return the kernel's states after every step; `moments` maps times to moments."""
         count, segments = round(duration / step), len(self.mass) - 1
         begin = step * np.arange(count)
-        given = moments(np.stack([begin + kernels.GAMMA * step, begin + step], axis=1))
+        stage_moments = moments(np.stack([begin + kernels.GAMMA * step, begin + step], axis=1))
         first = compliant_kernels.BENDS
         state = np.zeros(first + 2 * segments)
         u = np.zeros(3 + segments)
@@ -79,7 +79,9 @@ class Body:
             state[3:5], state[5], state[first + segments :] = u[:2], momentum[2], momentum[3:]
         states, marks = np.empty((count, len(state))), np.arange(1, count + 1)
         seen = states, np.empty((count, len(u)))
-        done = compliant_kernels.advance((state, u), np.full(count, step), given, marks, self.model, seen)
+        done = compliant_kernels.advance(
+            (state, u), np.full(count, step), stage_moments, marks, self.model, seen
+        )
         assert done == count
         return states
 
@@ -156,9 +158,9 @@ def test_power_is_balanced(seed):
         for arm in (body.track, -body.track):
             along, across = vx * c + vy * s - arm * spin, vy * c - vx * s
             drag += body.mass[i] * 9.81 / 2 * (body.mu_t * along**2 + body.mu_n * across**2)
-    given = moment @ u[3:] - body.damping * u[3:] @ u[3:] - drag
+    power = moment @ u[3:] - body.damping * u[3:] @ u[3:] - drag
     scale = abs(moment @ u[3:]) + drag
-    assert slope_at_zero(energy, 1e-4) == pytest.approx(given, abs=1e-9 * scale)
+    assert slope_at_zero(energy, 1e-4) == pytest.approx(power, abs=1e-9 * scale)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -332,8 +334,8 @@ def test_free_module_follows_the_free_bend():
     plants = compliant(spec), AnalyticalSnake(spec)
     for k in range(20):
         valves = np.array([[1, -1]] if k < 10 else [[-1, 1]])
-        for plant, found in zip(plants, (bends, free), strict=True):
-            found.extend(state.bend[0] for state in plant.advance(valves, 5))
+        for plant, actual in zip(plants, (bends, free), strict=True):
+            actual.extend(state.bend[0] for state in plant.advance(valves, 5))
     assert np.ptp(free) > 1.0
     assert bends == pytest.approx(free, abs=2e-3 * np.ptp(free))
 

@@ -48,8 +48,8 @@ def put(path: str, index: Any = None) -> Spoil:
     """Return a function that writes a value into an attribute of a plant, or into an element of it."""
 
     def spoil(plant: Any, value: float) -> None:
-        *way, name = path.split(".")
-        for part in way:
+        *owners, name = path.split(".")
+        for part in owners:
             plant = getattr(plant, part)
         if index is None:
             setattr(plant, name, value)

@@ -127,10 +127,10 @@ def test_yaw_power_counts_without_friction_torque():
     velocity, yaw_rate = np.gradient(h.position, step, axis=0), np.gradient(h.heading, step)
     arm = h.position - h.com[:, None]
     moment = (arm[..., 0] * h.contact_force[..., 1] - arm[..., 1] * h.contact_force[..., 0]).sum(axis=1)
-    given = (h.contact_force * velocity).sum(axis=(1, 2)) - moment * yaw_rate
+    floor_power = (h.contact_force * velocity).sum(axis=(1, 2)) - moment * yaw_rate
     change = np.gradient(kinetic(h, spec, step), step)
     inside = slice(5, -5)
-    assert (power(h) + given)[inside] == pytest.approx(change[inside], abs=2e-3 * np.abs(change).max())
+    assert (power(h) + floor_power)[inside] == pytest.approx(change[inside], abs=2e-3 * np.abs(change).max())
     assert np.abs(moment * yaw_rate).max() > 0.1 * np.abs(change).max()
 
 
@@ -147,8 +147,8 @@ def against_each_other(plant: TwinSnake, qpos: np.ndarray, qvel: np.ndarray) -> 
     """
     model, law = plant.physics.model.ptr, plant.spec.bending
     pairs = [[model.joint(f"hinge_{j + 1}_{k}") for j in range(plant.spec.segments)] for k in (1, 2)]
-    angle = np.diff([qpos[:, [each.qposadr[0] for each in row]] for row in pairs], axis=0)[0]
-    rate = np.diff([qvel[:, [each.dofadr[0] for each in row]] for row in pairs], axis=0)[0]
+    angle = np.diff([qpos[:, [item.qposadr[0] for item in row]] for row in pairs], axis=0)[0]
+    rate = np.diff([qvel[:, [item.dofadr[0] for item in row]] for row in pairs], axis=0)[0]
     return law.stiffness * (angle**2).sum(axis=1) / 2, law.damping * (rate**2).sum(axis=1)
 
 
@@ -168,8 +168,8 @@ def test_twin_work_is_the_integral_of_torque_times_bend_rate(contact, offset):
     gait.reset(plant.spec, plant.tick)
     h = plant.play(gait.script(duration), round(duration / step))
     begin = round(0.5 / step)
-    given, expected = h.work[begin:] - h.work[begin], recorded_work(h)[begin:] - recorded_work(h)[begin]
-    assert given[-1] == pytest.approx(expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact])
+    recorded, expected = h.work[begin:] - h.work[begin], recorded_work(h)[begin:] - recorded_work(h)[begin]
+    assert recorded[-1] == pytest.approx(expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact])
 
 
 def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
@@ -196,9 +196,9 @@ def test_energy_of_a_clamped_twin_is_conserved():
     spec = robot()
 
     def missed(step: float) -> float:
-        given, kept, lost = conserved(TwinSnake(spec, timestep=step, supply_pa=SUPPLY, base="clamped"), 0.2)
-        assert lost > 0.02 * given
-        return (kept + lost) / given - 1
+        work, kept, lost = conserved(TwinSnake(spec, timestep=step, supply_pa=SUPPLY, base="clamped"), 0.2)
+        assert lost > 0.02 * work
+        return (kept + lost) / work - 1
 
     coarse, fine = missed(2.5e-4), missed(1.25e-4)
     assert 2 * fine - coarse == pytest.approx(0, abs=1e-3)
@@ -208,14 +208,14 @@ def test_energy_of_a_clamped_twin_is_conserved():
 def test_energy_of_a_twin_on_the_floor_is_conserved(contact):
     """∫ T dq is kinetic energy, energy of internal springs, and the losses of hinges and floor."""
     plant = TwinSnake(robot(), contact=contact, timestep=2.5e-4, supply_pa=SUPPLY)
-    given, kept, lost = conserved(plant, 1.0)
+    work, kept, lost = conserved(plant, 1.0)
     h = driven(plant, 1.0, 1 / plant.timestep)
     velocity = np.gradient(h.position, plant.timestep, axis=0)
     friction = -plant.timestep * (h.contact_force * velocity).sum()
     # Recorded forces are sums over a connector's wheels, without the moment that brakes its turning.
-    assert kept + lost + friction == pytest.approx(given, rel=0.03)
+    assert kept + lost + friction == pytest.approx(work, rel=0.03)
     assert h.internal_loss[-1] == pytest.approx(lost, rel=0.02)  # pitch and roll hardly move
-    assert lost > 0.03 * given
+    assert lost > 0.03 * work
 
 
 @CONTACTS
@@ -282,10 +282,10 @@ def test_twin_work_equals_the_power_of_constraint_forces(stiffness, timestep):
     # After the preload has pressed the wheels into the floor, which is no work of the segments. Recorded work
     # contains the kinetic energy at the beginning of the last step.
     begin = round(0.25 / timestep)
-    given, expected = work[1 + begin :], (energy + taken)[begin:-1]
-    given, expected = given - given[0], expected - expected[0]
-    assert given[-1] == pytest.approx(expected[-1], rel=0.01)
-    assert np.abs(given - expected).max() < 0.02 * expected[-1]
+    change, expected = work[1 + begin :], (energy + taken)[begin:-1]
+    change, expected = change - change[0], expected - expected[0]
+    assert change[-1] == pytest.approx(expected[-1], rel=0.01)
+    assert np.abs(change - expected).max() < 0.02 * expected[-1]
     # Constraints only dissipate, except for the energy that wheels and contacts store.
     lost = np.maximum.accumulate(taken[begin:]) - taken[begin:]
     assert lost.max() < 0.002 * expected[-1]
@@ -296,8 +296,8 @@ def test_twin_power_equals_that_of_the_compliant_model():
 
     def cost(plant: AnalyticalSnake | TwinSnake) -> tuple[float, float]:
         metrics = plant_metrics(rollout(plant, Gait(2.0), 5.0))
-        given, inside = metrics["mechanical_power_w"], metrics["internal_power_w"] or 0.0
-        return given - inside, metrics["cost_of_transport"] * (given - inside) / given
+        mean_power, inside = metrics["mechanical_power_w"], metrics["internal_power_w"] or 0.0
+        return mean_power - inside, metrics["cost_of_transport"] * (mean_power - inside) / mean_power
 
     options = {"supply_pa": SUPPLY, "friction": "wheel"}
     stiff = cost(TwinSnake(robot(stiffness=20.0), supply_pa=SUPPLY))

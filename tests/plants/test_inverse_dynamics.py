@@ -66,10 +66,10 @@ def test_recursive_inverse_dynamics_equals_the_dense_sum(seed, connectors, law, 
     samples, segments = 3, connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
     bend, acceleration = random.normal(0, 0.7, (samples, segments)), random.normal(0, 99, (samples, segments))
-    found = np.empty((samples, segments))
+    result = np.empty((samples, segments))
     trace = Trace.empty(samples, segments)._replace(
         bend=bend, bend_rate=u[:, 3:].copy(), bend_acceleration=acceleration
     )
-    inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), found)
+    inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), result)
     expected = [by_rows(u[k], bend[k], acceleration[k], solid, floor, turning) for k in range(samples)]
-    assert found == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)
+    assert result == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)

@@ -71,9 +71,9 @@ def run(
         (np.empty((0, kernels.STATES)), np.empty((0, 3))),
     )
     steps, marks = np.full(count, step), np.empty(0, dtype=int)
-    done, parts = advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
+    done, substeps = advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
     assert done == count
-    return state, parts
+    return state, substeps
 
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -84,8 +84,8 @@ def geometry(swim: Swim, t: float) -> tuple[np.ndarray, np.ndarray]:
     places, headings = [0j], [0.0]
     for q in swim.bends(t)[0]:
         arc = swim.length / 2 * (WEIGHTS * np.exp(-0.5j * q * (NODES + 1))).sum()
-        way = swim.gap / 2 + arc + swim.gap / 2 * np.exp(-1j * q)
-        places.append(places[-1] - way * np.exp(1j * headings[-1]))
+        chord = swim.gap / 2 + arc + swim.gap / 2 * np.exp(-1j * q)
+        places.append(places[-1] - chord * np.exp(1j * headings[-1]))
         headings.append(headings[-1] - q)
     return np.array(places), np.array(headings)
 
@@ -224,8 +224,8 @@ def test_floor_force_slopes_match_finite_differences(law, track):
 
     net, slope, power = total(u)
     h = 1e-6 * np.eye(3)
-    found = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
-    assert slope == pytest.approx(np.transpose(found), abs=1e-6)
+    result = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
+    assert slope == pytest.approx(np.transpose(result), abs=1e-6)
     # The same forces one connector at a time: their sum, their moment and the power they take.
     force = np.empty((4, 3))
     fill_forces(body, solid.mass, u, floor, force)
@@ -235,8 +235,8 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[SPIN]
     assert net[:2] == pytest.approx([pushed.sum().real, pushed.sum().imag], abs=1e-14)
     assert net[2] == pytest.approx((place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14)
-    given = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
-    assert power == pytest.approx(-given, rel=1e-12) and power > 0
+    contact_power = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
+    assert power == pytest.approx(-contact_power, rel=1e-12) and power > 0
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -254,8 +254,8 @@ def test_floor_evaluates_the_named_law(law, track):
     for arm in contacts:
         pushed = getattr(friction, law)(along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05)[:2]
         force, moment = force + pushed, moment + arm * pushed[0]
-    found = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
-    assert found[:3] == pytest.approx([*force, moment], rel=1e-12)
+    actual = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
+    assert actual[:3] == pytest.approx([*force, moment], rel=1e-12)
 
 
 def test_posed_rates_match_finite_differences():
@@ -304,8 +304,8 @@ def test_smooth_friction_needs_no_substeps_and_keeps_the_order():
     exact = by_kernel(swim, 0.8, 2e-5)
     errors = []
     for step in (2e-3, 1e-3, 5e-4):
-        state, parts = run(swim, 0.8, step, TOLERANCE)
-        assert parts == round(0.8 / step)
+        state, substeps = run(swim, 0.8, step, TOLERANCE)
+        assert substeps == round(0.8 / step)
         errors.append(np.linalg.norm((state - exact)[:3]))
     assert np.diff(np.log(errors)) / np.log(0.5) == pytest.approx([2, 2], abs=0.2)
 
@@ -315,10 +315,10 @@ def test_stop_within_a_step_has_the_exact_position(speed):
     """v̇ = −μ g v/√(v² + ε²) from v₀ to rest: μ g s = ½ [v₀ √(v₀² + ε²) + ε² asinh(v₀/ε)]."""
     swim = Swim((0.03,) * 4, "axis", amplitude=0.0, slip=0.00025)
     root = math.hypot(speed, swim.slip)
-    way = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
-    state, parts = run(swim, 0.2, 5e-3, TOLERANCE, speed)
-    assert state[kernels.STATE_Y] == pytest.approx(way, abs=2e-6)
-    assert parts < 2 * 40
+    distance = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
+    state, substeps = run(swim, 0.2, 5e-3, TOLERANCE, speed)
+    assert state[kernels.STATE_Y] == pytest.approx(distance, abs=2e-6)
+    assert substeps < 2 * 40
     # The energy that the floor took is that of the throw.
     assert state[kernels.ENERGY_LOSS] == pytest.approx(0.06 * speed**2, rel=2e-3)
 
@@ -330,9 +330,9 @@ def test_substeps_reduce_the_error_where_friction_reverses():
         swim = Swim((0.03,) * 5, "axis", slip=0.00025, amplitude=amplitude)
         exact = by_kernel(swim, 1.0, 1e-5)[:2]
         whole.append(by_kernel(swim, 1.0, 2e-3)[:2] - exact)
-        state, parts = run(swim, 1.0, 2e-3, TOLERANCE)
+        state, substeps = run(swim, 1.0, 2e-3, TOLERANCE)
         cut.append(state[:2] - exact)
-        assert 500 < parts < 1500
+        assert 500 < substeps < 1500
     assert np.linalg.norm(cut) < np.linalg.norm(whole) / 3
 
 

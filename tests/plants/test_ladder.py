@@ -53,10 +53,10 @@ def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, flo
 
 def test_simplified_equals_complete_to_second_order_in_the_bends():
     """Chords shorten by q²: half the bends have a quarter of the relative difference."""
-    found = np.array([ladder(a, "viscous", SMOOTH) for a in (0.2, 0.1, 0.05)])
-    order = np.log2(found[:-1] / found[1:])
+    actual = np.array([ladder(a, "viscous", SMOOTH) for a in (0.2, 0.1, 0.05)])
+    order = np.log2(actual[:-1] / actual[1:])
     assert order == pytest.approx(np.full((2, 2), 2.0), abs=0.1)
-    assert found[-1, 0] < 1e-4
+    assert actual[-1, 0] < 1e-4
     # Bends of a radian are another matter: that is why the dissertation has a complete model.
     assert ladder(0.8, "viscous", SMOOTH)[0] > 0.02
 

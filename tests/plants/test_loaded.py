@@ -76,8 +76,8 @@ def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    found = rolling_friction(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
-    assert found == pytest.approx(expected, abs=1e-4 * LOAD)
+    actual = rolling_friction(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
+    assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
 @pytest.mark.parametrize("slip", [1e-2, 10.0])  # slides; sticks

@@ -170,11 +170,11 @@ INSIDE = {
 def test_files_in_the_parent_folder_are_allowed(name, tmp_path):
     path = laid_out(tmp_path / "pkg", INSIDE[name])
     assert scan_mjcf(path) == []
-    model, found = mujoco.MjModel.from_xml_path(str(path)), examine_model(path, 30, 0.01)
-    assert found["faults"] == []
+    model, result = mujoco.MjModel.from_xml_path(str(path)), examine_model(path, 30, 0.01)
+    assert result["faults"] == []
     numbers = {"bodies": model.nbody - 1, "joints": model.njnt, "mass_kg": model.body_mass.sum()}
-    assert numbers.items() <= found["sizes"].items()
-    assert found["sizes"]["joints"] == 1
+    assert numbers.items() <= result["sizes"].items()
+    assert result["sizes"]["joints"] == 1
 
 
 O_OBJ = Path("../../other/o.obj")
@@ -291,18 +291,18 @@ def test_welded_urdf_base_is_noted_with_a_remedy(tmp_path, srs_twin):
     assert "for a free base, join it to a root link without mass by a joint of type floating" in base
     assert ball.startswith("dot.mjcf: fit for use (1 bodies, 1 joints") and done.returncode == 0
     done = srs_twin("models", "check", "one.urdf", "--json", cwd=tmp_path)
-    (found,) = json.loads(done.stdout)["models"]
-    assert done.returncode == 2 and len(found["faults"]) == len(found["notes"]) == 1
-    assert "nothing in it moves (0 bodies, no joints)" in found["faults"][0]
-    assert found["notes"][0] in found["faults"][0]
+    (actual,) = json.loads(done.stdout)["models"]
+    assert done.returncode == 2 and len(actual["faults"]) == len(actual["notes"]) == 1
+    assert "nothing in it moves (0 bodies, no joints)" in actual["faults"][0]
+    assert actual["notes"][0] in actual["faults"][0]
 
 
 def test_floating_urdf_base_has_no_note(tmp_path):
     free = '<joint name="f" type="floating"><parent link="world"/><child link="base"/></joint></robot>'
     path = laid_out(tmp_path, {"m.urdf": urdf().replace("</robot>", f'<link name="world"/>{free}')})
-    found = examine_model(path, 30, 0.01)
-    assert found["notes"] == found["faults"] == []
-    assert (found["sizes"]["bodies"], found["sizes"]["mass_kg"]) == (2, pytest.approx(0.8))
+    values = examine_model(path, 30, 0.01)
+    assert values["notes"] == values["faults"] == []
+    assert (values["sizes"]["bodies"], values["sizes"]["mass_kg"]) == (2, pytest.approx(0.8))
 
 
 def test_package_uri_is_rejected_with_a_remedy(tmp_path):

@@ -193,11 +193,11 @@ def test_files_have_the_layout_of_menagerie(spec):
             for element in tree.iterfind(f"./{section}//*"):
                 assert element.tag in unnamed or element.get("name"), ElementTree.tostring(element)
     tree = ElementTree.fromstring(robot)
-    classes = {each.get("class") for each in tree.iter("default")}
+    classes = {item.get("class") for item in tree.iter("default")}
     assert classes >= {"hinge", "pitch", "roll", "axle", "tread", "rim", "skin", "plate", "muscle", "press"}
     for tag, repeated in (("joint", "stiffness"), ("geom", "contype"), ("general", "ctrlrange")):
-        own = [each for section in ("worldbody", "actuator") for each in tree.iterfind(f"./{section}//{tag}")]
-        assert own and not [each for each in own if each.get(repeated)], (tag, repeated)
+        own = [item for section in ("worldbody", "actuator") for item in tree.iterfind(f"./{section}//{tag}")]
+        assert own and not [item for item in own if item.get(repeated)], (tag, repeated)
     ours, theirs = ElementTree.fromstring(scene), {"compiler", "option", "tendon", "actuator", "keyframe"}
     assert not theirs & {section.tag for section in ours}
 
@@ -234,5 +234,7 @@ def test_models_check_reports_stale_files(root, monkeypatch, capsys, tmp_path):
     with pytest.raises(typer.Exit) as stop:
         models.check(models=["gen2"])
     assert stop.value.exit_code == 2
-    said = capsys.readouterr().err
-    assert said.endswith("scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n")
+    output = capsys.readouterr().err
+    assert output.endswith(
+        "scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n"
+    )

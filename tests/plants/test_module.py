@@ -21,17 +21,17 @@ from srs_twin.sensing import make_sensor
 
 MODULE = load_robot("gen4_module")
 STEP, SINE = Step(math.radians(25), time=0.1), Sine(math.radians(34.3), 6.0)
-WAYS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
+CONTROLS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
 PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
 
-ways = pytest.mark.parametrize("way", WAYS)
+controls = pytest.mark.parametrize("control", CONTROLS)
 plants = pytest.mark.parametrize("kind", PLANTS)
 
 
-def bench(kind: str, way: str, **options) -> Plant:
+def bench(kind: str, control: str, **options) -> Plant:
     """Return a bench with a noisy sensor and the valve layout that a controller needs."""
     sensor = make_sensor("hall", MODULE, span=0.8)
-    layout = WAYS[way][1]
+    layout = CONTROLS[control][1]
     timestep = {"twin": {"timestep": 0.00025}}.get(kind, {})
     return PLANTS[kind](
         MODULE, base="clamped", tick=0.001, **{"layout": layout, "sensor": sensor} | timestep | options
@@ -76,14 +76,14 @@ def test_explicit_layout_is_kept():
 
 def test_explicit_gains_override_shipped_gains():
     default = module().build_controller()
-    given = module(
+    settings = module(
         controller={
             "kind": "direct_smc", "d_per_s": 3.0, "epsilon_rad_per_s": 0.5, "cutoff_hz": 7.0,
             "reference": {"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 2.0},
         }
     ).build_controller()  # fmt: skip
-    assert (given.D, given.epsilon, given.cutoff_hz) == (3.0, 0.5, 7.0)
-    assert given.reference == Sine(0.3, 2.0)
+    assert (settings.D, settings.epsilon, settings.cutoff_hz) == (3.0, 0.5, 7.0)
+    assert settings.reference == Sine(0.3, 2.0)
     plain = DirectSMC(STEP)
     assert (default.D, default.epsilon, default.cutoff_hz) == (plain.D, plain.epsilon, plain.cutoff_hz)
 
@@ -191,7 +191,7 @@ def test_analytical_torque_satisfies_lagranges_equation():
 
     def places(q):
         """Return positions and headings of the connectors by integration along the arcs."""
-        x, angle, found = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
+        x, angle, actual = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
         for bend in q:
             ahead = np.array([np.cos(angle), np.sin(angle)])
             x = x - 0.002 * ahead
@@ -200,8 +200,8 @@ def test_analytical_torque_satisfies_lagranges_equation():
             x = x - 0.07 * np.array([np.cos(middles).mean(), np.sin(middles).mean()])
             angle -= bend
             x = x - 0.002 * np.array([np.cos(angle), np.sin(angle)])
-            found.append((x, angle))
-        return np.array([p for p, _ in found]), np.array([a for _, a in found])
+            actual.append((x, angle))
+        return np.array([p for p, _ in actual]), np.array([a for _, a in actual])
 
     def energy(q, dq, h=1e-5):
         before, after = places(q - h * dq), places(q + h * dq)
@@ -243,15 +243,18 @@ def test_analytical_torque_satisfies_lagranges_equation():
 
 
 @pytest.mark.slow
-@ways
+@controls
 @pytest.mark.parametrize(
     ("reference", "duration"),
     [pytest.param(STEP, 0.8, id="step"), pytest.param(SINE, 1.0, id="sine", marks=pytest.mark.slow)],
 )
-def test_both_benches_agree_within_ten_percent(way, reference, duration):
-    runs = [rollout(bench(kind, way), WAYS[way][0](reference), duration, record_hz=1000) for kind in PLANTS]
+def test_both_benches_agree_within_ten_percent(control, reference, duration):
+    runs = [
+        rollout(bench(kind, control), CONTROLS[control][0](reference), duration, record_hz=1000)
+        for kind in PLANTS
+    ]
     ours, theirs = (plant_metrics(run) for run in runs)
-    told = 0
+    reported = 0
     for name in (
         "rise_time_s", "settling_5_s", "ripple_pp_rad", "error_rms_rad", "amplitude_rel", "phase_lag_rad",
         "inlet_openings", "outlet_openings",
@@ -259,10 +262,10 @@ def test_both_benches_agree_within_ten_percent(way, reference, duration):
         if ours[name] is None:
             assert theirs[name] is None
             continue
-        told += 1
+        reported += 1
         assert theirs[name] == pytest.approx(ours[name], rel=0.1, abs=1e-9), name
-    assert told >= 4
-    assert all(each["com_speed_m_s"] is None and each["final_bend_rad"] is None for each in (ours, theirs))
+    assert reported >= 4
+    assert all(item["com_speed_m_s"] is None and item["final_bend_rad"] is None for item in (ours, theirs))
     metrics = compare(*runs).metrics
     assert metrics["bend_rms_rel"] < 0.02 and metrics["com_speed_rel"] is None
 
@@ -270,16 +273,16 @@ def test_both_benches_agree_within_ten_percent(way, reference, duration):
 def test_static_bend_is_gain_times_pressure():
     for kind in PLANTS:
         run = rollout(bench(kind, "direct", supply_pa=30e3), HoldValves("vent", "fill"), 1.5)
-        found = plant_metrics(run)
-        assert found["final_bend_rad"] == pytest.approx(-MODULE.actuator.gain * 30e3, rel=1e-4)
-        assert found["error_rms_rad"] is None
+        values = plant_metrics(run)
+        assert values["final_bend_rad"] == pytest.approx(-MODULE.actuator.gain * 30e3, rel=1e-4)
+        assert values["error_rms_rad"] is None
 
 
-@ways
-def test_direct_control_settles_fast_with_few_valve_openings(way):
+@controls
+def test_direct_control_settles_fast_with_few_valve_openings(control):
     """A step of 25°: direct control settles within 0.25 s without overshoot; iterative control overshoots."""
-    found = plant_metrics(rollout(bench("twin", way), WAYS[way][0](STEP), 0.9, record_hz=1000))
-    if way == "direct":
+    found = plant_metrics(rollout(bench("twin", control), CONTROLS[control][0](STEP), 0.9, record_hz=1000))
+    if control == "direct":
         assert found["settling_5_s"] <= 0.25
         assert found["overshoot_rad"] <= found["sensed_ripple_pp_rad"]
         assert found["inlet_openings"] <= 5
@@ -315,16 +318,16 @@ class Blindfolded(Plant):
 
 
 @plants
-@ways
-def test_controllers_read_only_the_sensor(kind, way):
-    blind, controller = Blindfolded(bench(kind, way)), WAYS[way][0](STEP)
+@controls
+def test_controllers_read_only_the_sensor(kind, control):
+    blind, controller = Blindfolded(bench(kind, control)), CONTROLS[control][0](STEP)
     state = blind.reset(seed=3)
     controller.reset(blind.spec, blind.tick, seed=3)
     for _ in range(300):
         state = blind.step(controller.step(state))
-    seeing = bench(kind, way)
-    run = rollout(seeing, WAYS[way][0](STEP), 0.3, seed=3, record_hz=1000)
-    last = np.array([each if each.ndim == 2 else each[-1] for each in blind.commands])
+    seeing = bench(kind, control)
+    run = rollout(seeing, CONTROLS[control][0](STEP), 0.3, seed=3, record_hz=1000)
+    last = np.array([entry if entry.ndim == 2 else entry[-1] for entry in blind.commands])
     assert (last[:, 0, 0] == run["valve_plus_1"][1:]).all()
     assert (last[:, 0, 1] == run["valve_minus_1"][1:]).all()
 

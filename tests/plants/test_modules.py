@@ -204,13 +204,13 @@ def test_larger_time_constant_means_smaller_conductance():
 
 def test_initially_empty_line_delays_filling():
     spec = load_robot("gen4")
-    given = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
-    full, empty = OrificePneumatics(spec, **given), OrificePneumatics(spec, **given, line_begins=0.0)
+    options = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
+    full, empty = OrificePneumatics(spec, **options), OrificePneumatics(spec, **options, line_begins=0.0)
     for chambers in (full, empty):
         chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
     assert empty.bend.max() < 0.5 * full.bend.min()
     with pytest.raises(InputError, match="line_begins 200000.0 Pa is not allowed"):
-        OrificePneumatics(spec, **given, line_begins=2e5)
+        OrificePneumatics(spec, **options, line_begins=2e5)
 
 
 # Both plants
@@ -231,14 +231,14 @@ def test_snake_at_rest_has_the_rest_bends(kind):
 
 @both
 @pytest.mark.parametrize(
-    ("way", "share", "supply", "chambers"),
+    ("side", "share", "supply", "chambers"),
     [
         ("plus", 0.0, 48e3, "lag"), ("minus", 0.0, 48e3, "lag"), ("minus", 1.0, 10e3, "lag"),
         ("plus", 1.0, 20e3, "lag"), ("minus", 0.8, 30e3, "lag"), ("plus", 0.8, 40e3, "orifice"),
         ("minus", 1.0, 48e3, "lag"),
     ],
 )  # fmt: skip
-def test_static_bend_follows_the_module_gains(kind, way, share, supply, chambers):
+def test_static_bend_follows_the_module_gains(kind, side, share, supply, chambers):
     """On a bench, where only the air bends the segment; the formula is repeated here."""
     spec = replace(load_robot("gen4_module"), variation=Modules.of(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
@@ -247,9 +247,9 @@ def test_static_bend_follows_the_module_gains(kind, way, share, supply, chambers
     late = {"onset_share": share, "onset": 0.3, "onset_width": 0.2}
     spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0, **late))
     plant = PLANTS[kind](spec, base="clamped", tick=0.001, supply_pa=supply, pneumatics=chambers)
-    states = ("fill", "vent") if way == "plus" else ("vent", "fill")
+    states = ("fill", "vent") if side == "plus" else ("vent", "fill")
     run = rollout(plant, HoldValves(*states), 2.0)
-    x = spec.actuator.gain * supply * (1.2 if way == "plus" else -0.8)
+    x = spec.actuator.gain * supply * (1.2 if side == "plus" else -0.8)
     x -= share * 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
     expected = 0.15 + x / (1 + x**4) ** 0.25
     assert run["bend_1"][-1] == pytest.approx(expected, abs=1e-4)
@@ -260,8 +260,8 @@ def test_static_bend_follows_the_module_gains(kind, way, share, supply, chambers
 def test_mirrored_modules_and_gait_give_the_mirrored_path(kind):
     spec = unlike(bias=0.05)
     runs = [
-        rollout(PLANTS[kind](each, supply_pa=60e3), Gait(1.0, phase=phase), 2.0)
-        for each, phase in ((spec, 0.0), (mirrored(spec), np.pi))
+        rollout(PLANTS[kind](item, supply_pa=60e3), Gait(1.0, phase=phase), 2.0)
+        for item, phase in ((spec, 0.0), (mirrored(spec), np.pi))
     ]
     tolerance = 1e-6 if kind == "analytical" else 1e-4
     assert runs[0]["heading"] == pytest.approx(-runs[1]["heading"], abs=tolerance)
@@ -293,8 +293,8 @@ def test_exported_model_has_module_gains_and_rest_bends():
         hinges = [model.joint(f"hinge_{j}_{k}") for k in (1, 2)]
         assert sum(model.qpos_spring[h.qposadr[0]] for h in hinges) == pytest.approx(spec.modules.bias[j - 1])
         for side, name, sign in ((0, "plus", 1), (1, "minus", -1)):
-            wanted = sign * spec.bending.stiffness * spec.actuator.gain * spec.modules.gain[j - 1][side]
-            assert model.actuator(f"{name}_{j}").gainprm[0] == pytest.approx(wanted)
+            required = sign * spec.bending.stiffness * spec.actuator.gain * spec.modules.gain[j - 1][side]
+            assert model.actuator(f"{name}_{j}").gainprm[0] == pytest.approx(required)
 
 
 # Faults
@@ -332,10 +332,10 @@ def test_random_modules_have_the_requested_spread_and_independent_streams():
         gain_spread={**record, "value": 0.15}, bias_spread_rad={**record, "value": 0.1, "unit": "rad"}
     )
     draws = [file.draw(4, seed) for seed in range(300)]
-    gains = np.array([each.gain for each in draws]).ravel()
+    gains = np.array([entry.gain for entry in draws]).ravel()
     assert kstest((gains - 1) / 0.15, norm.cdf).pvalue > 0.01
     assert np.abs(gains - 1).max() <= 3 * 0.15 + 1e-12
-    biases = np.array([each.bias for each in draws])
+    biases = np.array([entry.bias for entry in draws])
     assert np.abs(np.corrcoef(biases.T, gains.reshape(300, 8).T) - np.eye(12)).max() < 0.2
     alone = ModulesFile(gain_spread={**record, "value": 0.15})
     assert alone.draw(4, 7).gain == draws[7].gain and alone.draw(4, 7).bias == (0.0,) * 4

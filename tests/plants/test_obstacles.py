@@ -34,14 +34,14 @@ def forces(run: Trajectory) -> np.ndarray:
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
     """Return the largest depth of the body in an obstacle, from the recorded positions, m."""
     model = twin.physics.model.ptr
-    data, found = mujoco.MjData(model), 0.0
+    data, result = mujoco.MjData(model), 0.0
     for k in range(0, len(run["time"]), 5):
         data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]
         mujoco.mj_forward(model, data)
         for contact in data.contact:
             if any(model.geom(geom).name.startswith("hull") for geom in contact.geom):
-                found = max(found, -contact.dist)
-    return found
+                result = max(result, -contact.dist)
+    return result
 
 
 @met

@@ -57,9 +57,9 @@ def test_preset_names_match_the_scenario_key():
     ],
 )
 def test_explicit_setting_overrides_the_preset(twin, used):
-    found = scenario(twin)
-    assert settings(found) == used
-    assert settings(parse_scenario(found.document)) == used, "defaults written out, the same"
+    result = scenario(twin)
+    assert settings(result) == used
+    assert settings(parse_scenario(result.document)) == used, "defaults written out, the same"
 
 
 def test_a_law_needs_the_loaded_contact():
@@ -82,8 +82,8 @@ def test_another_preset_replaces_only_settings_of_the_first():
 
 def test_unknown_preset_raises_with_the_allowed_names(srs_twin, tmp_path):
     done = srs_twin("run", "gen2_turn", "--set", f"{KEY}=fst", cwd=tmp_path)
-    said = f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
-    assert (done.returncode, done.stderr) == (2, f"--set {KEY}=fst: {said}")
+    output = f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
+    assert (done.returncode, done.stderr) == (2, f"--set {KEY}=fst: {output}")
 
 
 @pytest.mark.parametrize(
@@ -124,5 +124,5 @@ def test_no_shipped_scenario_uses_the_fast_preset(root):
 @pytest.mark.parametrize("name", ["gen2_turn", "gen3_turn"])
 def test_fast_preset_has_the_stated_error(name):
     fast = PRESETS["fast"]
-    found = np.abs(errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})]))[:, 0]
-    assert (found <= STATED).all(), dict(zip(METRICS, found, strict=True))
+    actual = np.abs(errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})]))[:, 0]
+    assert (actual <= STATED).all(), dict(zip(METRICS, actual, strict=True))

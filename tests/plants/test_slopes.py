@@ -30,32 +30,32 @@ PLANTS = {
 AIRLESS = HoldValves("vent", "vent")
 
 
-def on_slope(plant: str, way: str, share: float):
+def on_slope(plant: str, direction: str, share: float):
     """Return distance and downhill speed after 1 s on a slope relative to the friction angle."""
-    tilt = math.atan(share * MU[way])
-    world = World(floor=Floor(tilt, DOWNHILL[way] + math.pi))
+    tilt = math.atan(share * MU[direction])
+    world = World(floor=Floor(tilt, DOWNHILL[direction] + math.pi))
     run = rollout(PLANTS[plant](world=world), AIRLESS, 1.0, record_hz=50)
-    ahead = np.array([math.cos(DOWNHILL[way]), math.sin(DOWNHILL[way])])
+    ahead = np.array([math.cos(DOWNHILL[direction]), math.sin(DOWNHILL[direction])])
     com = np.stack([run["com_x"], run["com_y"]], axis=1) @ ahead
     return com[-1] - com[0], (com[-1] - com[-2]) * 50, run
 
 
-@pytest.mark.parametrize("way", MU)
+@pytest.mark.parametrize("direction", MU)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_snake_at_rest_on_a_slope_does_not_creep(plant, way):
-    assert abs(on_slope(plant, way, 0.5)[1]) < 1e-6
-    assert abs(on_slope(plant, way, 0.995)[1]) < 2e-4  # just slower than what follows
+def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
+    assert abs(on_slope(plant, direction, 0.5)[1]) < 1e-6
+    assert abs(on_slope(plant, direction, 0.995)[1]) < 2e-4  # just below the friction angle
 
 
-@pytest.mark.parametrize("way", MU)
+@pytest.mark.parametrize("direction", MU)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_slide_beyond_the_friction_angle_follows_coulomb(plant, way):
-    assert on_slope(plant, way, 1.005)[1] > 1e-3
-    path, _, run = on_slope(plant, way, 1.2)
-    tilt = math.atan(1.2 * MU[way])
-    pulled = GRAVITY * (math.sin(tilt) - MU[way] * math.cos(tilt))
+def test_slide_beyond_the_friction_angle_follows_coulomb(plant, direction):
+    assert on_slope(plant, direction, 1.005)[1] > 1e-3
+    path, _, run = on_slope(plant, direction, 1.2)
+    tilt = math.atan(1.2 * MU[direction])
+    pulled = GRAVITY * (math.sin(tilt) - MU[direction] * math.cos(tilt))
     spun = 1 + SPEC.geometry.connectors * SPEC.mass.wheel / SPEC.mass.total
-    expected = pulled / 2 / (spun if plant == "twin" and way == "along" else 1)
+    expected = pulled / 2 / (spun if plant == "twin" and direction == "along" else 1)
     assert path == pytest.approx(expected, rel=0.01)
     # Nothing but the slope moves it.
     lost = SPEC.mass.total * GRAVITY * math.sin(tilt) * path

@@ -97,8 +97,8 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
     lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
     own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[inertia]
     # From 0.2 s on, where bends are large enough to divide by them.
-    expected, found = from_the_tail(h, spec, own, yaw)[2000:], h.torque[1:-1][2000:]
-    error = np.abs(found - expected) / np.sqrt((expected**2).mean())
+    expected, result = from_the_tail(h, spec, own, yaw)[2000:], h.torque[1:-1][2000:]
+    error = np.abs(result - expected) / np.sqrt((expected**2).mean())
     assert np.sqrt((error**2).mean()) < 5e-5
     assert error.max() < 5e-3  # at kinks of the wheels' law
 
@@ -119,19 +119,21 @@ def apart(
     switch = np.flatnonzero((valve[1:] != valve[:-1]).any(axis=1))
     away = np.abs(complete.time[:, None] - complete.time[switch]).min(axis=1) > 0.005
     away &= (complete.time > 0.4) & (complete.time < length - 0.1)  # warm up, and the filter's end
-    given = complete.stack("torque")
-    given[switch] = (given[switch] + 3 * given[switch + 1] - 3 * given[switch + 2] + given[switch + 3]) / 2
+    expected = complete.stack("torque")
+    expected[switch] = (
+        expected[switch] + 3 * expected[switch + 1] - 3 * expected[switch + 2] + expected[switch + 3]
+    ) / 2
     low = butter(2, cut_hz, fs=1 / STEP, output="sos")
-    given = sosfiltfilt(low, given, axis=0)[away]
-    found = []
+    expected = sosfiltfilt(low, expected, axis=0)[away]
+    actual = []
     for k in stiffness:
         stiff = replace(spec, bending=replace(spec.bending, stiffness=k))
         springs = rollout(
             AnalyticalSnake(stiff, model="compliant", **options), gait, length, record_hz=1 / STEP
         )
-        difference = sosfiltfilt(low, springs.stack("torque"), axis=0)[away] - given
-        found.append(float(np.sqrt((difference**2).mean() / (given**2).mean())))
-    return found
+        difference = sosfiltfilt(low, springs.stack("torque"), axis=0)[away] - expected
+        actual.append(float(np.sqrt((difference**2).mean() / (expected**2).mean())))
+    return actual
 
 
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])

@@ -83,9 +83,9 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
     spec = robot(name)
     spec = replace(spec, actuator=replace(spec.actuator, tau_vent=1.4 * spec.actuator.tau_fill))
     supply = spec.supply.nominal
-    for way, tau in ((1, spec.actuator.tau_fill), (-1, spec.actuator.tau_vent)):
+    for direction, tau in ((1, spec.actuator.tau_fill), (-1, spec.actuator.tau_vent)):
         filling, emptying = np.tile([1, -1], (4, 1)), np.tile([-1, -1], (4, 1))
-        first, then = (emptying, filling) if way == 1 else (filling, emptying)
+        first, then = (emptying, filling) if direction == 1 else (filling, emptying)
         times = np.linspace(0.0, 3 * tau, 3001)
         curves = []
         for wait in (10 * tau, 10.002 * tau):
@@ -98,7 +98,7 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
             )
             curves.append(chambers.advance(order, times).pressure[:, 0, 0])
         gap = np.abs(curves[0] - curves[1])
-        level = np.exp(-2) * supply if way == -1 else (1 - np.exp(-2)) * supply
+        level = np.exp(-2) * supply if direction == -1 else (1 - np.exp(-2)) * supply
         near = np.abs(times - times[np.argmin(np.abs(curves[0] - level))]) < 0.03 * tau
         assert gap[near].max() < 0.005 * supply, "a small step"
         slope = np.polyfit(times[near], np.log(gap[near]), 1)[0]
@@ -206,7 +206,7 @@ def test_integration_has_second_order():
     for substep in (1e-3, 5e-4, 2.5e-4, 2e-5):
         chambers = OrificePneumatics(spec, supply_pa=SUPPLY, leak_per_s=0.5, substep=substep)
         results.append(chambers.advance(chambers.schedule(np.stack([FILL, VENT]), 0.3), at).pressure)
-    coarse, middle, fine = (np.abs(each - results[-1]).max() for each in results[:-1])
+    coarse, middle, fine = (np.abs(item - results[-1]).max() for item in results[:-1])
     assert np.log2(coarse / middle) == pytest.approx(2, abs=0.2)
     assert np.log2(middle / fine) == pytest.approx(2, abs=0.2)
 
@@ -221,8 +221,8 @@ def test_trace_rates_match_finite_differences():
         (trace.bend_rate, trace.bend_acceleration, 2e4),
     ):
         by_differences = (value[2:] - value[:-2]) / (2 * step)
-        off = np.abs(by_differences - rate[1:-1])
-        assert np.quantile(off, 0.95) < 0.01 * size
+        error = np.abs(by_differences - rate[1:-1])
+        assert np.quantile(error, 0.95) < 0.01 * size
 
 
 @settings(max_examples=15, deadline=None)
@@ -276,12 +276,12 @@ def test_closed_chamber_is_compressed_by_the_actual_bend():
 
 
 def test_passing_the_free_bends_changes_nothing():
-    free, told = (OrificePneumatics(robot(), supply_pa=SUPPLY) for _ in range(2))
+    free, reported = (OrificePneumatics(robot(), supply_pa=SUPPLY) for _ in range(2))
     expected, got, rate = [], [], np.zeros(4)
     for valves in np.random.default_rng(5).choice([-1, 1], size=(6, 4, 2)):
         for _ in range(500):
             order, end = free.schedule(valves, 1e-4), np.array([1e-4])
-            got.append(told.advance(order, end, bend=free.bend, bend_rate=rate).pressure[0])
+            got.append(reported.advance(order, end, bend=free.bend, bend_rate=rate).pressure[0])
             trace = free.advance(order, end)
             expected.append(trace.pressure[0])
             rate = trace.bend_rate[0]
@@ -335,9 +335,9 @@ def test_a_regulator_keeps_the_line_within_a_hundredth():
 def test_changed_supply_pressure_equals_construction_with_it(limit):
     lower = 0.6 * SUPPLY
     more = {"flow_limit": limit, "line_begins": lower, "leak_per_s": 0.2}
-    regulated, made = (OrificePneumatics(robot(), supply_pa=each, **more) for each in (SUPPLY, lower))
+    regulated, made = (OrificePneumatics(robot(), supply_pa=entry, **more) for entry in (SUPPLY, lower))
     regulated.set_supply_pressure(lower)
-    traces = [each.advance(each.schedule(FILL, 0.3), np.linspace(0, 0.3, 7)) for each in (regulated, made)]
+    traces = [entry.advance(entry.schedule(FILL, 0.3), np.linspace(0, 0.3, 7)) for entry in (regulated, made)]
     assert traces[0].pressure == pytest.approx(traces[1].pressure, abs=1e-6 * lower)
     assert traces[0].air[-1] > 0 and traces[0].air == pytest.approx(traces[1].air, rel=1e-9)
     assert (regulated.air, regulated.line_pressure) == pytest.approx((made.air, made.line_pressure))
@@ -352,8 +352,8 @@ def test_place_sets_pressures_and_bends():
 
 
 def test_settings_are_recorded_in_their_units():
-    given = {"flow_limit": 2 / 60_000, "line_volume": 30e-6, "line_begins": 12e3, "leak_per_s": 0.3}
-    settings = OrificePneumatics(robot(), supply_pa=SUPPLY, **given).describe()
+    options = {"flow_limit": 2 / 60_000, "line_volume": 30e-6, "line_begins": 12e3, "leak_per_s": 0.3}
+    settings = OrificePneumatics(robot(), supply_pa=SUPPLY, **options).describe()
     assert settings["flow_limit_l_per_min"] == pytest.approx(2.0)
     assert settings["line_volume_ml"] == pytest.approx(30.0)
     assert settings["line_begins_kpa"] == pytest.approx(12.0)
@@ -402,9 +402,9 @@ def test_coupling_step_is_small_enough_with_a_flow_limit(l_per_min, inertia, mon
         chambers = limited(l_per_min)
         chambers.coupling_step_s /= finer
         monkeypatch.setattr(analytical, "_POINT_MASS_COUPLING_STEP", 1e-4 / finer)
-        found = rollout(AnalyticalSnake(robot(), pneumatics=chambers, **options), Gait(2.0, 0.4), 0.4)
-        pressure = np.concatenate([found.stack("pressure_plus"), found.stack("pressure_minus")])
-        return pressure, found.stack("bend")
+        result = rollout(AnalyticalSnake(robot(), pneumatics=chambers, **options), Gait(2.0, 0.4), 0.4)
+        pressure = np.concatenate([result.stack("pressure_plus"), result.stack("pressure_minus")])
+        return pressure, result.stack("bend")
 
     (pressure, bend), (fine_pressure, fine_bend) = run(1.0), run(2.0)
     # A closed chamber that a swinging connector stretches falls below the ambient pressure, by 70 Pa here.
@@ -429,11 +429,13 @@ def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
     def crawled(**options: Any) -> tuple[float, float]:
         chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow_limit)
         step = {"timestep": min(0.001, chambers.coupling_step_s)} | options
-        found = rollout(
+        actual = rollout(
             TwinSnake(robot(), supply_pa=SUPPLY, pneumatics=chambers, **step), Gait(2.0, offset=0.4), 2.0
         )
-        way = math.hypot(found["com_x"][-1] - found["com_x"][0], found["com_y"][-1] - found["com_y"][0])
-        return way, found["heading"][-1]
+        distance = math.hypot(
+            actual["com_x"][-1] - actual["com_x"][0], actual["com_y"][-1] - actual["com_y"][0]
+        )
+        return distance, actual["heading"][-1]
 
     preloaded, loaded = crawled(contact="preloaded"), crawled(contact="loaded")
     assert loaded == pytest.approx(preloaded, rel=0.1)

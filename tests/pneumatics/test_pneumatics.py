@@ -167,9 +167,9 @@ def test_air_is_the_integrated_inflow(valves, leak):
             def rates(_, y, state=state):
                 filling = np.where(state == 1, (SUPPLY - y[:2]) / tau, 0)
                 turning = (GAIN * (y[0] - y[1]) - y[2]) / 0.00214
-                way = np.array([1.0, -1.0])
-                volume = space.dead_volume + space.displacement * np.maximum(0, way * y[2])
-                growing = space.displacement * np.where(way * y[2] > 0, way, 0) * turning
+                sign = np.array([1.0, -1.0])
+                volume = space.dead_volume + space.displacement * np.maximum(0, sign * y[2])
+                growing = space.displacement * np.where(sign * y[2] > 0, sign, 0) * turning
                 drawn = ((volume * filling + (y[:2] + AMBIENT_PA) * growing) * (state == 1)).sum()
                 rate = filling - np.where(state == -1, y[:2] / tau, 0) - leak * y[:2]
                 return [*rate, turning, worth * drawn]

@@ -62,10 +62,10 @@ def slope_along(r: np.ndarray, moment: np.ndarray, direction: np.ndarray) -> flo
 def test_dipole_is_the_gradient_of_its_potential(angle, distance, tilt):
     r = distance * np.array([math.cos(angle), math.sin(angle)])
     moment = MOMENT * np.array([math.cos(tilt), math.sin(tilt)])
-    found = dipole(r[0], r[1], *moment)
+    result = dipole(r[0], r[1], *moment)
     scale = MU0_4PI * MOMENT / distance**3
-    wanted = [-slope_along(r, moment, axis) for axis in np.eye(2)]
-    assert found == pytest.approx(wanted, abs=1e-6 * scale)
+    expected = [-slope_along(r, moment, axis) for axis in np.eye(2)]
+    assert result == pytest.approx(expected, abs=1e-6 * scale)
 
 
 def test_dipole_is_the_limit_of_a_small_current_loop():
@@ -93,9 +93,9 @@ def test_element_place_is_the_integral_along_the_strip(strip, bend):
     end = bend / strip.segment_length * strip.distance
     foot = strip.distance * np.array([np.cos(heading).mean(), np.sin(heading).mean()])
     normal = np.array([-math.sin(end), math.cos(end)])
-    wanted = foot + strip.element_height * normal - [0.0, strip.magnet_height]
+    required = foot + strip.element_height * normal - [0.0, strip.magnet_height]
     x, y, theta = element_place(bend, strip)
-    assert (x, y) == (pytest.approx(wanted[0], abs=1e-9), pytest.approx(wanted[1], abs=1e-9))
+    assert (x, y) == (pytest.approx(required[0], abs=1e-9), pytest.approx(required[1], abs=1e-9))
     assert theta == pytest.approx(end, abs=1e-12)
 
 
@@ -244,24 +244,24 @@ def test_pressing_saturates_for_round_chambers():
 def test_fit_recovers_a_line(slope, sign, intercept):
     angle = np.linspace(-1.2, 0.9, 40)
     voltage = (angle - intercept) / (sign * slope)
-    found = fit_line(voltage, angle)
-    assert found.slope == pytest.approx(sign * slope, rel=1e-9)
-    assert found.intercept == pytest.approx(intercept, abs=1e-9)
-    assert found.r_squared == pytest.approx(1, abs=1e-9)
-    assert found.worst_error < 1e-9
-    assert found.monotonic
-    assert found.span == 1.2
+    actual = fit_line(voltage, angle)
+    assert actual.slope == pytest.approx(sign * slope, rel=1e-9)
+    assert actual.intercept == pytest.approx(intercept, abs=1e-9)
+    assert actual.r_squared == pytest.approx(1, abs=1e-9)
+    assert actual.worst_error < 1e-9
+    assert actual.monotonic
+    assert actual.span == 1.2
 
 
 def test_fit_agrees_with_scipy():
     rng = np.random.default_rng(1)
     angle = np.linspace(-1, 1, 60)
     voltage = 2 - 0.4 * angle + 0.05 * rng.standard_normal(60)
-    found, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
-    assert (found.slope, found.intercept) == pytest.approx((theirs.slope, theirs.intercept), rel=1e-9)
-    assert found.r_squared == pytest.approx(theirs.rvalue**2, rel=1e-9)
-    assert found.worst_error == pytest.approx(np.abs(found.angle(voltage) - angle).max(), rel=1e-9)
-    assert not found.monotonic
+    values, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
+    assert (values.slope, values.intercept) == pytest.approx((theirs.slope, theirs.intercept), rel=1e-9)
+    assert values.r_squared == pytest.approx(theirs.rvalue**2, rel=1e-9)
+    assert values.worst_error == pytest.approx(np.abs(values.angle(voltage) - angle).max(), rel=1e-9)
+    assert not values.monotonic
 
 
 @given(share=st.floats(-1, 1), span=st.floats(0.2, 1.6), bits=st.sampled_from([None, 8, 10, 12]))
@@ -317,11 +317,11 @@ def test_sensor_study_prints_and_plots(tmp_path, monkeypatch, capsys):
     picture = tmp_path / "sensor.png"
     monkeypatch.setattr(sys, "argv", ["sensor.py", "--out", str(picture)])
     study.main()
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert said.count("\n| --- |") == 5
-    assert "| θ = q | up |" in said
-    assert "nan" not in said
+    assert output.count("\n| --- |") == 5
+    assert "| θ = q | up |" in output
+    assert "nan" not in output
 
 
 # The noise
@@ -370,8 +370,8 @@ def test_noise_is_independent_of_the_order_of_reads(seed, cuts, order):
     sensor = make_sensor("hall", GEN4)
     whole = sensor.read(bend, time, seed)
     edges = [0, *sorted(cuts), 60]
-    parts = [sensor.read(bend[a:b], time[a:b], seed) for a, b in zip(edges, edges[1:], strict=False)]
-    assert np.concatenate(parts).tolist() == whole.tolist()
+    pieces = [sensor.read(bend[a:b], time[a:b], seed) for a, b in zip(edges, edges[1:], strict=False)]
+    assert np.concatenate(pieces).tolist() == whole.tolist()
     for k in order:
         assert sensor.read(bend[k], float(time[k]), seed).tolist() == whole[k].tolist()
         assert sensor.read(bend[k, :1], time[k], seed).tolist() == whole[k, :1].tolist()
@@ -422,11 +422,11 @@ def test_noise_differs_between_seeds_and_segments(plant):
 
     first, again, *others = map(read, (1, 1, 2, 2**40 + 1))
     assert (first == again).all()
-    apart = np.concatenate([first - other for other in others], axis=1)
+    noise = np.concatenate([first - other for other in others], axis=1)
     # The calibration is linear, so that noise does not depend on the bend.
     wanted = math.sqrt(2) * abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
-    assert apart.std(axis=0) == pytest.approx(wanted, rel=0.3)
-    for half in np.split(apart, 2, axis=1):
+    assert noise.std(axis=0) == pytest.approx(wanted, rel=0.3)
+    for half in np.split(noise, 2, axis=1):
         assert np.abs(np.corrcoef(half.T) - np.eye(GEN4.segments)).max() < 5 / math.sqrt(len(first))
 
 

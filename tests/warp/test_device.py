@@ -40,11 +40,11 @@ def contact(request):
 
 def both(specs, gaits, seconds, **settings):
     """Return the trajectories of the CPU engine and of the device."""
-    found = []
+    result = []
     for more in ({}, ON):
         batch = TwinBatch(specs, **settings, **more)
-        found.append(run_scripts(batch, [Gait(*each) for each in gaits], seconds))
-    return found
+        result.append(run_scripts(batch, [Gait(*item) for item in gaits], seconds))
+    return result
 
 
 def test_friction_laws_agree_in_warp():
@@ -54,11 +54,11 @@ def test_friction_laws_agree_in_warp():
     wheel = laws["rolling_friction"]
 
     @wp.kernel(enable_backward=False)
-    def each(given: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
+    def each(inputs: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
         i = wp.tid()
         a, b, c, d, e, f = wheel(
-            given[i, 0], given[i, 1], given[i, 2], given[i, 3], given[i, 4], 0.001, given[i, 5], given[i, 6],
-            given[i, 7], given[i, 8],
+            inputs[i, 0], inputs[i, 1], inputs[i, 2], inputs[i, 3], inputs[i, 4], 0.001, inputs[i, 5],
+            inputs[i, 6], inputs[i, 7], inputs[i, 8],
         )  # fmt: skip
         out[i, 0] = a
         out[i, 1] = b
@@ -71,15 +71,15 @@ def test_friction_laws_agree_in_warp():
     speed, load = rng.normal(scale=0.1, size=(200, 2)), rng.uniform(0, 1, size=(200, 1))
     mu = np.sort(rng.uniform(0.01, 0.5, size=(200, 2)), axis=1)
     push = rng.normal(scale=0.05, size=(200, 2))
-    given = np.hstack(
+    inputs = np.hstack(
         [speed, load, mu, push, rng.normal(scale=0.1, size=(200, 1)), rng.uniform(0.1, 9, (200, 1))]
     )
     out = wp.zeros((200, 6), dtype=float, device="cpu")
-    wp.launch(each, dim=200, inputs=[wp.array(given, dtype=float, device="cpu"), out], device="cpu")
-    here = np.array([rolling_friction(*row[:5], 0.001, *row[5:]) for row in given])
-    scale = np.abs(here).max(axis=0)
-    assert np.abs(out.numpy() - here).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
-    assert np.abs(out.numpy() - here)[:, :2].max() < 1e-5
+    wp.launch(each, dim=200, inputs=[wp.array(inputs, dtype=float, device="cpu"), out], device="cpu")
+    on_cpu = np.array([rolling_friction(*row[:5], 0.001, *row[5:]) for row in inputs])
+    scale = np.abs(on_cpu).max(axis=0)
+    assert np.abs(out.numpy() - on_cpu).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
+    assert np.abs(out.numpy() - on_cpu)[:, :2].max() < 1e-5
 
 
 def waves(gaits, slot, slots, steps):
@@ -102,18 +102,18 @@ def waves(gaits, slot, slots, steps):
         "accumulators": Accumulators(empty[0], *3 * [empty]),
         "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
-    ported = {name: warp_struct(each) for name, each in records.items()}
+    ported = {name: warp_struct(entry) for name, entry in records.items()}
     spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_pressure=False)
-    kernel, found = build_kernels(ported, spec).set_gait, []
-    given = stack_records(
+    kernel, actual = build_kernels(ported, spec).set_gait, []
+    waves_on_device = stack_records(
         ported["wave"], [GaitWave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu"
     )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
     for step in range(steps):
         count = wp.full(1, step, dtype=int, device="cpu")
-        wp.launch(kernel, dim=(len(gaits), GEN2.segments), inputs=[count, given, out], device="cpu")
-        found.append(out.numpy().copy())
-    return np.concatenate(found, axis=1)
+        wp.launch(kernel, dim=(len(gaits), GEN2.segments), inputs=[count, waves_on_device, out], device="cpu")
+        actual.append(out.numpy().copy())
+    return np.concatenate(actual, axis=1)
 
 
 def test_device_gait_switches_valves_at_the_schedule_slots():
@@ -126,11 +126,11 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
         gait.reset(GEN2, 0.02)
     slot, slots, steps = 1e-4, 2000, 6
     there = waves(gaits, slot, slots, steps)
-    for gait, found in zip(gaits, there, strict=True):
+    for gait, values in zip(gaits, there, strict=True):
         schedule = gait.script(slot * slots * steps)
         at = np.searchsorted(schedule.starts, slot * (np.arange(slots * steps) + 0.5), side="right") - 1
         assert len(schedule.starts) > 8
-        assert (found == schedule.states[at]).all()
+        assert (values == schedule.states[at]).all()
 
 
 def test_device_controls_equal_linear_pressures():
@@ -159,12 +159,12 @@ def test_device_controls_equal_linear_pressures():
     ported = {name: warp_struct(each) for name, each in records.items()}
     spec = StepSettings(h=1e-4, slot=1e-4, slots=1, tick=1, mean_pressure=False)
     ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
-    given = [stack_records(ported[name], [records[name]], "cpu") for name in ("relaxation", "chambers")]
+    structs = [stack_records(ported[name], [records[name]], "cpu") for name in ("relaxation", "chambers")]
     valves = wp.zeros((1, 1, bent.segments, 2), dtype=int, device="cpu")
     wp.launch(
         build_kernels(ported, spec).advance_chambers,
         dim=(1, bent.segments),
-        inputs=[*given, valves, ctrl],
+        inputs=[*structs, valves, ctrl],
         device="cpu",
     )
     assert ctrl.numpy().reshape(-1, 2) == pytest.approx(equivalent_linear_pressure(bent, pressure), rel=1e-5)
@@ -255,11 +255,11 @@ def test_repeated_batch_is_equal_and_exposes_its_arrays(contact):
     assert (batch.state.bend[0] == first[0].bend[-1]).all()
     batch.reset()
     assert (batch.follow(0.1, 10)[2].qpos == first[2].qpos).all()
-    told = np.tile([[1, -1], [-1, 1]], (3, 2, 1))
-    batch.step(wp.array(told, dtype=wp.int32, device="cpu"))
-    assert (batch.state.valves == told).all()
+    reported = np.tile([[1, -1], [-1, 1]], (3, 2, 1))
+    batch.step(wp.array(reported, dtype=wp.int32, device="cpu"))
+    assert (batch.state.valves == reported).all()
     with pytest.raises(InputError, match="int32, not int64"):
-        batch.step(wp.array(told, dtype=wp.int64, device="cpu"))
+        batch.step(wp.array(reported, dtype=wp.int64, device="cpu"))
 
 
 @pytest.mark.slow
@@ -338,12 +338,12 @@ def test_unsupported_settings_raise_by_name(settings, named):
         TwinBatch([GEN2], **settings, **ON)
 
 
-@pytest.mark.parametrize("way", [pickle.dumps, copy.deepcopy, copy.copy])
-def test_copying_a_warp_batch_raises(way):
+@pytest.mark.parametrize("copy_of", [pickle.dumps, copy.deepcopy, copy.copy])
+def test_copying_a_warp_batch_raises(copy_of):
     from srs_twin.warp.batch import WarpBatch
 
     with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
-        way(object.__new__(WarpBatch))
+        copy_of(object.__new__(WarpBatch))
 
 
 @pytest.mark.parametrize("together", [2, 1024])
@@ -389,8 +389,8 @@ def test_gpu_speed_agrees_with_the_cpu_engine(contact):
         for engine in ("cpu", "warp")
     ]
     for a, b in zip(*found, strict=True):
-        way = [
+        distances = [
             np.hypot(run["com_x"][-1] - run["com_x"][400], run["com_y"][-1] - run["com_y"][400])
             for run in (a, b)
         ]
-        assert way[1] == pytest.approx(way[0], rel=5e-3)
+        assert distances[1] == pytest.approx(distances[0], rel=5e-3)
