@@ -98,6 +98,9 @@ class SnakeState:
 _FIELDS = tuple(field.name for field in fields(SnakeState))  # cached: `fields` is too slow for every tick
 
 
+_STRETCH_DEPRECATED = "Plant.stretch is deprecated; use Plant.max_chunk_s"
+
+
 class Plant(Remembers, ABC):
     """Abstract snake that follows valve commands.
 
@@ -131,12 +134,12 @@ class Plant(Remembers, ABC):
     @property
     def stretch(self) -> float:
         """Deprecated name of `max_chunk_s`."""
-        warnings.warn("Plant.stretch is deprecated; use Plant.max_chunk_s", DeprecationWarning, stacklevel=2)
+        warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
         return self.max_chunk_s
 
     @stretch.setter
     def stretch(self, value: float) -> None:
-        warnings.warn("Plant.stretch is deprecated; use Plant.max_chunk_s", DeprecationWarning, stacklevel=2)
+        warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
         self.max_chunk_s = value
 
     @abstractmethod
@@ -192,6 +195,10 @@ class Plant(Remembers, ABC):
         super().__init_subclass__()
         if cls.step is Plant.step and cls.advance is Plant.advance:
             raise TypeError(f"{cls.__name__} must override step or advance")
+        if "stretch" in vars(cls):  # a class attribute would hide the deprecated property
+            warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
+            cls.max_chunk_s = vars(cls)["stretch"]
+            del cls.stretch
 
     def step(self, valves: np.ndarray) -> SnakeState:
         """Advance by one tick.
