@@ -122,7 +122,7 @@ def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> N
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in kept results that do not state it; they are older than the choice."""
+"""Contact of the twin in stored results without this setting, which are older than it."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
