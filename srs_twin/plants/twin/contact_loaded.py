@@ -9,10 +9,10 @@ solves it with the friction forces f̂ of the previous step, which gives v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w , $$
 
-with the inertia M, the dampers h D that MuJoCo takes implicitly, the applied forces Q, the Coriolis and
-centrifugal forces c, the normal forces N̂ and the friction forces on the contacts w. The desired step
-has dampers C of second order (`_damping_matrices`) instead of h D, Coriolis forces at mid-step, and the
-friction f of its own:
+with the inertia M, the dampers h D that MuJoCo takes implicitly (together with the springs,
+`_damping_matrices`), the applied forces Q, the Coriolis and centrifugal forces c, the normal forces N̂ and
+the friction forces on the contacts w. The desired step has dampers C of second order instead of h D, Coriolis
+forces at mid-step, and its own friction f:
 
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$

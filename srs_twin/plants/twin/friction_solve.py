@@ -624,7 +624,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
         tn = weight * response[w, _SLOPE_MIXED]
         nn = weight * response[w, _SLOPE_ACROSS]
         up = 1.0 / contacts.regularisation[w] if work.normal_force[w] > 0.0 else 0.0
-        # The force along on a wheel that turns acts at its hub: the rest of it only spins the wheel.
+        # While a wheel turns, its force along acts on the connector at the hub.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         aside, above, composite = jacobian[w, _ACROSS], jacobian[w, _UP], slope[contacts.last_dof[w]]
         for a in range(6):

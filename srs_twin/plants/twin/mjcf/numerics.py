@@ -49,7 +49,8 @@ class LoadedContact:
     Attributes:
         law: friction law, "wheel", "ellipse" or "axis" (docs/models.md).
         load: load of a wheel in the law, one of `LOADS`; those other than "momentary" are for comparison.
-        slip_speed: slip speed ε, below which a contact sticks or yields elastically (`stick_slip`), m/s.
+        slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε times the velocity, so
+            that a resting contact does not creep (`stick_slip`), m/s.
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
