@@ -424,7 +424,7 @@ def test_twin_time_step_above_the_coupling_step_raises():
 @pytest.mark.slow
 @pytest.mark.parametrize("flow_limit", [None, 2e-4])
 def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
-    """Regression: at 1 ms a connector between two closed chambers reached several m/s."""
+    """Regression: connectors between closed chambers reached several m/s with steps of 1 ms."""
 
     def crawled(**options: Any) -> tuple[float, float]:
         chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow_limit)
